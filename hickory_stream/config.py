@@ -1,0 +1,162 @@
+"""Configuration: TOML into checked, frozen dataclasses.
+
+Every algorithm declares its own configuration beside itself; this module only puts them together, and reads and writes
+any of them. A key that nobody declared is refused with the nearest one that somebody did.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import tomllib
+import types
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.mapping.core import MappingConfig
+from hickory_stream.mapping.keyframes import KeyframeConfig
+from hickory_stream.perception.perceive import PerceptionConfig
+from hickory_stream.shapes.build import ShapeConfig
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunConfig:
+    """How a run is carried out; nothing here changes the map of a playback.
+
+    Attributes:
+        workers: child processes that build shapes.
+        job_timeout_s: a shape job that takes longer is given up, and marks the run as not reproducible.
+        crop_margin: a kept view shows this share of its box more on every side.
+        time_jump_s: stamps that go forward by more than this are a jump of time.
+        grace_s: after a stop, this long is waited for jobs that are running.
+    """
+
+    workers: int = 1
+    job_timeout_s: float = 60.0
+    crop_margin: float = 0.08
+    time_jump_s: float = 60.0
+    grace_s: float = 5.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MapperConfig:
+    """Everything that the mapper is configured by."""
+
+    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    mapping: MappingConfig = field(default_factory=MappingConfig)
+    shapes: ShapeConfig = field(default_factory=ShapeConfig)
+    run: RunConfig = field(default_factory=RunConfig)
+
+
+def read_config(kind: type[T], path: Path | None, overrides: tuple[str, ...] = ()) -> T:
+    """Return the configuration of a TOML file, with `section.key=value` overrides; the defaults where `path` is None.
+
+    Raises:
+        ConfigError: no such file, not TOML, an unknown key, a value of the wrong type, or one that its owner refuses.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ConfigError(f"cannot read the configuration {path}: {error.strerror}") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path} is not TOML: {error}") from error
+    for override in overrides:
+        _override(data, override)
+    return from_dict(kind, data)
+
+
+def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
+    """Return a configuration dataclass from nested dicts; missing keys keep their defaults.
+
+    Raises:
+        ConfigError: naming the key, what was found and what is expected.
+    """
+    hints = get_type_hints(kind)
+    fields = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for key in data:
+        if key not in fields:
+            near = difflib.get_close_matches(key, fields, n=1)
+            hint = f"did you mean {where}{near[0]}?" if near else f"known keys: {', '.join(sorted(fields))}"
+            raise ConfigError(f"unknown configuration key {where}{key}; {hint}")
+    values = {key: _converted(hints[key], value, f"{where}{key}") for key, value in data.items()}
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise ConfigError(f"configuration {where.rstrip('.') or 'of the mapper'}: {error}") from error
+
+
+def to_toml(config: Any) -> str:
+    """Return a configuration as TOML, sections in the order of their declaration."""
+    lines: list[str] = []
+    _write_section(config, "", lines)
+    return "\n".join(lines).strip() + "\n"
+
+
+def _write_section(config: Any, name: str, lines: list[str]) -> None:
+    values = [(f.name, getattr(config, f.name)) for f in dataclasses.fields(config)]
+    plain = [(key, value) for key, value in values if not dataclasses.is_dataclass(value) and value is not None]
+    if plain:
+        if name:
+            lines += ["", f"[{name}]"]
+        lines += [f"{key} = {_toml_value(value)}" for key, value in plain]
+    for key, value in values:
+        if dataclasses.is_dataclass(value):
+            _write_section(value, f"{name}.{key}" if name else key, lines)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_toml_value(v) for v in value) + "]"
+    return repr(value)
+
+
+def _override(data: dict[str, Any], override: str) -> None:
+    """Put `a.b.c=value` into nested dicts; the value is TOML, or a bare string."""
+    path, equals, text = override.partition("=")
+    if not equals or not path.strip():
+        raise ConfigError(f"found the override {override!r}; expected SECTION.KEY=VALUE")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    *sections, key = path.strip().split(".")
+    for section in sections:
+        data = data.setdefault(section, {})
+        if not isinstance(data, dict):
+            raise ConfigError(f"override {override!r}: {section} is a value, not a section")
+    data[key] = value
+
+
+def _converted(hint: Any, value: Any, where: str) -> Any:
+    """Return `value` as the declared type: numbers widen to float, lists become tuples, tables dataclasses."""
+    origin = get_origin(hint)
+    if dataclasses.is_dataclass(hint):
+        if not isinstance(value, dict):
+            raise ConfigError(f"{where} is a section, found {value!r}")
+        return from_dict(hint, value, f"{where}.")  # type: ignore[arg-type]
+    if origin is Literal:
+        if value not in get_args(hint):
+            raise ConfigError(f"{where} is {value!r}; expected one of {', '.join(map(repr, get_args(hint)))}")
+        return value
+    if origin in (Union, types.UnionType):
+        return next((_converted(part, value, where) for part in get_args(hint) if part is not type(None)), None)
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise ConfigError(f"{where} is {value!r}; expected a list")
+        return tuple(_converted(get_args(hint)[0], item, where) for item in value)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(hint, type) and isinstance(value, hint) and isinstance(value, bool) == (hint is bool):
+        return value
+    raise ConfigError(f"{where} is {value!r}; expected {getattr(hint, '__name__', hint)}")

@@ -1,0 +1,77 @@
+"""Files that are either the old ones or the new ones, never half of each.
+
+A file is written beside its place, synced and renamed. What the disk refuses becomes a `MapFolderError` here and
+nowhere else, so that a full disk reads the same whichever part of the map met it.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import MapFolderError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+PARTIAL_SUFFIX = ".partial"
+
+_ADVICE = {
+    errno.ENOSPC: "the disk is full; free space or choose another --out",
+    errno.EDQUOT: "the disk quota is used up; free space or choose another --out",
+    errno.EFBIG: "the file grew beyond what the disk allows; choose another --out",
+    errno.EACCES: "no permission; choose a folder that you may write to",
+    errno.EPERM: "no permission; choose a folder that you may write to",
+    errno.EROFS: "the file system is read-only; choose another --out",
+    errno.ENOTDIR: "a part of the path is a file; choose another --out",
+}
+
+
+@contextmanager
+def disk_errors(path: Path) -> Iterator[None]:
+    """Turn an `OSError` within the block into a `MapFolderError` that names the path, the cause and the remedy."""
+    try:
+        yield
+    except OSError as error:
+        cause = error.strerror or type(error).__name__
+        advice = _ADVICE.get(error.errno or 0, cause)
+        raise MapFolderError(f"cannot write {error.filename or path}: {advice}") from error
+
+
+def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
+    """Replace the file `path` by `data`; without `sync` it survives a killed process, but not yet a lost power supply.
+
+    Raises:
+        OSError: the disk refused; the old file, if any, is untouched.
+    """
+    partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
+    try:
+        with partial.open("wb") as file:
+            file.write(data)
+            file.flush()
+            if sync:
+                os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        if error.filename is None:  # a failed write or sync does not say which file it was
+            error.filename = str(path)
+        raise
+
+
+def sync(path: Path) -> None:
+    """Wait until a file, or the entries of a folder, have reached the disk.
+
+    Raises:
+        OSError: the disk refused, or there is no such file.
+    """
+    if os.name != "posix" and path.is_dir():
+        return  # only POSIX opens folders
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,105 @@
+"""The digest of a map: one number by which two runs are compared.
+
+In it, object by object in the order of their ids: id, phase, submap, sightings, first and last stamp, points and their
+colours, box, feature, every view (stamps, box, pose, factors, score, variance, feature, whether cut), which of them is
+the best, the ids merged into it; and of its shape the reconstructor, the hash of the mesh, its place, the fitted and
+the inflated superquadrics, the seen shares and the containment. Not in it: timings, ledger, configuration, the revision
+and stamp of the snapshot, tickets and file names, the observed space, anything of wall time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import MapSnapshot, ObjectShape, TrackedObject, View
+
+
+def map_digest(snapshot: MapSnapshot) -> str:
+    """Return the sha256 (hex) over the objects, superquadrics and meshes of a map; floats count to the last bit."""
+    digest = hashlib.sha256()
+    for tracked in sorted(snapshot.objects, key=lambda tracked: tracked.id):
+        _feed(digest, _object_values(tracked))
+    return digest.hexdigest()
+
+
+def _object_values(tracked: TrackedObject) -> tuple[Any, ...]:
+    return (
+        tracked.id,
+        str(tracked.phase),
+        tracked.submap_id,
+        tracked.sightings,
+        tracked.first_seen_ns,
+        tracked.last_seen_ns,
+        tracked.points_world,
+        tracked.colors,
+        tracked.box.world_from_box,
+        tracked.box.half_extents_m,
+        tracked.feature,
+        tuple(_view_values(view) for view in tracked.views),
+        tracked.best_view.name if tracked.best_view else None,
+        _shape_values(tracked.shape) if tracked.shape else None,
+        tracked.merged_ids,
+    )
+
+
+def _view_values(view: View) -> tuple[Any, ...]:
+    return (
+        view.object_id,
+        view.frame_index,
+        view.stamp_ns,
+        view.box_px,
+        view.world_from_camera,
+        view.r_area,
+        view.r_depth,
+        view.box_volume_m3,
+        view.score,
+        view.variance,
+        view.feature,
+        view.is_cut,
+    )
+
+
+def _shape_values(shape: ObjectShape) -> tuple[Any, ...]:
+    return (
+        shape.reconstructor,
+        shape.mesh_sha256,
+        shape.world_from_object,
+        _primitive_values(shape.fitted),
+        _primitive_values(shape.inflated),
+        shape.seen_share,
+        (shape.containment.num_checked, shape.containment.num_outside, shape.containment.max_g),
+    )
+
+
+def _primitive_values(primitives: Superquadrics) -> tuple[Any, ...]:
+    return (primitives.exponents, primitives.semi_axes_m, primitives.world_from_local)
+
+
+def _feed(digest: hashlib._Hash, value: Any) -> None:
+    """Add a value; each carries its kind and size, so that no two sequences of values give the same bytes."""
+    match value:
+        case None:
+            digest.update(b"n")
+        case str():
+            encoded = value.encode()
+            digest.update(b"s%d:" % len(encoded) + encoded)
+        case int() | np.integer():
+            digest.update(b"i%d;" % int(value))
+        case float() | np.floating():
+            digest.update(b"f" + struct.pack("<d", value))
+        case tuple():
+            digest.update(b"t%d:" % len(value))
+            for item in value:
+                _feed(digest, item)
+        case np.ndarray():
+            little = np.ascontiguousarray(value, dtype=value.dtype.newbyteorder("<"))
+            digest.update(f"a{little.dtype.str}{little.shape}:".encode())
+            digest.update(little.data if little.size else b"")
+        case _:
+            raise TypeError(f"a map holds no {type(value).__name__}")

@@ -1,0 +1,144 @@
+"""A shape job as a folder of files: what a worker is given, and what it gives back.
+
+    jobs/TICKET/
+      job.json       reconstructor, configuration, box, support height, the names of the views, best first
+      points.npy     layer 1: (N, 3) float32;  colors.npy  (N, 3) uint8
+      NAME.*         the pixels of the views: hard links, so that a view may be dropped while the job runs
+      mesh.glb       the answer: layer 2, in the object frame
+      result.json    the answer: where it is, layers 3 and 4, timings; or the reason why there is none
+
+Files rather than a pipe: a worker may be another interpreter, and what poisoned it can be looked at afterwards.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.config import from_dict
+from hickory_stream.engine.crops import crop_files, read_crop
+from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics
+from hickory_stream.errors import WorkerError
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
+from hickory_stream.ports import BuiltShape, NoShape, ShapeInputs
+from hickory_stream.records import Containment, ObjectShape
+from hickory_stream.shapes.build import ShapeConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from hickory_stream.events import RequestShape
+
+MESH, RESULT, JOB = "mesh.glb", "result.json", "job.json"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ShapeAnswer:
+    """What a job gave: a shape, or the reason why there is none; and what its steps took, in seconds."""
+
+    shape: ObjectShape | None
+    reason: str
+    timings_s: Mapping[str, float]
+
+
+def job_folder(jobs: Path, ticket: int) -> Path:
+    """Return the folder of a job."""
+    return jobs / f"{ticket:06d}"
+
+
+def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeConfig) -> None:
+    """Write what a worker needs."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for view in request.views:
+        for source in crop_files(views, view.name):
+            _link(source, folder / source.name)
+    np.save(folder / "points.npy", request.points_world, allow_pickle=False)
+    np.save(folder / "colors.npy", request.colors, allow_pickle=False)
+    job = {
+        "views": [view.name for view in request.views],
+        "config": dataclasses.asdict(config),
+        "world_from_box": request.box.world_from_box.tolist(),
+        "half_extents_m": request.box.half_extents_m.tolist(),
+        "support_z_m": request.support_z_m,
+    }
+    (folder / JOB).write_text(json.dumps(job))
+
+
+def read_job(folder: Path) -> tuple[ShapeInputs, ShapeConfig]:
+    """Return what `write_job` wrote."""
+    job = json.loads((folder / JOB).read_text())
+    inputs = ShapeInputs(
+        crops=tuple(read_crop(folder, name) for name in job["views"]),
+        points_world=np.load(folder / "points.npy", allow_pickle=False),
+        colors=np.load(folder / "colors.npy", allow_pickle=False),
+        box=OrientedBox(world_from_box=job["world_from_box"], half_extents_m=job["half_extents_m"]),
+        support_z_m=job["support_z_m"],
+    )
+    return inputs, from_dict(ShapeConfig, job["config"])
+
+
+def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) -> None:
+    """Write a worker's answer; `result.json` comes last and whole."""
+    if isinstance(built, NoShape):
+        result: dict[str, Any] = {"reason": built.reason}
+    else:
+        write_glb(built.reconstruction.mesh, folder / MESH)
+        result = {
+            "reconstructor": reconstructor,
+            "world_from_object": built.reconstruction.world_from_object.tolist(),
+            "fitted": encode_superquadrics(built.fitted),
+            "inflated": encode_superquadrics(built.inflated),
+            "seen_share": built.seen_share.tolist(),
+            "containment": dataclasses.asdict(built.containment),
+            "timings_s": dict(built.timings_s),
+        }
+    partial = folder / (RESULT + ".partial")
+    partial.write_text(json.dumps(result))
+    partial.replace(folder / RESULT)
+
+
+def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> ShapeAnswer:
+    """Return a worker's answer, its mesh moved into the map's `shapes/`, and remove the job.
+
+    Raises:
+        WorkerError: the worker left no readable answer.
+    """
+    try:
+        result = json.loads((folder / RESULT).read_text())
+        if "reason" in result:
+            shutil.rmtree(folder, ignore_errors=True)
+            return ShapeAnswer(shape=None, reason=result["reason"], timings_s={})
+        # The hash is of what was written, read back: the map's digest then holds for the file.
+        mesh_sha256 = sha256_of(read_glb(folder / MESH))
+        name = f"{object_id:06d}-{ticket:06d}.glb"
+        (folder / MESH).replace(shapes / name)
+        shape = ObjectShape(
+            revision=ticket,
+            reconstructor=result["reconstructor"],
+            mesh_name=name,
+            mesh_sha256=mesh_sha256,
+            world_from_object=result["world_from_object"],
+            fitted=decode_superquadrics(result["fitted"]),
+            inflated=decode_superquadrics(result["inflated"]),
+            seen_share=result["seen_share"],
+            containment=Containment(**result["containment"]),
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise WorkerError(f"job {ticket}: no readable answer in {folder}: {error}") from error
+    shutil.rmtree(folder, ignore_errors=True)
+    return ShapeAnswer(shape=shape, reason="", timings_s=result["timings_s"])
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without hard links
+        shutil.copyfile(source, target)

@@ -1,0 +1,118 @@
+"""The manifest: what a map folder says of itself, and how one is told from any other folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream import __version__
+from hickory_stream.errors import MapFolderError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+FORMAT_VERSION = 1
+MANIFEST = "manifest.json"
+_KIND = "hickory-stream map"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Manifest:
+    """What a map was made of and by; `digest` is None until the run has finished."""
+
+    config: Mapping[str, Any]
+    source: Mapping[str, Any]
+    software_version: str = __version__
+    finished_cleanly: bool = False
+    digest: str | None = None
+
+
+def manifest_json(manifest: Manifest) -> bytes:
+    """Return the content of `manifest.json`."""
+    return pretty_json(
+        {
+            "kind": _KIND,
+            "format": FORMAT_VERSION,
+            "software_version": manifest.software_version,
+            "finished_cleanly": manifest.finished_cleanly,
+            "digest": manifest.digest,
+            "source": manifest.source,
+            "config": manifest.config,
+        }
+    )
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Return the manifest of a map folder.
+
+    Raises:
+        MapFolderError: there is no map, or it has another format.
+    """
+    if not folder.exists():
+        raise MapFolderError(f"there is no map folder {folder}; `hickory-stream play LOG --out {folder}` makes one")
+    if not (folder / MANIFEST).is_file():
+        raise MapFolderError(f"{folder} is no map folder: it holds no {MANIFEST}; name a folder that `play` wrote")
+    entry = read_json(folder / MANIFEST)
+    if entry.get("kind") != _KIND:
+        raise MapFolderError(f"{folder} is no map folder: its {MANIFEST} is another program's; name one of `play`'s")
+    _check_format(folder, entry.get("format"))
+    try:
+        return Manifest(
+            config=entry["config"],
+            source=entry["source"],
+            software_version=entry["software_version"],
+            finished_cleanly=entry["finished_cleanly"],
+            digest=entry["digest"],
+        )
+    except KeyError as error:
+        raise MapFolderError(f"{folder / MANIFEST} is damaged: it has no {error}; play the log again") from error
+
+
+def is_map_folder(folder: Path) -> bool:
+    """Return whether a folder is a map folder, of whatever format."""
+    try:
+        return read_json(folder / MANIFEST).get("kind") == _KIND
+    except MapFolderError:
+        return False
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file of a map folder.
+
+    Raises:
+        MapFolderError: the file is missing or holds something else.
+    """
+    try:
+        entry = json.loads(read_file(path))
+    except ValueError as error:
+        raise MapFolderError(f"{path} is damaged: {error}; play the log again") from error
+    if not isinstance(entry, dict):
+        raise MapFolderError(f"{path} is damaged: it holds no JSON object; play the log again")
+    return entry
+
+
+def read_file(path: Path) -> bytes:
+    """Return the content of a file of a map folder.
+
+    Raises:
+        MapFolderError: it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise MapFolderError(f"cannot read {path}: {error.strerror or error}; play the log again") from error
+
+
+def pretty_json(data: Any) -> bytes:
+    """Return JSON for people to read."""
+    return (json.dumps(data, indent=1) + "\n").encode()
+
+
+def _check_format(folder: Path, found: object) -> None:
+    if found == FORMAT_VERSION:
+        return
+    is_newer = isinstance(found, int) and found > FORMAT_VERSION
+    remedy = "open it with a newer hickory-stream" if is_newer else "play the log again"
+    raise MapFolderError(f"{folder} has map format {found}, this version reads {FORMAT_VERSION}; {remedy}")

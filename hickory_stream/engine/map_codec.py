@@ -1,0 +1,322 @@
+"""A snapshot as one JSON document and the binary files that it names, and back, exactly.
+
+The name of a binary file carries the hash of its content: a document can only refer to files that are complete, and a
+file that exists never needs to be written again. Float32 arrays without a file of their own (features) are base64.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.records import (
+    Containment,
+    MapSnapshot,
+    ObjectShape,
+    ObservedSpace,
+    Phase,
+    Submap,
+    TrackedObject,
+    View,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+POINTS, SPACE = "points", "space"
+Json = dict[str, Any]
+
+_PLY_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
+_PLY_HEADER = (
+    "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+    "property float x\nproperty float y\nproperty float z\n"
+    "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+)
+
+
+def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
+    """Return the document of a snapshot, and the content of every file that it names by its path in the map folder."""
+    files: dict[str, bytes] = {}
+    document = {
+        "revision": int(snapshot.revision),
+        "stamp_ns": int(snapshot.stamp_ns),
+        "submaps": [_encode_submap(submap, files) for submap in snapshot.submaps],
+        "objects": [_encode_object(tracked, files) for tracked in snapshot.objects],
+    }
+    return document, files
+
+
+def decode_snapshot(document: Json, read: Callable[[str], bytes]) -> MapSnapshot:
+    """Return the snapshot of a document; `read` gives the content of a file by its path in the map folder.
+
+    Raises:
+        KeyError, TypeError, ValueError: the document or a file is damaged.
+    """
+    return MapSnapshot(
+        revision=document["revision"],
+        stamp_ns=document["stamp_ns"],
+        submaps=tuple(_decode_submap(entry, read) for entry in document["submaps"]),
+        objects=tuple(_decode_object(entry, read) for entry in document["objects"]),
+    )
+
+
+def has_named_content(name: str, data: bytes) -> bool:
+    """Return whether a file's content is the one that its name promises."""
+    return name.rpartition(".")[0].endswith(f"-{_short_hash(data)}")
+
+
+# ---- the records ----------------------------------------------------------------------------------------------------
+
+
+def _encode_submap(submap: Submap, files: dict[str, bytes]) -> Json:
+    space = submap.observed_space
+    return {
+        "id": int(submap.id),
+        "world_from_submap": _numbers(submap.world_from_submap),
+        "voxel_m": float(space.voxel_m),
+        "floor_z_m": _number(space.floor_z_m),
+        "free": _add_file(files, f"{SPACE}/{submap.id:04d}-free", ".npy", npy_bytes(space.free)),
+        "structure": _add_file(files, f"{SPACE}/{submap.id:04d}-structure", ".npy", npy_bytes(space.structure)),
+    }
+
+
+def _decode_submap(entry: Json, read: Callable[[str], bytes]) -> Submap:
+    space = ObservedSpace(
+        voxel_m=entry["voxel_m"],
+        free=npy_array(read(entry["free"])),
+        structure=npy_array(read(entry["structure"])),
+        floor_z_m=_maybe_float(entry["floor_z_m"]),
+    )
+    return Submap(id=entry["id"], world_from_submap=_array(entry["world_from_submap"]), observed_space=space)
+
+
+def _encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
+    names = [view.name for view in tracked.views]
+    return {
+        "id": int(tracked.id),
+        "phase": str(tracked.phase),
+        "submap_id": int(tracked.submap_id),
+        "sightings": int(tracked.sightings),
+        "first_seen_ns": int(tracked.first_seen_ns),
+        "last_seen_ns": int(tracked.last_seen_ns),
+        "points": _add_file(
+            files, f"{POINTS}/{tracked.id:06d}", ".ply", ply_bytes(tracked.points_world, tracked.colors)
+        ),
+        "box": {
+            "world_from_box": _numbers(tracked.box.world_from_box),
+            "half_extents_m": _numbers(tracked.box.half_extents_m),
+        },
+        "feature": _text(tracked.feature),
+        "views": [_encode_view(view) for view in tracked.views],
+        "best_view": None if tracked.best_view is None else names.index(tracked.best_view.name),
+        "shape": None if tracked.shape is None else _encode_shape(tracked.shape),
+        "merged_ids": [int(i) for i in tracked.merged_ids],
+    }
+
+
+def _decode_object(entry: Json, read: Callable[[str], bytes]) -> TrackedObject:
+    points_world, colors = ply_arrays(read(entry["points"]))
+    views = tuple(_decode_view(view) for view in entry["views"])
+    return TrackedObject(
+        id=entry["id"],
+        phase=Phase(entry["phase"]),
+        submap_id=entry["submap_id"],
+        sightings=entry["sightings"],
+        first_seen_ns=entry["first_seen_ns"],
+        last_seen_ns=entry["last_seen_ns"],
+        points_world=points_world,
+        colors=colors,
+        box=OrientedBox(
+            world_from_box=_array(entry["box"]["world_from_box"]), half_extents_m=_array(entry["box"]["half_extents_m"])
+        ),
+        feature=_float32s(entry["feature"]),
+        views=views,
+        best_view=None if entry["best_view"] is None else views[entry["best_view"]],
+        shape=None if entry["shape"] is None else _decode_shape(entry["shape"]),
+        merged_ids=tuple(entry["merged_ids"]),
+    )
+
+
+def _encode_view(view: View) -> Json:
+    return {
+        "name": view.name,
+        "object_id": int(view.object_id),
+        "frame_index": int(view.frame_index),
+        "stamp_ns": int(view.stamp_ns),
+        "box_px": [int(i) for i in view.box_px],
+        "world_from_camera": _numbers(view.world_from_camera),
+        "r_area": _number(view.r_area),
+        "r_depth": _number(view.r_depth),
+        "box_volume_m3": _number(view.box_volume_m3),
+        "score": _number(view.score),
+        "variance": _number(view.variance),
+        "feature": _text(view.feature),
+        "is_cut": bool(view.is_cut),
+    }
+
+
+def _decode_view(entry: Json) -> View:
+    x0, y0, x1, y1 = entry["box_px"]
+    return View(
+        object_id=entry["object_id"],
+        frame_index=entry["frame_index"],
+        stamp_ns=entry["stamp_ns"],
+        box_px=(x0, y0, x1, y1),
+        world_from_camera=_array(entry["world_from_camera"]),
+        r_area=float(entry["r_area"]),
+        r_depth=float(entry["r_depth"]),
+        box_volume_m3=float(entry["box_volume_m3"]),
+        score=_maybe_float(entry["score"]),
+        variance=_maybe_float(entry["variance"]),
+        feature=_float32s(entry["feature"]),
+        is_cut=entry["is_cut"],
+    )
+
+
+def _encode_shape(shape: ObjectShape) -> Json:
+    return {
+        "revision": int(shape.revision),
+        "reconstructor": shape.reconstructor,
+        "mesh_name": shape.mesh_name,
+        "mesh_sha256": shape.mesh_sha256,
+        "world_from_object": _numbers(shape.world_from_object),
+        "fitted": encode_superquadrics(shape.fitted),
+        "inflated": encode_superquadrics(shape.inflated),
+        "seen_share": _numbers(shape.seen_share),
+        "containment": {
+            "num_checked": int(shape.containment.num_checked),
+            "num_outside": int(shape.containment.num_outside),
+            "max_g": _number(shape.containment.max_g),
+        },
+    }
+
+
+def _decode_shape(entry: Json) -> ObjectShape:
+    checked = entry["containment"]
+    return ObjectShape(
+        revision=entry["revision"],
+        reconstructor=entry["reconstructor"],
+        mesh_name=entry["mesh_name"],
+        mesh_sha256=entry["mesh_sha256"],
+        world_from_object=_array(entry["world_from_object"]),
+        fitted=decode_superquadrics(entry["fitted"]),
+        inflated=decode_superquadrics(entry["inflated"]),
+        seen_share=_array(entry["seen_share"]),
+        containment=Containment(
+            num_checked=checked["num_checked"], num_outside=checked["num_outside"], max_g=float(checked["max_g"])
+        ),
+    )
+
+
+def encode_superquadrics(primitives: Superquadrics) -> Json:
+    """Return superquadrics as JSON has them, exactly."""
+    return {
+        "exponents": _numbers(primitives.exponents),
+        "semi_axes_m": _numbers(primitives.semi_axes_m),
+        "world_from_local": _numbers(primitives.world_from_local),
+    }
+
+
+def decode_superquadrics(entry: Json) -> Superquadrics:
+    """Return what `encode_superquadrics` wrote.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is damaged.
+    """
+    count = len(entry["exponents"])
+    return Superquadrics(
+        exponents=_array(entry["exponents"]).reshape(count, 2),
+        semi_axes_m=_array(entry["semi_axes_m"]).reshape(count, 3),
+        world_from_local=_array(entry["world_from_local"]).reshape(count, 4, 4),
+    )
+
+
+# ---- numbers and arrays ---------------------------------------------------------------------------------------------
+
+
+def _number(value: float | None) -> float | str | None:
+    """Return a float as JSON has it; JSON knows no infinity, so that becomes a string that `float` reads."""
+    return None if value is None else float(value) if math.isfinite(value) else str(float(value))
+
+
+def _maybe_float(value: float | str | None) -> float | None:
+    return None if value is None else float(value)
+
+
+def _numbers(array: NDArray[np.float64]) -> Any:
+    """Return a small array as nested lists; Python writes the shortest text that reads back as the same double."""
+    values = array.tolist()
+    return values if np.isfinite(array).all() else np.vectorize(_number, otypes=[object])(array).tolist()
+
+
+def _array(values: Any) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _text(array: NDArray[np.float32] | None) -> str | None:
+    return None if array is None else base64.b64encode(array.astype("<f4").tobytes()).decode()
+
+
+def _float32s(text: str | None) -> NDArray[np.float32] | None:
+    return None if text is None else np.frombuffer(base64.b64decode(text, validate=True), "<f4").astype(np.float32)
+
+
+# ---- files ----------------------------------------------------------------------------------------------------------
+
+
+def _add_file(files: dict[str, bytes], stem: str, suffix: str, data: bytes) -> str:
+    """Note a file under a name that carries its content's hash; return the name."""
+    name = f"{stem}-{_short_hash(data)}{suffix}"
+    files[name] = data
+    return name
+
+
+def _short_hash(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def ply_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> bytes:
+    """Return a binary little-endian PLY of (N, 3) points with (N, 3) colours."""
+    vertices = np.empty(len(points), dtype=_PLY_VERTEX)
+    vertices["xyz"], vertices["rgb"] = points, colors
+    return _PLY_HEADER.format(count=len(points)).encode() + vertices.tobytes()
+
+
+def ply_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return the points (N, 3) and colours (N, 3) of a PLY that `ply_bytes` wrote.
+
+    Raises:
+        ValueError: it is another kind of PLY, or shorter than it says.
+    """
+    header, end, body = data.partition(b"end_header\n")
+    count = len(body) // _PLY_VERTEX.itemsize
+    if header + end != _PLY_HEADER.format(count=count).encode() or len(body) != count * _PLY_VERTEX.itemsize:
+        raise ValueError("not a point file of this map format")
+    vertices = np.frombuffer(body, dtype=_PLY_VERTEX)
+    return vertices["xyz"].astype(np.float32), vertices["rgb"].astype(np.uint8)
+
+
+def npy_bytes(keys: NDArray[np.int64]) -> bytes:
+    """Return a .npy file of (N,) keys."""
+    buffer = io.BytesIO()
+    np.save(buffer, keys.astype("<i8"), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def npy_array(data: bytes) -> NDArray[np.int64]:
+    """Return the (N,) keys of a .npy file.
+
+    Raises:
+        ValueError: it is no such file.
+    """
+    keys = np.load(io.BytesIO(data), allow_pickle=False)
+    return np.asarray(keys, dtype=np.int64)

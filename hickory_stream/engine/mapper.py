@@ -1,0 +1,205 @@
+"""The mapper as a Python object: `async with Mapper(config) as mapper: async for snapshot in mapper.run(source): ...`."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import shutil
+import tempfile
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.config import MapperConfig
+from hickory_stream.engine.run import Progress, Run
+from hickory_stream.engine.session import create_map_folder
+from hickory_stream.engine.sink_threads import SinkThread
+from hickory_stream.engine.workers import LocalWorkers
+from hickory_stream.errors import RecordingError
+from hickory_stream.mapping.core import MapperCore
+from hickory_stream.perception.descriptor import ColorTextureDescriptor
+from hickory_stream.perception.geometric import GeometricSegmenter
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable, Mapping
+    from types import TracebackType
+
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
+    from hickory_stream.records import MapSnapshot
+
+
+
+class Mapper:
+    """Maps sources into one map folder.
+
+    Args:
+        config: everything that the mapper is configured by.
+        out: the map folder to make; None makes one that is removed on leaving.
+        overwrite: replace a map that is in `out`.
+        segmenter, extractor: other perception than the embedded one.
+
+    Entering makes the shape workers available; leaving ends them. One `run` per mapper.
+    """
+
+    def __init__(
+        self,
+        config: MapperConfig | None = None,
+        *,
+        out: Path | str | None = None,
+        overwrite: bool = False,
+        segmenter: Segmenter | None = None,
+        extractor: FeatureExtractor | None = None,
+    ) -> None:
+        self.config = config or MapperConfig()
+        self._out = Path(out) if out is not None else None
+        self._overwrite = overwrite
+        self._segmenter = segmenter or GeometricSegmenter(self.config.perception.geometric)
+        self._extractor = extractor or ColorTextureDescriptor()
+        self._workers = LocalWorkers(self.config.run.workers, self.config.run.job_timeout_s)
+        self._temporary: Path | None = None
+        self._run: Run | None = None
+        self.folder: MapFolder | None = None
+
+    async def __aenter__(self) -> Mapper:
+        await self._workers.__aenter__()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self._workers.__aexit__(kind, error, trace)
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+
+    def stop(self) -> None:
+        """End the run after the frame at hand, and save: what the first Ctrl-C does."""
+        if self._run is not None:
+            self._run.stop()
+
+    async def run(
+        self,
+        source: Source,
+        *,
+        sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None = None,
+        rate: float | None = None,
+        loops: int = 1,
+        progress: Callable[[Progress], None] = lambda _: None,
+    ) -> AsyncIterator[MapSnapshot]:
+        """Yield the map after every keyframe, and last the finished one.
+
+        `sinks` makes the sinks for the map folder, each with whether it is essential; by default none but the saving of
+        the map. `rate` 1.0 is real time, None as fast as can be. A consumer that is slower than the mapping sees the
+        newest snapshot, not every one.
+
+        Raises:
+            HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
+        """
+        folder = self._make_folder(source)
+        newest: asyncio.Queue[MapSnapshot | None] = asyncio.Queue(maxsize=1)
+
+        def publish(snapshot: MapSnapshot) -> None:
+            if newest.full():
+                newest.get_nowait()
+            newest.put_nowait(snapshot)
+
+        task = asyncio.create_task(self._play(source, folder, sinks, rate, loops, publish, progress), name="run")
+        task.add_done_callback(lambda _: newest.full() or newest.put_nowait(None))
+        try:
+            while not (task.done() and newest.empty()):
+                snapshot = await newest.get()
+                if snapshot is not None:
+                    yield snapshot
+            await task
+        finally:
+            if not task.done():
+                task.cancel()
+                await asyncio.gather(task, return_exceptions=True)
+
+    async def _play(
+        self,
+        source: Source,
+        folder: MapFolder,
+        sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None,
+        rate: float | None,
+        loops: int,
+        publish: Callable[[MapSnapshot], None],
+        progress: Callable[[Progress], None],
+    ) -> None:
+        made = sinks(folder) if sinks is not None else [(_Saver(folder), True)]
+        threads = [SinkThread(sink, is_essential=essential) for sink, essential in made]
+        run = self._run = Run(
+            config=self.config,
+            core=MapperCore(self.config.mapping),
+            segmenter=self._segmenter,
+            extractor=self._extractor,
+            folder=folder,
+            workers=self._workers,
+            sinks=threads,
+            publish=publish,
+            progress=progress,
+        )
+        is_clean = False
+        try:
+            await run.run(source, rate=rate, loops=loops)
+            is_clean = run.is_complete
+        finally:
+            await self._close(folder, threads, run, source, is_clean)
+        if run.num_keyframes == 0:
+            raise RecordingError(_no_keyframe(source, run.counts))
+
+    async def _close(
+        self, folder: MapFolder, threads: list[SinkThread], run: Run, source: Source, is_clean: bool
+    ) -> None:
+        """Let the sinks finish, and write what is said about the run; an error of a sink comes after the others closed."""
+        failed: BaseException | None = None
+        for thread in threads:
+            try:
+                await thread.close()
+            except Exception as error:  # noqa: BLE001 -- kept, and raised once every sink is closed
+                failed = error
+        if failed is None or not is_clean:
+            await asyncio.to_thread(_finish, folder, run.ledger(source), run.timings(), is_clean and failed is None)
+        if failed is not None:
+            raise failed
+
+    def _make_folder(self, source: Source) -> MapFolder:
+        if self._out is None:
+            self._temporary = Path(tempfile.mkdtemp(prefix="hickory-"))
+        place = self._out if self._out is not None else self._temporary
+        assert place is not None
+        self.folder = create_map_folder(
+            place,
+            config=dataclasses.asdict(self.config),
+            source=dataclasses.asdict(source.info),
+            overwrite=self._overwrite,
+        )
+        return self.folder
+
+
+class _Saver:
+    """Keeps the newest snapshot and saves it at the end: the sink of a mapper that was given none."""
+
+    def __init__(self, folder: MapFolder) -> None:
+        self._folder = folder
+        self._newest: MapSnapshot | None = None
+
+    def show(self, report: Any) -> None:
+        self._newest = report.snapshot or self._newest
+
+    def close(self) -> None:
+        if self._newest is not None:
+            self._folder.save(self._newest)
+
+
+def _finish(folder: MapFolder, ledger: Mapping[str, Any], timings: Mapping[str, float], is_clean: bool) -> None:
+    folder.write_json("ledger.json", ledger)
+    folder.write_json("timings.json", timings)
+    if is_clean:
+        shutil.rmtree(folder.jobs, ignore_errors=True)
+    folder.finish(finished_cleanly=is_clean)
+
+
+def _no_keyframe(source: Source, counts: Counter[str]) -> str:
+    told = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items())) or "nothing"
+    return f"{source.info.uri} gave no usable frame ({told}); it must hold colour, depth and poses that overlap in time"

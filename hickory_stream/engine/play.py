@@ -1,0 +1,97 @@
+"""One playback from the outside: blocking, with the signals that a person sends."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hickory_stream.engine.mapper import Mapper
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.run import Progress
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import Sink, Source
+    from hickory_stream.records import MapSnapshot
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Played:
+    """What a playback left: the last snapshot (None if it was stopped before the first), and how it ended."""
+
+    snapshot: MapSnapshot | None
+    finished_cleanly: bool
+    digest: str | None
+
+
+def play(
+    source: Source,
+    config: MapperConfig,
+    *,
+    out: Path,
+    overwrite: bool,
+    sinks: Callable[[MapFolder], list[tuple[Sink, bool]]],
+    rate: float | None,
+    loops: int,
+    progress: Callable[[Progress], None],
+) -> Played:
+    """Map a source into the folder `out`. The first SIGINT or SIGTERM ends it in order and saves, the second cancels.
+
+    Raises:
+        HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
+        KeyboardInterrupt: it was cancelled by a second signal.
+    """
+    return asyncio.run(_play(source, config, out, overwrite, sinks, rate, loops, progress))
+
+
+async def _play(
+    source: Source,
+    config: MapperConfig,
+    out: Path,
+    overwrite: bool,
+    sinks: Callable[[MapFolder], list[tuple[Sink, bool]]],
+    rate: float | None,
+    loops: int,
+    progress: Callable[[Progress], None],
+) -> Played:
+    snapshot: MapSnapshot | None = None
+    async with Mapper(config, out=out, overwrite=overwrite) as mapper:
+        with _Signals(mapper):
+            async for snapshot in mapper.run(source, sinks=sinks, rate=rate, loops=loops, progress=progress):
+                pass
+        assert mapper.folder is not None
+        manifest = mapper.folder.manifest
+    return Played(snapshot=snapshot, finished_cleanly=manifest.finished_cleanly, digest=manifest.digest)
+
+
+class _Signals:
+    """While entered: the first signal stops the mapper, the second cancels its task."""
+
+    def __init__(self, mapper: Mapper) -> None:
+        self._mapper = mapper
+        self._task = asyncio.current_task()
+        self._loop = asyncio.get_running_loop()
+        self._count = 0
+
+    def __enter__(self) -> None:
+        if sys.platform != "win32":
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._loop.add_signal_handler(number, self._handle)
+
+    def __exit__(self, *_: object) -> None:
+        if sys.platform != "win32":
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._loop.remove_signal_handler(number)
+
+    def _handle(self) -> None:
+        self._count += 1
+        if self._count == 1:
+            self._mapper.stop()
+        elif self._task is not None:
+            self._task.cancel()

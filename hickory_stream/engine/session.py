@@ -1,0 +1,322 @@
+"""The map folder: what `play` writes and every other command reads.
+
+    MAP/
+      manifest.json   format, software, config, source, `finished_cleanly`, and the digest once it is finished
+      objects.json    the last saved snapshot; names the files in points/ and space/ by the hash of their content
+      points/         layer 1 of each object, binary PLY
+      space/          observed voxels of each submap, .npy
+      views/          the pixels of the kept views: NAME.color.png, NAME.depth.png, NAME.json
+      shapes/         layer 2 of each object, GLB
+      jobs/           what shape workers are given and give back
+      journal.mcap    all events (not written yet)
+      ledger.json     what became of every message and frame
+      timings.json    seconds; in no digest
+
+`objects.json` is replaced last and what it no longer names is removed after that: killed at any byte, the folder opens
+as of its last complete save. No pickle is written or read.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+from collections import deque
+from dataclasses import dataclass, replace
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Literal
+
+from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync, write_atomically
+from hickory_stream.engine.crops import crop_files
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.manifest import (
+    MANIFEST,
+    Manifest,
+    is_map_folder,
+    manifest_json,
+    pretty_json,
+    read_file,
+    read_json,
+    read_manifest,
+)
+from hickory_stream.engine.map_codec import POINTS, SPACE, decode_snapshot, encode_snapshot, has_named_content
+from hickory_stream.errors import MapFolderError
+from hickory_stream.geometry.mesh import read_glb, sha256_of
+from hickory_stream.records import MapSnapshot
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.records import ObjectShape
+
+_OBJECTS, _LEDGER, _TIMINGS, _JOURNAL = "objects.json", "ledger.json", "timings.json", "journal.mcap"
+_FILES = (_OBJECTS, _LEDGER, _TIMINGS, _JOURNAL)
+_FOLDERS = (POINTS, SPACE, "views", "shapes", "jobs")
+_EMPTY = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
+# What the GLB reader was seen to raise for files with bytes missing or changed.
+_GLB_ERRORS = (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, struct.error)
+
+
+def create_map_folder(
+    path: Path, *, config: Mapping[str, Any], source: Mapping[str, Any], overwrite: bool = False
+) -> MapFolder:
+    """Return a new, empty map folder; `overwrite` replaces a map that is there, but never anything else.
+
+    `config` and `source` (e.g. `asdict` of the `SourceInfo`) must be made of what JSON knows.
+
+    Raises:
+        MapFolderError: the place is taken or cannot be written; nothing is left behind.
+    """
+    _check_place(path, overwrite)
+    manifest = Manifest(config=config, source=source)
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    with disk_errors(path):
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            # First of all, so that what a kill leaves is known for a map folder, opens, and can be overwritten.
+            write_atomically(path / MANIFEST, manifest_json(manifest))
+            _remove_map(path)
+            for name in _FOLDERS:
+                (path / name).mkdir(exist_ok=True)
+            sync(path)
+        except OSError:
+            if missing:
+                shutil.rmtree(missing[-1], ignore_errors=True)
+            raise
+    return MapFolder(path, manifest)
+
+
+class MapFolder:
+    """A map folder being written, by one process, from any of its threads; `drop_...` never wait for the disk."""
+
+    def __init__(self, path: Path, manifest: Manifest) -> None:
+        self.path = path
+        self.manifest = manifest
+        self._last = _EMPTY
+        self._on_disk: set[Path] = set()
+        self._dropped: set[Path] = set()
+        self._drop_requests: deque[Path] = deque()
+        self._lock = Lock()
+
+    @property
+    def views(self) -> Path:
+        """The folder of the kept views' pixels, for `write_crop` and `read_crop`."""
+        return self.path / "views"
+
+    @property
+    def shapes(self) -> Path:
+        """The folder of the meshes."""
+        return self.path / "shapes"
+
+    @property
+    def jobs(self) -> Path:
+        """The folder in which shape jobs are handed over."""
+        return self.path / "jobs"
+
+    def save(self, snapshot: MapSnapshot) -> None:
+        """Make `snapshot` what the folder opens as; only what changed since the last save is written.
+
+        Raises:
+            MapFolderError: the disk refused; the folder opens as of the save before.
+        """
+        document, files = encode_snapshot(snapshot)
+        with self._lock, disk_errors(self.path):
+            self._write_missing(files)
+            self._sync_referenced(snapshot)
+            write_atomically(self.path / _OBJECTS, json.dumps(document, allow_nan=False).encode())
+            sync(self.path)
+            self._last = snapshot
+            self._remove_unreferenced(set(files))
+            self._remove_dropped()
+
+    def drop_view(self, name: str) -> None:
+        """Remove a view's pixels once the saved map does not refer to them."""
+        self._drop_requests.extend(crop_files(self.views, name))
+
+    def drop_shape(self, mesh_name: str) -> None:
+        """Remove a mesh once the saved map does not refer to it."""
+        self._drop_requests.append(self.shapes / mesh_name)
+
+    def write_json(self, name: Literal["ledger.json", "timings.json"], data: Any) -> None:
+        """Replace a file beside the map by `data`, which JSON must know.
+
+        Raises:
+            MapFolderError: the disk refused; the old file is untouched.
+        """
+        with disk_errors(self.path):
+            write_atomically(self.path / name, pretty_json(data))
+
+    def finish(self, *, finished_cleanly: bool) -> Manifest:
+        """Close the map: note its digest and how the run ended, and remove what a clean end left unreferenced.
+
+        Raises:
+            MapFolderError: the disk refused; the map opens as not finished.
+        """
+        self.manifest = replace(self.manifest, finished_cleanly=finished_cleanly, digest=map_digest(self._last))
+        with self._lock, disk_errors(self.path):
+            if finished_cleanly:
+                self._dropped.update(self.views.iterdir(), self.shapes.iterdir())
+            self._remove_dropped()
+            if not (self.path / _OBJECTS).exists():
+                document, _ = encode_snapshot(self._last)
+                write_atomically(self.path / _OBJECTS, json.dumps(document, allow_nan=False).encode())
+            write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
+            sync(self.path)
+        return self.manifest
+
+    def _write_missing(self, files: Mapping[str, bytes]) -> None:
+        for name, data in files.items():
+            if not (self.path / name).exists():
+                write_atomically(self.path / name, data)
+        sync(self.path / POINTS)
+        sync(self.path / SPACE)
+
+    def _sync_referenced(self, snapshot: MapSnapshot) -> None:
+        """Bring to the disk what others wrote without waiting for it, before the map refers to it."""
+        referenced = _referenced(self.path, snapshot)
+        new = {path for path in referenced - self._on_disk if path.exists()}
+        for path in new:
+            sync(path)
+        if new:
+            sync(self.views)
+            sync(self.shapes)
+        self._on_disk = referenced & (self._on_disk | new)
+
+    def _remove_unreferenced(self, names: set[str]) -> None:
+        for folder in (POINTS, SPACE):
+            for path in (self.path / folder).iterdir():
+                if f"{folder}/{path.name}" not in names:
+                    path.unlink()
+
+    def _remove_dropped(self) -> None:
+        while self._drop_requests:
+            self._dropped.add(self._drop_requests.popleft())
+        unreferenced = self._dropped - _referenced(self.path, self._last)
+        for path in unreferenced:
+            path.unlink(missing_ok=True)
+        self._dropped -= unreferenced
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SavedMap:
+    """A map folder as it was opened."""
+
+    folder: Path
+    manifest: Manifest
+    snapshot: MapSnapshot
+    ledger: Mapping[str, Any]
+    timings: Mapping[str, Any]
+
+    @property
+    def views(self) -> Path:
+        """The folder of the kept views' pixels, for `read_crop`."""
+        return self.folder / "views"
+
+    def mesh_path(self, shape: ObjectShape) -> Path:
+        """Return the GLB file of a shape."""
+        return self.folder / "shapes" / shape.mesh_name
+
+    def mesh(self, shape: ObjectShape) -> Mesh:
+        """Return the mesh of a shape, in the object frame.
+
+        Raises:
+            MapFolderError: the file is missing, damaged or another one.
+        """
+        path = self.mesh_path(shape)
+        try:
+            mesh = read_glb(path)
+        except _GLB_ERRORS as error:
+            raise MapFolderError(f"cannot read the mesh {path}: {error}; play the log again") from error
+        if sha256_of(mesh) != shape.mesh_sha256:
+            raise MapFolderError(f"{path} is not the mesh that the map was saved with; play the log again")
+        return mesh
+
+
+def open_map(path: Path) -> SavedMap:
+    """Return the map in a folder as of its last complete save; a run that saved nothing yet is an empty map.
+
+    Raises:
+        MapFolderError: no map is there, its format is another, or a file is missing or damaged.
+    """
+    manifest = read_manifest(path)
+    if (path / _OBJECTS).exists() or manifest.finished_cleanly:
+        snapshot = _read_snapshot(path)
+    else:
+        snapshot = _EMPTY
+    return SavedMap(
+        folder=path,
+        manifest=manifest,
+        snapshot=snapshot,
+        ledger=read_json(path / _LEDGER) if (path / _LEDGER).exists() else {},
+        timings=read_json(path / _TIMINGS) if (path / _TIMINGS).exists() else {},
+    )
+
+
+# ---- reading --------------------------------------------------------------------------------------------------------
+
+
+def _read_snapshot(path: Path) -> MapSnapshot:
+    document = read_json(path / _OBJECTS)
+
+    def read(name: str) -> bytes:
+        data = read_file(path / name)
+        if not has_named_content(name, data):
+            raise MapFolderError(f"{path / name} is damaged: its content is not what its name says; play the log again")
+        return data
+
+    try:
+        snapshot = decode_snapshot(document, read)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise MapFolderError(f"{path / _OBJECTS} is damaged: {error!r}; play the log again") from error
+    for tracked in snapshot.objects:
+        if tracked.shape and not (path / "shapes" / tracked.shape.mesh_name).is_file():
+            raise MapFolderError(f"{path} lacks shapes/{tracked.shape.mesh_name} of object {tracked.id}")
+    return snapshot
+
+
+# ---- writing --------------------------------------------------------------------------------------------------------
+
+
+def _check_place(path: Path, overwrite: bool) -> None:
+    """Refuse a place that is taken.
+
+    Raises:
+        MapFolderError: naming what is there and what to do.
+    """
+    with disk_errors(path):
+        if not path.exists():
+            return
+        if not path.is_dir():
+            raise MapFolderError(f"{path} is a file; choose another --out")
+        found = sorted(entry.name for entry in path.iterdir())
+    if not found:
+        return
+    is_map = is_map_folder(path)
+    foreign = [name for name in found if not _is_ours(name)] if is_map else found
+    if is_map and not overwrite:
+        raise MapFolderError(f"{path} holds a map already; choose another --out, or --overwrite to replace it")
+    if foreign:
+        shown = ", ".join(foreign[:5]) + (f" and {len(foreign) - 5} more" if len(foreign) > 5 else "")
+        raise MapFolderError(f"{path} holds files that are no map: {shown}; choose another --out")
+
+
+def _is_ours(name: str) -> bool:
+    return name == MANIFEST or name in _FILES or name in _FOLDERS or name.endswith(PARTIAL_SUFFIX)
+
+
+def _remove_map(path: Path) -> None:
+    """Remove what a map folder holds beside its manifest, what it opens as first."""
+    for name in _FILES:
+        (path / name).unlink(missing_ok=True)
+    for name in _FOLDERS:
+        if (path / name).exists():
+            shutil.rmtree(path / name)
+
+
+def _referenced(path: Path, snapshot: MapSnapshot) -> set[Path]:
+    """Return the files of views and shapes that a snapshot refers to."""
+    names = {view.name for tracked in snapshot.objects for view in tracked.views}
+    files = {file for name in names for file in crop_files(path / "views", name)}
+    return files | {path / "shapes" / tracked.shape.mesh_name for tracked in snapshot.objects if tracked.shape}

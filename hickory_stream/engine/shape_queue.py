@@ -1,0 +1,88 @@
+"""Shape jobs of a playback: handed to the workers at once, committed by their due stamps.
+
+A result is committed at the first keyframe at or after its due stamp, in the order (due stamp, ticket), and the run waits
+for one that is late: so that neither the number nor the speed of workers can change the map.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hickory_stream.engine.jobs import job_folder, take_result, write_job
+from hickory_stream.errors import WorkerError
+from hickory_stream.events import ShapeFailed, ShapeReady
+
+if TYPE_CHECKING:
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.workers import LocalWorkers
+    from hickory_stream.events import RequestShape
+    from hickory_stream.shapes.build import ShapeConfig
+
+
+@dataclass(frozen=True, slots=True)
+class _Open:
+    due_ns: int
+    object_id: int
+    answer: asyncio.Future[str | None]
+
+
+class ShapeQueue:
+    """The jobs that are open, and what the ended ones took: `timings_s` by step, `counts` by fate."""
+
+    def __init__(self, folder: MapFolder, workers: LocalWorkers, config: ShapeConfig) -> None:
+        self._folder = folder
+        self._workers = workers
+        self._config = config
+        self._open: dict[int, _Open] = {}
+        self.timings_s: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
+
+    @property
+    def num_open(self) -> int:
+        """How many results are still to be committed."""
+        return len(self._open)
+
+    async def request(self, request: RequestShape) -> None:
+        """Hand a job to the workers."""
+        folder = job_folder(self._folder.jobs, request.ticket)
+        await asyncio.to_thread(write_job, folder, request, self._folder.views, self._config)
+        answer = self._workers.submit(folder)
+        self._open[request.ticket] = _Open(request.due_ns, request.object_id, answer)
+        self.counts["requested"] += 1
+
+    def cancel(self, ticket: int) -> None:
+        """Forget a job whose result is no longer wanted; if it runs, it runs out."""
+        job = self._open.pop(ticket, None)
+        if job is not None:
+            job.answer.cancel()
+            self.counts["cancelled"] += 1
+
+    async def next_due(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
+        """Return the next result that is due at a stamp (None: any), waiting for it if it is late; None if none is."""
+        due = [(job.due_ns, ticket) for ticket, job in self._open.items() if stamp_ns is None or job.due_ns <= stamp_ns]
+        if not due:
+            return None
+        due_ns, ticket = min(due)
+        return await self._commit(ticket, due_ns if stamp_ns is None else stamp_ns)
+
+    async def _commit(self, ticket: int, stamp_ns: int) -> ShapeReady | ShapeFailed:
+        job = self._open[ticket]
+        reason = await job.answer
+        del self._open[ticket]
+        if reason is None:
+            folder = job_folder(self._folder.jobs, ticket)
+            try:
+                answer = await asyncio.to_thread(take_result, folder, ticket, job.object_id, self._folder.shapes)
+            except WorkerError as error:
+                reason = str(error)
+            else:
+                self.timings_s.update(answer.timings_s)
+                if answer.shape is not None:
+                    self.counts["ready"] += 1
+                    return ShapeReady(ticket=ticket, object_id=job.object_id, stamp_ns=stamp_ns, shape=answer.shape)
+                reason = answer.reason
+        self.counts["failed"] += 1
+        return ShapeFailed(ticket=ticket, object_id=job.object_id, stamp_ns=stamp_ns, reason=reason)

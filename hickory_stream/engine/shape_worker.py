@@ -1,0 +1,43 @@
+"""The main of a shape worker: one line in, a job folder; one line out, whether it was done.
+
+Standard output belongs to the protocol: whatever a reconstructor prints goes to standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+from hickory_stream.engine.jobs import read_job, write_result
+from hickory_stream.ports import NoShape
+from hickory_stream.shapes.build import build_shape, make_reconstructor
+
+
+def main() -> None:
+    """Serve jobs until standard input ends."""
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+    answers.write(json.dumps({"ready": os.getpid()}) + "\n")
+    for line in sys.stdin:
+        folder = Path(json.loads(line)["job"])
+        answers.write(json.dumps({"done": str(folder), "error": _serve(folder)}) + "\n")
+
+
+def _serve(folder: Path) -> str | None:
+    """Do one job; return why the worker itself failed, None if it answered."""
+    try:
+        inputs, config = read_job(folder)
+        built = build_shape(inputs, make_reconstructor(config.reconstructor, config), config)
+    except Exception as error:  # noqa: BLE001 -- the child's main loop: a poisonous job must not end the worker
+        built = NoShape(reason=f"{type(error).__name__}: {error}")
+    try:
+        write_result(folder, built, config.reconstructor if not isinstance(built, NoShape) else "")
+    except OSError as error:
+        return str(error)
+    return None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""Sinks on threads of their own, each behind a bounded queue.
+
+The sink that keeps the map is essential: when it fails, the run must stop and say so. Any other is for looking: when it
+fails, it is set aside with a warning and the mapping goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import queue
+import threading
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hickory_stream.ports import Sink
+    from hickory_stream.records import FrameReport
+
+logger = logging.getLogger(__name__)
+
+_CAPACITY = 16
+_CLOSE_TIMEOUT_S = 30.0
+
+
+class SinkThread:
+    """Runs one sink; `show` waits while its queue is full (playback loses nothing)."""
+
+    def __init__(self, sink: Sink, *, is_essential: bool) -> None:
+        self._sink = sink
+        self._is_essential = is_essential
+        self._queue: queue.Queue[FrameReport | None] = queue.Queue(_CAPACITY)
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, name=f"sink-{type(sink).__name__}", daemon=True)
+        self._thread.start()
+
+    async def show(self, report: FrameReport) -> None:
+        """Hand a report over.
+
+        Raises:
+            HickoryError: an essential sink has failed.
+        """
+        self._raise_if_failed()
+        try:
+            self._queue.put_nowait(report)
+        except queue.Full:
+            await asyncio.to_thread(self._queue.put, report)
+
+    async def close(self) -> None:
+        """Let the sink finish what it was given; a sink for looking is given up after 30 s.
+
+        Raises:
+            HickoryError: an essential sink has failed.
+        """
+        await asyncio.to_thread(self._queue.put, None)
+        await asyncio.to_thread(self._thread.join, None if self._is_essential else _CLOSE_TIMEOUT_S)
+        self._raise_if_failed()
+
+    @property
+    def backlog(self) -> int:
+        """How many reports wait."""
+        return self._queue.qsize()
+
+    def _raise_if_failed(self) -> None:
+        if self._error is not None and self._is_essential:
+            raise self._error
+
+    def _work(self) -> None:
+        while True:
+            report = self._queue.get()
+            if self._error is not None and report is not None:
+                continue
+            try:
+                if report is None:
+                    return self._sink.close()
+                self._sink.show(report)
+            except Exception as error:  # noqa: BLE001 -- a sink is foreign code: its failure is kept and judged above
+                self._error = error
+                if not self._is_essential:
+                    logger.warning("%s failed and is set aside: %s", type(self._sink).__name__, error)
+                if report is None:
+                    return None

@@ -1,0 +1,51 @@
+"""The exception tree: everything that we raise on purpose.
+
+    HickoryError                    exit status 1: our own failure
+    |-- InputError                  exit status 2: something outside is not as it must be
+    |   |-- ConfigError             a key, a value or a file of the configuration
+    |   |-- RecordingError          a log that cannot be read or lacks what mapping needs
+    |   |-- CalibrationError        intrinsics or extrinsics that are missing or contradict the images
+    |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
+    |   `-- ViewerError             a viewer that was asked for and cannot be had
+    `-- WorkerError                 a shape worker that could not be started or broke its protocol
+
+A message names what was found, what was expected, and what to do.
+"""
+
+from __future__ import annotations
+
+
+class HickoryError(Exception):
+    """Base of every error raised on purpose; `exit_status` is what the command line returns for it."""
+
+    exit_status = 1
+
+
+class InputError(HickoryError):
+    """Something that the caller gave us is not as it must be."""
+
+    exit_status = 2
+
+
+class ConfigError(InputError):
+    """A configuration key, value or file that is refused."""
+
+
+class RecordingError(InputError):
+    """A log that cannot be read, or that lacks what mapping needs."""
+
+
+class CalibrationError(InputError):
+    """Intrinsics or extrinsics that are missing or contradict the images."""
+
+
+class MapFolderError(InputError):
+    """A map folder that cannot be written, opened or overwritten."""
+
+
+class ViewerError(InputError):
+    """A viewer that was asked for and cannot be had."""
+
+
+class WorkerError(HickoryError):
+    """A shape worker that could not be started, or that broke its protocol."""

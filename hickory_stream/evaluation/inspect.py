@@ -1,0 +1,206 @@
+"""A map in numbers: its objects, and the storage and time of the four layers as in the paper's table.
+
+Storage counts what the layers hold, not how a file packs it: 15 bytes a point (three float32 and a colour), the GLB for
+a mesh, eleven float64 for a superquadric (two exponents, three semi-axes, six of the pose).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.records import Containment, TrackedObject
+
+LAYERS = (1, 2, 3, 4)
+LAYER_NAMES = ("points", "mesh", "superquadrics", "inflated")
+_POINT_BYTES = 3 * 4 + 3
+_PRIMITIVE_BYTES = 11 * 8
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObjectSummary:
+    """One object; `size_m` the sides of its box, `layer_bytes` per layer 1 to 4, 0 for a layer that it lacks."""
+
+    id: int
+    phase: Phase
+    sightings: int
+    size_m: tuple[float, float, float]
+    num_points: int
+    num_views: int
+    num_superquadrics: int
+    reconstructor: str | None
+    layers: tuple[int, ...]
+    layer_bytes: tuple[int, int, int, int]
+    containment: Containment | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LayerSummary:
+    """One layer over all objects; `seconds` to build it, None where no time was recorded."""
+
+    layer: int
+    num_objects: int
+    total_bytes: int
+    seconds: float | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MapSummary:
+    """A map; `digest` is of its objects as they are, `num_checked` and `num_outside` sum up the containment."""
+
+    objects: tuple[ObjectSummary, ...]
+    layers: tuple[LayerSummary, ...]
+    digest: str
+    finished_cleanly: bool
+    source: str
+    num_checked: int
+    num_outside: int
+
+
+def summarize(saved: SavedMap) -> MapSummary:
+    """Return the numbers of a map."""
+    objects = tuple(_summarize_object(saved, tracked) for tracked in saved.snapshot.objects)
+    checks = [summary.containment for summary in objects if summary.containment]
+    return MapSummary(
+        objects=objects,
+        layers=tuple(_summarize_layer(saved, objects, layer) for layer in LAYERS),
+        digest=map_digest(saved.snapshot),
+        finished_cleanly=saved.manifest.finished_cleanly,
+        source=str(saved.manifest.source.get("uri", "unknown")),
+        num_checked=sum(check.num_checked for check in checks),
+        num_outside=sum(check.num_outside for check in checks),
+    )
+
+
+def as_json(summary: MapSummary) -> dict[str, Any]:
+    """Return the summary as JSON has it; keys are the names of the fields."""
+    return asdict(summary)
+
+
+def format_table(summary: MapSummary) -> str:
+    """Return the summary as text for people: one line an object, then one a layer."""
+    return "\n".join(
+        [
+            f"{summary.source}: {_count_objects(summary)}, {_ending(summary)}",
+            "",
+            *_columns([_OBJECT_HEADER, *(_object_row(row) for row in summary.objects)]),
+            "",
+            *_columns([_LAYER_HEADER, *(_layer_row(row) for row in summary.layers)]),
+            "",
+            _containment_line(summary),
+            f"digest {summary.digest}",
+        ]
+    )
+
+
+def _summarize_object(saved: SavedMap, tracked: TrackedObject) -> ObjectSummary:
+    width, depth, height = (round(2 * float(half), 6) for half in tracked.box.half_extents_m)
+    shape = tracked.shape
+    sizes = (
+        len(tracked.points_world) * _POINT_BYTES,
+        saved.mesh_path(shape).stat().st_size if shape else 0,
+        len(shape.fitted) * _PRIMITIVE_BYTES if shape else 0,
+        len(shape.inflated) * _PRIMITIVE_BYTES if shape else 0,
+    )
+    return ObjectSummary(
+        id=tracked.id,
+        phase=tracked.phase,
+        sightings=tracked.sightings,
+        size_m=(width, depth, height),
+        num_points=len(tracked.points_world),
+        num_views=len(tracked.views),
+        num_superquadrics=len(shape.fitted) if shape else 0,
+        reconstructor=shape.reconstructor if shape else None,
+        layers=tuple(layer for layer, size in zip(LAYERS, sizes, strict=True) if size),
+        layer_bytes=sizes,
+        containment=shape.containment if shape else None,
+    )
+
+
+def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer: int) -> LayerSummary:
+    seconds = saved.timings.get(f"layer{layer}_s")
+    return LayerSummary(
+        layer=layer,
+        num_objects=sum(layer in summary.layers for summary in objects),
+        total_bytes=sum(summary.layer_bytes[layer - 1] for summary in objects),
+        seconds=None if seconds is None else float(seconds),
+    )
+
+
+# ---- text -----------------------------------------------------------------------------------------------------------
+
+_OBJECT_HEADER = ("id", "phase", "sightings", "size m", "layers", "points", "views", *LAYER_NAMES, "outside")
+_LAYER_HEADER = ("layer", "", "objects", "storage", "mean", "time", "mean")
+
+
+def _object_row(row: ObjectSummary) -> tuple[str, ...]:
+    return (
+        str(row.id),
+        row.phase,
+        str(row.sightings),
+        " x ".join(f"{side:.2f}" for side in row.size_m),
+        "".join(str(layer) if layer in row.layers else "-" for layer in LAYERS),
+        str(row.num_points),
+        str(row.num_views),
+        *(_bytes(size) if size else "-" for size in row.layer_bytes[:2]),
+        *(f"{row.num_superquadrics} ({_bytes(size)})" if size else "-" for size in row.layer_bytes[2:]),
+        _share(row.containment.num_outside, row.containment.num_checked) if row.containment else "-",
+    )
+
+
+def _layer_row(row: LayerSummary) -> tuple[str, ...]:
+    count = max(row.num_objects, 1)
+    return (
+        str(row.layer),
+        LAYER_NAMES[row.layer - 1],
+        str(row.num_objects),
+        _bytes(row.total_bytes),
+        _bytes(row.total_bytes // count),
+        "-" if row.seconds is None else f"{row.seconds:.2f} s",
+        "-" if row.seconds is None else f"{1000 * row.seconds / count:.0f} ms",
+    )
+
+
+def _columns(rows: list[tuple[str, ...]]) -> list[str]:
+    """Return the rows as lines, every column as wide as its widest cell; text to the left, numbers to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    is_text = [row_i in ("phase", "layers", "") for row_i in rows[0]]
+    return [
+        "  ".join(
+            cell.ljust(width) if text else cell.rjust(width)
+            for cell, width, text in zip(row, widths, is_text, strict=True)
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def _bytes(size: int) -> str:
+    """Return a size as the paper writes it."""
+    if size < 1024:
+        return f"{size} B"
+    return f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.2f} %" if whole else "-"
+
+
+def _count_objects(summary: MapSummary) -> str:
+    counts = [(phase, sum(row.phase == phase for row in summary.objects)) for phase in Phase]
+    return f"{len(summary.objects)} objects ({', '.join(f'{n} {phase}' for phase, n in counts if n) or 'none'})"
+
+
+def _ending(summary: MapSummary) -> str:
+    return "finished cleanly" if summary.finished_cleanly else "not finished: this is its last complete save"
+
+
+def _containment_line(summary: MapSummary) -> str:
+    if not summary.num_checked:
+        return "containment of layer 4: nothing checked"
+    share = _share(summary.num_checked - summary.num_outside, summary.num_checked)
+    return f"containment of layer 4: {share} of {summary.num_checked} checked points inside"

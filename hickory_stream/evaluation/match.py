@@ -1,0 +1,195 @@
+"""Which object of a map is which true object, and how many were found.
+
+The box of an object is the gravity-aligned box of its layer 2 (of layer 1 where there is none), that of a true object
+the one of its mesh. Truth counts when at least 30 % of its surface was seen; truth that was seen less is ignored on
+both sides: it is not missed, and what was made of it is no false object. Tentative tracks are no objects yet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.raycast import Scene, Surface
+from hickory_stream.evaluation.truth import mesh_of
+from hickory_stream.geometry.boxes import OrientedBox, box_iou, gravity_aligned_box
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.evaluation.truth import Truth, TruthObject
+    from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.records import MapSnapshot, TrackedObject
+
+MIN_SEEN = 0.3
+LOOSE_IOU, STRICT_IOU = 0.25, 0.5
+SURFACE_REACH_M = 0.03
+_MIN_HALF_EXTENT_M = 0.005
+_MAX_POINTS = 3000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BoxMatch:
+    """A pair of boxes, by their places in the two lists."""
+
+    truth_index: int
+    map_index: int
+    iou: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TruthScore:
+    """What became of one true object.
+
+    `map_id` and `iou` of its match at IoU 0.25, None and 0 where it has none; `track_ids` are all objects that lie
+    mostly on it; `counts` is False where too little of it was seen.
+    """
+
+    truth_id: int
+    kind: str
+    seen_fraction: float
+    counts: bool
+    map_id: int | None
+    iou: float
+    track_ids: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Score:
+    """How a map compares with truth.
+
+    Recall is the share of the `num_truth` counting true objects that are matched, precision that of the `num_objects`
+    objects, less those of ignored truth. `tracks_per_object`: the mean number of objects on a true object that has any.
+    `stray_ids` are the objects that lie on no true object.
+    """
+
+    num_truth: int
+    num_objects: int
+    recall_25: float
+    recall_50: float
+    precision_25: float
+    precision_50: float
+    tracks_per_object: float
+    truth: tuple[TruthScore, ...]
+    stray_ids: tuple[int, ...]
+
+
+def match_boxes(
+    truth_boxes: Sequence[OrientedBox], map_boxes: Sequence[OrientedBox], min_iou: float = LOOSE_IOU
+) -> tuple[BoxMatch, ...]:
+    """Return one-to-one pairs, each of at least `min_iou`, whose IoUs have the largest sum, in the order of truth."""
+    ious = np.array([[box_iou(truth, found) for found in map_boxes] for truth in truth_boxes])
+    if ious.size == 0:
+        return ()
+    ious = np.where(ious >= min_iou, ious, 0.0)
+    rows, columns = linear_sum_assignment(ious, maximize=True)
+    return tuple(
+        BoxMatch(truth_index=int(i), map_index=int(j), iou=float(ious[i, j]))
+        for i, j in zip(rows, columns, strict=True)
+        if ious[i, j] > 0
+    )
+
+
+def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -> Score:
+    """Return how a map compares with truth; `meshes` holds layer 2 by object id, in the object frames.
+
+    Raises:
+        RecordingError: the truth has no object that counts, or a mesh of it cannot be read.
+    """
+    counting = [item for item in truth.objects if item.seen_fraction >= MIN_SEEN]
+    ignored = [item for item in truth.objects if item.seen_fraction < MIN_SEEN]
+    if not counting:
+        raise RecordingError(f"{truth.folder} has no object of which {MIN_SEEN:.0%} was seen; record a longer log")
+    objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
+    true_surfaces = {item.id: _true_surface(truth, item) for item in truth.objects}
+    true_boxes = {i: gravity_aligned_box(surface.vertices, _MIN_HALF_EXTENT_M) for i, surface in true_surfaces.items()}
+    boxes = [_box_of(tracked, meshes) for tracked in objects]
+    owners = _owners(objects, Scene(list(true_surfaces.values())))
+
+    counting_boxes = [true_boxes[item.id] for item in counting]
+    loose = match_boxes(counting_boxes, boxes, LOOSE_IOU)
+    strict = match_boxes(counting_boxes, boxes, STRICT_IOU)
+    ignored_ids = {item.id for item in ignored}
+    aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
+    aside |= {match.map_index for match in match_boxes([true_boxes[item.id] for item in ignored], boxes)}
+    of_truth = {counting[match.truth_index].id: match for match in loose}
+    rows = tuple(_truth_score(item, of_truth.get(item.id), objects, owners) for item in truth.objects)
+    tracks = [len(row.track_ids) for row in rows if row.counts and row.track_ids]
+    return Score(
+        num_truth=len(counting),
+        num_objects=len(objects),
+        recall_25=len(loose) / len(counting),
+        recall_50=len(strict) / len(counting),
+        precision_25=_precision(loose, len(objects), aside),
+        precision_50=_precision(strict, len(objects), aside),
+        tracks_per_object=sum(tracks) / len(tracks) if tracks else 0.0,
+        truth=rows,
+        stray_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner is None),
+    )
+
+
+def meshes_of(saved: SavedMap) -> dict[int, Mesh]:
+    """Return layer 2 of a saved map by object id.
+
+    Raises:
+        MapFolderError: a mesh cannot be read.
+    """
+    return {tracked.id: saved.mesh(tracked.shape) for tracked in saved.snapshot.objects if tracked.shape}
+
+
+def _true_surface(truth: Truth, item: TruthObject) -> Surface:
+    """Return the mesh of a true object in the world."""
+    mesh = mesh_of(truth, item)
+    vertices = apply(item.world_from_object, mesh.vertices)
+    return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=item.id)
+
+
+def _box_of(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> OrientedBox:
+    if tracked.shape is None or tracked.id not in meshes:
+        return tracked.box
+    vertices = apply(tracked.shape.world_from_object, meshes[tracked.id].vertices)
+    return gravity_aligned_box(vertices, _MIN_HALF_EXTENT_M)
+
+
+def _owners(objects: Sequence[TrackedObject], true_scene: Scene) -> list[int | None]:
+    """Return for each object the true object on whose surface more than half of its points lie, if there is one."""
+    return [_owner(tracked.points_world, true_scene) for tracked in objects]
+
+
+def _owner(points_world: NDArray[np.float32], true_scene: Scene) -> int | None:
+    some = points_world[:: max(1, len(points_world) // _MAX_POINTS)]
+    distance_m, owners = true_scene.nearest(some)
+    ids, counts = np.unique(owners[distance_m <= SURFACE_REACH_M], return_counts=True)
+    if len(ids) == 0 or 2 * counts.max() <= len(some):
+        return None
+    return int(ids[np.argmax(counts)])
+
+
+def _truth_score(
+    item: TruthObject, match: BoxMatch | None, objects: Sequence[TrackedObject], owners: Sequence[int | None]
+) -> TruthScore:
+    return TruthScore(
+        truth_id=item.id,
+        kind=item.kind,
+        seen_fraction=item.seen_fraction,
+        counts=item.seen_fraction >= MIN_SEEN,
+        map_id=None if match is None else objects[match.map_index].id,
+        iou=0.0 if match is None else match.iou,
+        track_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner == item.id),
+    )
+
+
+def _precision(matches: Sequence[BoxMatch], num_objects: int, aside: set[int]) -> float:
+    """Return the share of the objects that are matched; one of ignored truth counts only where it is matched."""
+    matched = {match.map_index for match in matches}
+    counted = num_objects - len(aside - matched)
+    return len(matched) / counted if counted else 0.0

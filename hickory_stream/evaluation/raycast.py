@@ -1,0 +1,170 @@
+"""Ray casting without a screen: the one module that imports Open3D for pictures and measurements.
+
+Open3D's own offscreen renderer needs Vulkan and aborts without it; its RaycastingScene runs on any CPU.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+# Beyond this angle between a face and its smoothed normal there is an edge, which smoothing would round off.
+_CREASE_COSINE = 0.82
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Surface:
+    """Coloured triangles: `vertices` (V, 3) float32, `faces` (F, 3) int32, `colors` (V, 3) uint8, and their owner."""
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    colors: NDArray[np.uint8]
+    owner: int
+
+    def __post_init__(self) -> None:
+        freeze(self, "vertices", np.float32, (None, 3))
+        freeze(self, "faces", np.int32, (None, 3))
+        freeze(self, "colors", np.uint8, (len(self.vertices), 3))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Hits:
+    """What N rays met first.
+
+    `distance_m` (N,) float32, inf where nothing; `normals` (N, 3) float32, unit, towards the ray's origin, smoothed
+    over gentle edges; `colors` (N, 3) float32 in 0..1; `owners` (N,) int32, -1 where nothing.
+    """
+
+    distance_m: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    colors: NDArray[np.float32]
+    owners: NDArray[np.int32]
+
+
+class Scene:
+    """Surfaces to cast rays at."""
+
+    def __init__(self, surfaces: Sequence[Surface]) -> None:
+        open3d = _open3d()
+        vertices, faces, colors, owners = _joined(surfaces)
+        self._faces, self._owners = faces, owners
+        self._colors = colors.astype(np.float32) / np.float32(255)
+        self._normals = _vertex_normals(vertices, faces)
+        self._scene: Any = None
+        if len(faces):
+            self._scene = open3d.t.geometry.RaycastingScene()
+            self._scene.add_triangles(open3d.core.Tensor(vertices), open3d.core.Tensor(faces.astype(np.uint32)))
+
+    def cast(self, origins: NDArray[Any], directions: NDArray[Any]) -> Hits:
+        """Return what (N, 3) rays meet first; directions of unit length."""
+        count = len(origins)
+        normals, colors = np.zeros((2, count, 3), dtype=np.float32)
+        if self._scene is None:
+            nothing = np.full(count, np.inf, dtype=np.float32)
+            return Hits(distance_m=nothing, normals=normals, colors=colors, owners=np.full(count, -1, dtype=np.int32))
+        answer = self._scene.cast_rays(_open3d().core.Tensor(_rays(origins, directions)))
+        distance = answer["t_hit"].numpy()
+        owners = np.full(count, -1, dtype=np.int32)
+        hit = np.isfinite(distance)
+        triangles = answer["primitive_ids"].numpy()[hit]
+        corners = self._faces[triangles]
+        uv = answer["primitive_uvs"].numpy()[hit]
+        weights = np.stack([1 - uv.sum(axis=1), uv[:, 0], uv[:, 1]], axis=1).astype(np.float32)
+        flat = answer["primitive_normals"].numpy()[hit]
+        colors[hit] = np.einsum("nk,nkc->nc", weights, self._colors[corners])
+        smooth = np.einsum("nk,nkc->nc", weights, self._normals[corners])
+        normals[hit] = _towards(_smoothed(flat, smooth), directions[hit])
+        owners[hit] = self._owners[triangles]
+        return Hits(distance_m=distance, normals=normals, colors=colors, owners=owners)
+
+    def is_occluded(self, origins: NDArray[Any], directions: NDArray[Any], reach_m: float) -> NDArray[np.bool_]:
+        """Return for each of (N, 3) rays whether it meets something within `reach_m`."""
+        if self._scene is None:
+            return np.zeros(len(origins), dtype=bool)
+        rays = _open3d().core.Tensor(_rays(origins, directions))
+        return np.asarray(self._scene.test_occlusions(rays, tnear=0.0, tfar=reach_m).numpy())
+
+    def nearest(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Return (N,) distances of (N, 3) points to the nearest surface, and its owner; inf and -1 if there is none."""
+        if self._scene is None:
+            return np.full(len(points), np.inf, dtype=np.float32), np.full(len(points), -1, dtype=np.int32)
+        query = np.ascontiguousarray(points, dtype=np.float32)
+        answer = self._scene.compute_closest_points(_open3d().core.Tensor(query))
+        distance_m = np.linalg.norm(answer["points"].numpy() - query, axis=1)
+        return distance_m, self._owners[answer["primitive_ids"].numpy()]
+
+
+@cache
+def _open3d() -> Any:
+    """Import Open3D, with the libusb that its wheel expects of the system but does not need for this."""
+    if sys.platform == "linux":
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    import open3d
+
+    return open3d
+
+
+def _rays(origins: NDArray[Any], directions: NDArray[Any]) -> NDArray[np.float32]:
+    return np.concatenate([origins, directions], axis=1).astype(np.float32)
+
+
+def _joined(
+    surfaces: Sequence[Surface],
+) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8], NDArray[np.int32]]:
+    """Return the vertices, faces, colours and owners per face of all surfaces as one."""
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    return (
+        np.concatenate([np.empty((0, 3), np.float32), *(surface.vertices for surface in surfaces)]),
+        np.concatenate(
+            [
+                np.empty((0, 3), np.int32),
+                *(surface.faces + np.int32(start) for surface, start in zip(surfaces, starts[:-1], strict=True)),
+            ]
+        ),
+        np.concatenate([np.empty((0, 3), np.uint8), *(surface.colors for surface in surfaces)]),
+        np.repeat(
+            np.array([surface.owner for surface in surfaces], dtype=np.int32),
+            [len(surface.faces) for surface in surfaces],
+        ),
+    )
+
+
+def _vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Return (V, 3) unit normals, the mean of the faces around each vertex weighted by area."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    normals = np.zeros((len(vertices), 3))
+    face_normals = np.cross(b - a, c - a)
+    for axis in range(3):
+        for corner in range(3):
+            normals[:, axis] += np.bincount(faces[:, corner], weights=face_normals[:, axis], minlength=len(vertices))
+    return _unit(normals).astype(np.float32)
+
+
+def _smoothed(flat: NDArray[np.float32], smooth: NDArray[np.float32]) -> NDArray[np.float32]:
+    smooth = _unit(smooth)
+    is_gentle = np.abs(np.einsum("nc,nc->n", flat, smooth)) > _CREASE_COSINE
+    return np.where(is_gentle[:, None], smooth, flat)
+
+
+def _towards(normals: NDArray[np.float32], directions: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the normals turned to the side that the rays come from."""
+    looks_away = np.einsum("nc,nc->n", normals, directions) > 0
+    return np.where(looks_away[:, None], -normals, normals)
+
+
+def _unit(vectors: NDArray[Any]) -> NDArray[Any]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

@@ -1,0 +1,184 @@
+"""A picture of a map without a screen: from above and from a raised corner, layers selectable.
+
+The view from a corner is the one of eight in which the objects hide one another least.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.evaluation.labels import draw_labels, draw_scale, draw_title
+from hickory_stream.evaluation.raycast import Scene
+from hickory_stream.evaluation.render_parts import (
+    floor_cells,
+    mesh_surface,
+    object_color,
+    point_surface,
+    superquadric_surfaces,
+)
+from hickory_stream.evaluation.render_view import Floor, Model, draw_view
+from hickory_stream.evaluation.viewpoint import Viewpoint, from_above, from_corner
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Set as AbstractSet
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.evaluation.raycast import Surface
+    from hickory_stream.records import TrackedObject
+
+_TITLE_PX = 44
+_MARGIN_PX = 46
+_ELEVATION_RAD = np.deg2rad(38.0)
+_CELL_M = 0.05
+_LARGE_PX = 70
+
+
+def render_map(saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return an (H, W, 3) uint8 picture of a map: from above on the left, from a corner on the right.
+
+    Args:
+        saved: the map; tracks that are still tentative are not drawn.
+        layers: which of the layers 1 to 4; an object that has no shape is drawn by its points.
+            Layer 4, and layer 3 where layer 2 is drawn too, are translucent.
+        size: (W, H) in pixels, at least (480, 240).
+
+    Raises:
+        MapFolderError: a mesh cannot be read.
+        ValueError: the size or a layer is out of range.
+    """
+    width, height = size
+    if width < 480 or height < 240:
+        raise ValueError(f"a picture of a map has at least 480 x 240 pixels, found {width} x {height}")
+    if not layers or not set(layers) <= {1, 2, 3, 4}:
+        raise ValueError(f"layers are among 1, 2, 3 and 4, found {sorted(layers)}")
+    objects = [tracked for tracked in saved.snapshot.objects if tracked.phase != Phase.TENTATIVE]
+    solid, translucent = _surfaces(saved, objects, layers)
+    points = [tracked for tracked in objects if 1 in layers or tracked.shape is None]
+    floor = _floor_of(saved, objects)
+    panel_height = height - _TITLE_PX
+    left_width = _left_width(objects, width, panel_height)
+    corners = _corners(objects)
+    model = Model(solid=solid, points=points, translucent=translucent, submaps=saved.snapshot.submaps, floor=floor)
+    above = from_above(corners, left_width, panel_height, _MARGIN_PX)
+    corner = _best_corner(objects, corners, width - left_width - 2, panel_height)
+    image = np.full((height, width, 3), 255, dtype=np.uint8)
+    image[_TITLE_PX:, :left_width] = _panel(model, above, objects)
+    image[_TITLE_PX:, left_width + 2 :] = _panel(model, corner, objects)
+    draw_scale(image[_TITLE_PX:, :left_width], above.focal_px)
+    draw_title(image[:_TITLE_PX], _title(saved, objects, layers))
+    return image
+
+
+# ---- what to draw ---------------------------------------------------------------------------------------------------
+
+
+def _surfaces(
+    saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[int]
+) -> tuple[list[Surface], list[Surface]]:
+    """Return the opaque and the translucent surfaces of the layers 2 to 4."""
+    solid: list[Surface] = []
+    translucent: list[Surface] = []
+    for tracked in objects:
+        if tracked.shape is None:
+            continue
+        if 2 in layers:
+            solid.append(mesh_surface(saved, tracked))
+        if 3 in layers:
+            (translucent if 2 in layers else solid).extend(superquadric_surfaces(tracked.shape.fitted, tracked.id))
+        if 4 in layers:
+            translucent.extend(superquadric_surfaces(tracked.shape.inflated, tracked.id))
+    return solid, translucent
+
+
+def _corners(objects: list[TrackedObject]) -> NDArray[np.float64]:
+    """Return the corners of all boxes; of a cube of 2 m where there is no object."""
+    if not objects:
+        return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
+    return np.concatenate([tracked.box.corners_world() for tracked in objects])
+
+
+def _floor_of(saved: SavedMap, objects: list[TrackedObject]) -> Floor:
+    """Return the floor, weighted by where it was seen, or around the objects where none was seen."""
+    import cv2
+
+    corners = _corners(objects)
+    heights = [submap.observed_space.floor_z_m for submap in saved.snapshot.submaps]
+    z_m = next((height for height in heights if height is not None), float(corners[:, 2].min()))
+    seen = [floor_cells(submap, z_m) for submap in saved.snapshot.submaps]
+    places = np.concatenate([np.empty((0, 2)), *seen])
+    margin_m = 0.5
+    around = np.concatenate([corners[:, :2], places])
+    origin = around.min(axis=0) - margin_m
+    columns, rows = np.ceil((around.max(axis=0) + margin_m - origin) / _CELL_M).astype(int)
+    weights = np.zeros((rows, columns), dtype=np.float32)
+    if len(places):
+        x, y = ((places - origin) / _CELL_M).astype(int).T
+        weights[y, x] = 1.0
+        weights = cv2.morphologyEx(weights, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
+    else:
+        weights[6:-6, 6:-6] = 1.0
+    return Floor(z_m=z_m, origin_m=origin, cell_m=_CELL_M, weights=cv2.GaussianBlur(weights, (0, 0), 1.2))
+
+
+def _left_width(objects: list[TrackedObject], width: int, height: int) -> int:
+    """Return how wide the view from above is: as its content wants, within limits."""
+    corners = _corners(objects)
+    extent = np.maximum(np.ptp(corners[:, :2], axis=0), 0.5)
+    wanted = (height - 2 * _MARGIN_PX) * extent[0] / extent[1] + 2 * _MARGIN_PX
+    return int(np.clip(wanted, 0.34 * width, 0.46 * width))
+
+
+def _best_corner(objects: list[TrackedObject], corners: NDArray[np.float64], width: int, height: int) -> Viewpoint:
+    """Return, of eight directions, the view in which the objects hide one another least, whichever layers are drawn."""
+    small = (width // 8, height // 8, _MARGIN_PX // 8)
+    above = from_above(corners, *small)
+    scene = Scene([point_surface(tracked, above) for tracked in objects])
+
+    def visibility(azimuth: float) -> float:
+        viewpoint = from_corner(corners, azimuth, _ELEVATION_RAD, *small)
+        owners = scene.cast(*viewpoint.rays(viewpoint.centers_px())).owners
+        _, counts = np.unique(owners[owners >= 0], return_counts=True)
+        return float(np.log1p(counts).sum())
+
+    best = max(np.deg2rad(np.arange(8) * 45.0 + 25.0), key=visibility)
+    return from_corner(corners, float(best), _ELEVATION_RAD, width, height, _MARGIN_PX)
+
+
+def _title(saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[int]) -> str:
+    shapes = [tracked.shape for tracked in objects if tracked.shape]
+    counts = {
+        1: f"{sum(len(tracked.points_world) for tracked in objects):,} points",
+        2: f"{len(shapes)} meshes",
+        3: f"{sum(len(shape.fitted) for shape in shapes)} superquadrics",
+        4: f"{sum(len(shape.inflated) for shape in shapes)} inflated",
+    }
+    name = str(saved.manifest.source.get("uri", saved.folder.name)).rstrip("/").rsplit("/", maxsplit=1)[-1]
+    shown = "  ".join(f"{layer}: {counts[layer]}" for layer in sorted(layers))
+    return f"{name}    {len(objects)} objects    layer {shown}"
+
+
+# ---- one panel ------------------------------------------------------------------------------------------------------
+
+
+def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject]) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) picture from one viewpoint, with labels."""
+    drawn = draw_view(model, viewpoint)
+    draw_labels(drawn, _label_places(viewpoint, objects), [(str(t.id), object_color(t.id)) for t in objects])
+    return drawn
+
+
+def _label_places(viewpoint: Viewpoint, objects: list[TrackedObject]) -> NDArray[np.float64]:
+    """Return the (N, 2) places of the labels: in the middle of a large object, above a small one."""
+    places = np.empty((len(objects), 2))
+    for i, tracked in enumerate(objects):
+        corners = viewpoint.project(tracked.box.corners_world())
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        places[i] = (low + high) / 2
+        if high[1] - low[1] < _LARGE_PX:
+            places[i, 1] = low[1] - 2
+    return places

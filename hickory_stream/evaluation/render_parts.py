@@ -1,0 +1,160 @@
+"""What of a map is drawn, as surfaces: the layers of its objects, the walls around them, the floor below.
+
+Walls are drawn from the inside only: of a structure voxel, the faces that look at observed free space and at the eye.
+So the near walls of a room are not there when one looks in over them.
+"""
+
+from __future__ import annotations
+
+import colorsys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.evaluation.raycast import Surface
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.superquadric import display_mesh
+from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.evaluation.viewpoint import Viewpoint
+    from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import Submap, TrackedObject
+
+WALL_COLOR = (214, 218, 226)
+# Structure below this is drawn as the floor; above the other it would be the ceiling.
+_FLOOR_REACH_M, _CUT_M = 0.15, 2.0
+_MIN_WALL_M = 0.6
+_GOLDEN_RATIO = 0.6180339887498949
+_SATURATIONS = (0.72, 0.5, 0.88)
+_STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+_AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
+_QUAD = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+_QUAD_FACES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def object_color(object_id: int) -> tuple[int, int, int]:
+    """Return the (r, g, b) colour of an object, the same as in the viewer: hues step by the golden ratio."""
+    hue = (0.07 + object_id * _GOLDEN_RATIO) % 1.0
+    r, g, b = colorsys.hsv_to_rgb(hue, _SATURATIONS[object_id % len(_SATURATIONS)], 0.96)
+    return round(255 * r), round(255 * g), round(255 * b)
+
+
+def point_surface(tracked: TrackedObject, viewpoint: Viewpoint) -> Surface:
+    """Return layer 1 as squares that face the eye, of about the size of the gaps between the points."""
+    points = tracked.points_world
+    normals = viewpoint.towards_eye(points)
+    half_m = np.full(len(points), 0.6 * _spacing_m(points))
+    return _squares(points, normals, half_m, tracked.colors, tracked.id)
+
+
+def mesh_surface(saved: SavedMap, tracked: TrackedObject) -> Surface:
+    """Return layer 2; the object must have a shape.
+
+    Raises:
+        MapFolderError: the mesh cannot be read.
+    """
+    assert tracked.shape is not None
+    mesh = saved.mesh(tracked.shape)
+    vertices = apply(tracked.shape.world_from_object, mesh.vertices)
+    return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=tracked.id)
+
+
+def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Surface]:
+    """Return layer 3 or 4 in the object's colour, every other primitive a little darker."""
+    surfaces = []
+    for i in range(len(primitives)):
+        vertices, faces = display_mesh(primitives, i, segments=40)
+        color = np.array(object_color(object_id)) * (1.0, 0.86, 0.93)[i % 3]
+        colors = np.tile(color.astype(np.uint8), (len(vertices), 1))
+        surfaces.append(Surface(vertices=vertices, faces=faces, colors=colors, owner=object_id))
+    return surfaces
+
+
+def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint) -> Surface:
+    """Return the walls: from above as a floor plan, else their insides that face the eye."""
+    space = submap.observed_space
+    cells = cells_of_keys(space.structure)
+    height_m = (cells[:, 2] + 0.5) * space.voxel_m - floor_z_m
+    cells = cells[(height_m > _FLOOR_REACH_M) & (height_m < _CUT_M)]
+    if viewpoint.is_orthographic:
+        return _floor_plan(cells, submap)
+    parts = [_facing(cells, step, submap, viewpoint) for step in _STEPS]
+    centers = np.concatenate([center for center, _ in parts])
+    normals = np.concatenate([np.broadcast_to(normal, center.shape) for center, normal in parts])
+    return _wall_squares(centers, normals, space.voxel_m)
+
+
+def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
+    """Return the (N, 2) places in the world where structure was seen at the height of the floor."""
+    space = submap.observed_space
+    centers = (cells_of_keys(space.structure) + 0.5) * space.voxel_m
+    is_floor = np.abs(centers[:, 2] - floor_z_m) <= _FLOOR_REACH_M
+    return np.asarray(apply(submap.world_from_submap, centers[is_floor])[:, :2])
+
+
+def _facing(
+    cells: NDArray[np.int64], step: NDArray[np.int64], submap: Submap, viewpoint: Viewpoint
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the centres, in the world, of the cells' faces on one side that look at free space and at the eye."""
+    space = submap.observed_space
+    exposed = _in_a_wall(cells[contains(space.free, keys_of_cells(cells + step))], step)
+    normal = submap.world_from_submap[:3, :3] @ step
+    centers = apply(submap.world_from_submap, (exposed + 0.5 + 0.5 * step) * space.voxel_m)
+    return centers[viewpoint.towards_eye(centers) @ normal > 0], normal
+
+
+def _in_a_wall(exposed: NDArray[np.int64], step: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the cells that at least half of their eight neighbours in the plane continue, one cell up or down."""
+    keys = np.sort(keys_of_cells(exposed))
+    across, along = np.roll(step, 1), np.roll(step, 2)
+    count = np.zeros(len(exposed), dtype=np.int64)
+    for i, j in _AROUND:
+        beside = exposed + i * across + j * along
+        count += np.any([contains(keys, keys_of_cells(beside + up * step)) for up in (-1, 0, 1)], axis=0)
+    return exposed[count >= len(_AROUND) // 2]
+
+
+def _floor_plan(cells: NDArray[np.int64], submap: Submap) -> Surface:
+    """Return a square for each column of cells that is tall enough to be a wall."""
+    voxel_m = submap.observed_space.voxel_m
+    columns, counts = np.unique(cells[:, :2], axis=0, return_counts=True)
+    walls = columns[counts * voxel_m >= _MIN_WALL_M]
+    centers = np.column_stack([(walls + 0.5) * voxel_m, np.full(len(walls), _CUT_M)])
+    up = np.broadcast_to([0.0, 0.0, 1.0], centers.shape)
+    return _wall_squares(apply(submap.world_from_submap, centers), up, voxel_m)
+
+
+def _wall_squares(centers: NDArray[Any], normals: NDArray[Any], voxel_m: float) -> Surface:
+    colors = np.tile(np.array(WALL_COLOR, dtype=np.uint8), (len(centers), 1))
+    # Larger than a voxel: a wall with pin-holes looks like noise.
+    return _squares(centers, normals, np.full(len(centers), 0.8 * voxel_m), colors, 0)
+
+
+def _squares(
+    centers: NDArray[Any], normals: NDArray[Any], half_m: NDArray[np.float64], colors: NDArray[np.uint8], owner: int
+) -> Surface:
+    """Return a square around each of (N, 3) centres; upright where its normal is horizontal."""
+    is_steep = np.abs(normals[:, 2:3]) > 0.999
+    across = np.cross(np.where(is_steep, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]), normals)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    along = np.cross(normals, across)
+    sides = np.stack([across, along], axis=1) * half_m[:, None, None]
+    vertices = centers[:, None, :] + np.einsum("qs,nsc->nqc", _QUAD, sides)
+    faces = 4 * np.arange(len(centers))[:, None, None] + _QUAD_FACES
+    return Surface(
+        vertices=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3), colors=np.repeat(colors, 4, axis=0), owner=owner
+    )
+
+
+def _spacing_m(points: NDArray[np.float32]) -> float:
+    """Return the median distance between neighbouring points; a centimetre where there are too few to tell."""
+    some = points[:: max(1, len(points) // 2000)]
+    if len(points) < 2:
+        return 0.01
+    distances, _ = cKDTree(points).query(some, k=2)
+    return float(np.clip(np.median(distances[:, 1]), 0.002, 0.05))

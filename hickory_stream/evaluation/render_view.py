@@ -1,0 +1,224 @@
+"""One view of a map: what each ray meets, and how it is lit.
+
+Rays are cast on the CPU; what they meet is lit by a lamp at the eye, a sun and a sky, less what of the sky is hidden by
+what stands near. Walls fade towards their tops, the floor where it was not seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from hickory_stream.evaluation.raycast import Scene
+from hickory_stream.evaluation.render_parts import point_surface, wall_surface
+from hickory_stream.geometry.arrays import freeze
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.evaluation.raycast import Hits, Surface
+    from hickory_stream.evaluation.viewpoint import Viewpoint
+    from hickory_stream.records import Submap, TrackedObject
+
+_BACKGROUND = np.array([[0.93, 0.94, 0.96], [0.985, 0.985, 0.99]], dtype=np.float32)
+_FLOOR, _GRID = np.array([[0.87, 0.865, 0.85], [0.74, 0.735, 0.72]], dtype=np.float32)
+_SHADE_REACH_M = 0.45
+_SHADE_RAYS = 16
+_EDGE_CONTRAST = 0.04
+# A turned square: lines that are nearly level or upright cross its four points one by one.
+_WITHIN_PIXEL = np.array([[-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]], dtype=np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Floor:
+    """The plane z = `z_m`; `weights` (H, W) float32: how much was seen, from `origin_m` in cells of `cell_m`."""
+
+    z_m: float
+    origin_m: NDArray[np.float64]
+    cell_m: float
+    weights: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        freeze(self, "origin_m", np.float64, (2,))
+        freeze(self, "weights", np.float32, (None, None))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Model:
+    """What is drawn, as far as it does not depend on the viewpoint: `points` are objects whose layer 1 is drawn."""
+
+    solid: list[Surface]
+    translucent: list[Surface]
+    points: list[TrackedObject]
+    submaps: tuple[Submap, ...]
+    floor: Floor
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Scenes:
+    solid: Scene
+    translucent: Scene
+    walls: Scene
+
+
+def draw_view(model: Model, viewpoint: Viewpoint) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) picture from one viewpoint: a ray a pixel, four more where the colours change."""
+    scenes = _Scenes(
+        solid=Scene([*model.solid, *(point_surface(tracked, viewpoint) for tracked in model.points)]),
+        translucent=Scene(model.translucent),
+        walls=Scene([wall_surface(submap, model.floor.z_m, viewpoint) for submap in model.submaps]),
+    )
+    centers = viewpoint.centers_px()
+    shade = _shade_of(scenes.solid, model.floor, viewpoint).reshape(-1)
+    image = _colors(scenes, model.floor, viewpoint, centers, shade)
+    edges = np.flatnonzero(_is_edge(image.reshape(viewpoint.height, viewpoint.width, 3)))
+    finer = [_colors(scenes, model.floor, viewpoint, centers[edges] + place, shade[edges]) for place in _WITHIN_PIXEL]
+    image[edges] = np.mean(finer, axis=0)
+    drawn: NDArray[np.uint8] = np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
+    return drawn.reshape(viewpoint.height, viewpoint.width, 3)
+
+
+def _colors(
+    scenes: _Scenes, floor: Floor, viewpoint: Viewpoint, places_px: NDArray[np.float32], shade: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the (N, 3) float32 colours, in 0..1, at (N, 2) places of the image; `shade` (N,) of what lies there."""
+    origins, directions = viewpoint.rays(places_px)
+    floor_m = _floor_distance(floor, origins, directions)
+    solid = scenes.solid.cast(origins, directions)
+    walls = scenes.walls.cast(origins, directions)
+    glass = scenes.translucent.cast(origins, directions)
+
+    down = (places_px[:, 1:] / viewpoint.height).astype(np.float32)
+    color = _mixed(_BACKGROUND[0], _BACKGROUND[1], down)
+    floor_color, weight = _floor_color(floor, origins, directions, floor_m, viewpoint)
+    color = _mixed(color, floor_color * shade[:, None], weight)
+    color = _mixed(color, walls.colors * _wall_light(walls.normals), _wall_weight(walls, floor, origins, directions))
+    # From above the walls are a plan on the floor, whatever stands before them.
+    is_object = np.isfinite(solid.distance_m)
+    if not viewpoint.is_orthographic:
+        is_object &= solid.distance_m < walls.distance_m
+    lit = _lit(solid.colors, solid.normals, directions) * shade[:, None]
+    color = np.where(is_object[:, None], lit, color)
+    is_over = np.isfinite(glass.distance_m) & (glass.distance_m < solid.distance_m)
+    rim = 1 - np.abs(np.einsum("nc,nc->n", glass.normals, directions))
+    opacity = (0.22 + 0.5 * rim**3) * is_over
+    return np.asarray(_mixed(color, _lit(glass.colors, glass.normals, directions), opacity[:, None]), dtype=np.float32)
+
+
+def _is_edge(image: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return (H, W): where a pixel's neighbourhood is not of one colour."""
+    import cv2
+
+    around = np.ones((3, 3), np.uint8)
+    return np.asarray((cv2.dilate(image, around) - cv2.erode(image, around)).max(axis=2) > _EDGE_CONTRAST)
+
+
+def _mixed(below: NDArray[Any], above: NDArray[Any], weight: NDArray[Any]) -> NDArray[Any]:
+    return below + (above - below) * weight
+
+
+def _lit(
+    colors: NDArray[np.float32], normals: NDArray[np.float32], directions: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the colours under a sky, a sun from the side, and a lamp at the eye."""
+    sun = np.array([0.35, -0.5, 0.79], dtype=np.float32)
+    sky = 0.5 + 0.5 * normals[:, 2]
+    eye = np.maximum(-np.einsum("nc,nc->n", normals, directions), 0)
+    light = 0.32 + 0.22 * sky + 0.34 * np.maximum(normals @ sun, 0) + 0.26 * eye
+    return np.asarray(colors * light[:, None])
+
+
+# ---- the floor ------------------------------------------------------------------------------------------------------
+
+
+def _floor_distance(floor: Floor, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the distance of the floor along the rays, inf where they do not look down."""
+    down = directions[:, 2] < -1e-6
+    distance = (floor.z_m - origins[:, 2]) / np.where(down, directions[:, 2], -1.0)
+    return np.where(down & (distance > 0), distance, np.inf).astype(np.float32)
+
+
+def _floor_color(
+    floor: Floor,
+    origins: NDArray[np.float32],
+    directions: NDArray[np.float32],
+    distance_m: NDArray[np.float32],
+    viewpoint: Viewpoint,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the (N, 3) colour of the floor with a grid of 1 m, and the (N, 1) share of it that is drawn."""
+    is_floor = np.isfinite(distance_m)
+    reach = np.where(is_floor, distance_m, 0)[:, None]
+    places = (origins + directions * reach)[:, :2]
+    pixel_m = (1.0 if viewpoint.is_orthographic else reach) / viewpoint.focal_px
+    off_line = np.abs(places - np.round(places))
+    line = np.clip(1.2 - off_line / np.maximum(pixel_m, 0.004), 0, 1).max(axis=1, keepdims=True)
+    column, row = ((places - floor.origin_m) / floor.cell_m - 0.5).T
+    weight = map_coordinates(floor.weights, [row, column], order=1, output=np.float32) * is_floor
+    return _mixed(_FLOOR, _GRID, line).astype(np.float32), weight[:, None]
+
+
+def _wall_light(normals: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (N, 1): walls differ a little by where they look, so that a corner shows."""
+    return np.asarray(0.95 + 0.04 * normals[:, :1] + 0.02 * normals[:, 1:2])
+
+
+def _wall_weight(
+    walls: Hits, floor: Floor, origins: NDArray[np.float32], directions: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return (N, 1): how much of a wall is drawn, less and less towards its top."""
+    height_m = (
+        origins[:, 2] + directions[:, 2] * np.where(np.isfinite(walls.distance_m), walls.distance_m, 0) - floor.z_m
+    )
+    fading = np.where(directions[:, 2] < -0.99, 0.9, np.clip(1 - height_m / 2.2, 0.1, 1))
+    return np.asarray((np.isfinite(walls.distance_m) * fading)[:, None], dtype=np.float32)
+
+
+# ---- shade ----------------------------------------------------------------------------------------------------------
+
+
+def _shade_of(scene: Scene, floor: Floor, viewpoint: Viewpoint) -> NDArray[np.float32]:
+    """Return (H, W) in 0..1: how much of the sky each pixel's surface sees past what stands near it.
+
+    For every fourth pixel, since shade is soft. The same directions everywhere, turned in a 4 x 4 pattern that a blur
+    of that size removes.
+    """
+    import cv2
+
+    columns, rows = viewpoint.width // 2, viewpoint.height // 2
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    origins, directions = viewpoint.rays(np.stack([2 * column.reshape(-1) + 1, 2 * row.reshape(-1) + 1], axis=1))
+    hits = scene.cast(origins, directions)
+    floor_m = _floor_distance(floor, origins, directions)
+    distance = np.minimum(hits.distance_m, floor_m)
+    surface = np.flatnonzero(np.isfinite(distance))
+    on_floor = (floor_m <= hits.distance_m)[surface, None]
+    normals = np.where(on_floor, np.array([0, 0, 1], dtype=np.float32), hits.normals[surface])
+    points = origins[surface] + directions[surface] * distance[surface, None] + normals * np.float32(0.004)
+    turn_rad = ((row % 4 * 4 + column * 5 % 4).reshape(-1)[surface] * (2 * np.pi / 16)).astype(np.float32)
+    hidden = np.zeros(len(surface), dtype=np.float32)
+    for ray in _sky_directions(_SHADE_RAYS):
+        towards = _turned(ray, turn_rad) + normals * np.float32(1.02)
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        hidden += scene.is_occluded(points, towards, _SHADE_REACH_M)
+    shade = np.ones(rows * columns, dtype=np.float32)
+    shade[surface] = 1 - 0.75 * hidden / _SHADE_RAYS
+    blurred = cv2.blur(shade.reshape(rows, columns), (4, 4))
+    return np.asarray(cv2.resize(blurred, (viewpoint.width, viewpoint.height), interpolation=cv2.INTER_LINEAR))
+
+
+def _sky_directions(count: int) -> NDArray[np.float32]:
+    """Return (count, 3) directions spread evenly over the sphere: added to a normal they are spread by the cosine."""
+    i = np.arange(count) + 0.5
+    z = 1 - 2 * i / count
+    angle = np.pi * (1 + 5**0.5) * i
+    radius = np.sqrt(1 - z**2)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1).astype(np.float32)
+
+
+def _turned(ray: NDArray[np.float32], turn_rad: NDArray[np.float32]) -> NDArray[np.float32]:
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    x, y, z = ray
+    return np.stack([c * x - s * y, s * x + c * y, np.full(len(turn_rad), z)], axis=1)

@@ -1,0 +1,208 @@
+"""The truth folder of a synthetic log: what is where, what it looks like, what the log shows of it.
+
+One `truth.json` beside GLB meshes and instance images; the format number changes whenever a reader would misread it.
+Poses are exact; the world is z up.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import RecordingError
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.mesh import Mesh, read_glb
+from hickory_stream.geometry.rigid import is_rigid
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+FORMAT = 1
+TRUTH_FILE = "truth.json"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TruthObject:
+    """One true object: `mesh` is a path inside the folder, in the object's frame; `seen_fraction` in 0..1.
+
+    `frames` are the indices of the frames in which at least one pixel shows it.
+    """
+
+    id: int
+    kind: str
+    mesh: str
+    world_from_object: NDArray[np.float64]
+    seen_fraction: float
+    frames: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_object", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TruthFrame:
+    """One true frame; `instances` is the path of its uint16 image inside the folder, 0 = no object."""
+
+    index: int
+    stamp_ns: int
+    world_from_camera: NDArray[np.float64]
+    instances: str
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_camera", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Truth:
+    """A truth folder: objects sorted by id, frames by index, `structure` the paths of meshes in the world frame."""
+
+    folder: Path
+    camera: Camera
+    objects: tuple[TruthObject, ...]
+    structure: tuple[str, ...]
+    frames: tuple[TruthFrame, ...]
+
+
+def load_truth(folder: Path) -> Truth:
+    """Return the truth in a folder; meshes and instance images stay on disk until asked for.
+
+    Raises:
+        RecordingError: there is no truth, or it is of another format, or damaged.
+    """
+    path = folder / TRUTH_FILE
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"{folder} is no truth folder: it has no {TRUTH_FILE}. Name the folder that tools/make_recording wrote "
+            "beside the log (NAME.truth)"
+        ) from error
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path} cannot be read as JSON: {error}. Make the recording again") from error
+    found = record.get("format") if isinstance(record, dict) else None
+    if found != FORMAT:
+        raise RecordingError(f"{path} has format {found!r}; expected {FORMAT}. Make the recording again")
+    try:
+        return _truth_of(folder, record)
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"{path} is damaged ({error!r}). Make the recording again") from error
+
+
+def mesh_of(truth: Truth, item: TruthObject) -> Mesh:
+    """Return the mesh of an object in its own frame.
+
+    Raises:
+        RecordingError: the file is missing or holds no mesh.
+    """
+    return _mesh_at(truth.folder / item.mesh)
+
+
+def structure_meshes(truth: Truth) -> tuple[Mesh, ...]:
+    """Return floor, walls and the like in the world frame.
+
+    Raises:
+        RecordingError: a file is missing or holds no mesh.
+    """
+    return tuple(_mesh_at(truth.folder / path) for path in truth.structure)
+
+
+def instances_of(truth: Truth, frame: TruthFrame) -> NDArray[np.uint16]:
+    """Return the (H, W) ids of what each pixel of a frame shows, 0 = no object.
+
+    Raises:
+        RecordingError: the image is missing, torn or of another size.
+    """
+    import cv2
+
+    path = truth.folder / frame.instances
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
+    size = (truth.camera.height, truth.camera.width)
+    if image is None or image.dtype != np.uint16 or image.shape != size:
+        found = "nothing readable" if image is None else f"{image.dtype} {image.shape}"
+        raise RecordingError(f"{path} holds {found}; expected uint16 {size}. Make the recording again")
+    return np.asarray(image, dtype=np.uint16)
+
+
+def truth_record(truth: Truth) -> dict[str, Any]:
+    """Return what `truth.json` holds."""
+    camera = truth.camera
+    return {
+        "format": FORMAT,
+        "camera": {"width": camera.width, "height": camera.height, "K": camera.K.tolist()},
+        "objects": [
+            {
+                "id": item.id,
+                "kind": item.kind,
+                "mesh": item.mesh,
+                "world_from_object": item.world_from_object.tolist(),
+                "seen_fraction": item.seen_fraction,
+                "frames": list(item.frames),
+            }
+            for item in truth.objects
+        ],
+        "structure": list(truth.structure),
+        "frames": [
+            {
+                "index": frame.index,
+                "stamp_ns": frame.stamp_ns,
+                "world_from_camera": frame.world_from_camera.tolist(),
+                "instances": frame.instances,
+            }
+            for frame in truth.frames
+        ],
+    }
+
+
+def _truth_of(folder: Path, record: dict[str, Any]) -> Truth:
+    camera, K = record["camera"], np.array(record["camera"]["K"], dtype=np.float64)
+    if K.shape != (3, 3):
+        raise ValueError(f"K has shape {K.shape}; expected (3, 3)")
+    objects = tuple(
+        TruthObject(
+            id=int(item["id"]),
+            kind=str(item["kind"]),
+            mesh=str(item["mesh"]),
+            world_from_object=_pose(item["world_from_object"]),
+            seen_fraction=float(item["seen_fraction"]),
+            frames=tuple(int(index) for index in item["frames"]),
+        )
+        for item in record["objects"]
+    )
+    frames = tuple(
+        TruthFrame(
+            index=int(frame["index"]),
+            stamp_ns=int(frame["stamp_ns"]),
+            world_from_camera=_pose(frame["world_from_camera"]),
+            instances=str(frame["instances"]),
+        )
+        for frame in record["frames"]
+    )
+    return Truth(
+        folder=folder,
+        camera=Camera(
+            width=int(camera["width"]), height=int(camera["height"]), fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2]
+        ),
+        objects=tuple(sorted(objects, key=lambda item: item.id)),
+        structure=tuple(str(path) for path in record["structure"]),
+        frames=tuple(sorted(frames, key=lambda frame: frame.index)),
+    )
+
+
+def _pose(rows: Any) -> NDArray[np.float64]:
+    a_from_b = np.array(rows, dtype=np.float64)
+    if not is_rigid(a_from_b):
+        raise ValueError(f"a pose is no rigid (4, 4) transform: {a_from_b.tolist()}")
+    return a_from_b
+
+
+def _mesh_at(path: Path) -> Mesh:
+    try:
+        return read_glb(path)
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path} cannot be read as a mesh: {error}. Make the recording again") from error

@@ -1,0 +1,115 @@
+"""Where a picture is taken from: straight above, or a raised place from which everything is in the frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_HALF_FOV_TANGENT = np.tan(np.deg2rad(16.0))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Viewpoint:
+    """A camera (x right, y down, z forward) without limits to its image.
+
+    `focal_px`: pixels per metre at one metre for a perspective, pixels per metre anywhere for an orthographic view.
+    """
+
+    world_from_camera: NDArray[np.float64]
+    focal_px: float
+    is_orthographic: bool
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_camera", np.float64, (4, 4))
+
+    def rays(self, places_px: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the origins and unit directions, (N, 3) each, of the rays through (N, 2) places in the image."""
+        rotation = self.world_from_camera[:3, :3].astype(np.float32)
+        offsets = (
+            places_px.astype(np.float32) - np.array([self.width, self.height], dtype=np.float32) / 2
+        ) / np.float32(self.focal_px)
+        sideways = offsets @ rotation[:, :2].T
+        eye, forward = self.world_from_camera[:3, 3].astype(np.float32), rotation[:, 2]
+        if self.is_orthographic:
+            return _f32(sideways + eye), _f32(np.broadcast_to(forward, sideways.shape))
+        directions = sideways + forward
+        directions /= np.sqrt(np.einsum("nc,nc->n", directions, directions))[:, None]
+        return _f32(np.broadcast_to(eye, directions.shape)), _f32(directions)
+
+    def centers_px(self) -> NDArray[np.float32]:
+        """Return the (H * W, 2) centres of the pixels, row by row."""
+        row, column = np.indices((self.height, self.width), dtype=np.float32)
+        return np.stack([column.reshape(-1), row.reshape(-1)], axis=1) + np.float32(0.5)
+
+    def project(self, points_world: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the (N, 2) pixels of (N, 3) points in front of the camera."""
+        camera = apply(invert(self.world_from_camera), np.asarray(points_world, dtype=np.float64))
+        depth = 1.0 if self.is_orthographic else camera[:, 2:3]
+        return camera[:, :2] / depth * self.focal_px + (self.width / 2, self.height / 2)
+
+    def towards_eye(self, points_world: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the (N, 3) unit directions from points to the camera."""
+        if self.is_orthographic:
+            return np.broadcast_to(-self.world_from_camera[:3, 2], (len(points_world), 3))
+        offsets = self.world_from_camera[:3, 3] - points_world
+        return np.asarray(offsets / np.linalg.norm(offsets, axis=1, keepdims=True))
+
+
+def from_above(points_world: NDArray[Any], width: int, height: int, margin_px: int) -> Viewpoint:
+    """Return the orthographic view from above, x to the right and y up, with all (N, 3) points in the frame."""
+    low, high = points_world.min(axis=0), points_world.max(axis=0)
+    middle = (low + high) / 2
+    rotation = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+    eye = np.array([middle[0], middle[1], high[2] + 5.0])
+    room = np.array([width, height]) - 2 * margin_px
+    return Viewpoint(
+        world_from_camera=from_rotation_translation(rotation, eye),
+        focal_px=float((room / np.maximum(high - low, 0.5)[:2]).min()),
+        is_orthographic=True,
+        width=width,
+        height=height,
+    )
+
+
+def from_corner(
+    points_world: NDArray[Any], azimuth_rad: float, elevation_rad: float, width: int, height: int, margin_px: int
+) -> Viewpoint:
+    """Return the nearest perspective view from a direction that has all (N, 3) points in the frame."""
+    rotation = _looking(azimuth_rad, elevation_rad)
+    local = np.asarray(points_world, dtype=np.float64) @ rotation
+    focal_px = (height / 2) / _HALF_FOV_TANGENT
+    tan_x, tan_y = (width / 2 - margin_px) / focal_px, (height / 2 - margin_px) / focal_px
+    # A point is within the right border when x - eye_x <= tan (z - eye_z): four bounds, two by two on one line.
+    right, left = (local[:, 0] - tan_x * local[:, 2]).max(), (-local[:, 0] - tan_x * local[:, 2]).max()
+    below, above = (local[:, 1] - tan_y * local[:, 2]).max(), (-local[:, 1] - tan_y * local[:, 2]).max()
+    depth = min(-(right + left) / (2 * tan_x), -(below + above) / (2 * tan_y), local[:, 2].min() - 0.5)
+    eye = rotation @ np.array([(right - left) / 2, (below - above) / 2, depth])
+    return Viewpoint(
+        world_from_camera=from_rotation_translation(rotation, eye),
+        focal_px=float(focal_px),
+        is_orthographic=False,
+        width=width,
+        height=height,
+    )
+
+
+def _f32(values: NDArray[Any]) -> NDArray[np.float32]:
+    return values.astype(np.float32, copy=False)
+
+
+def _looking(azimuth_rad: float, elevation_rad: float) -> NDArray[np.float64]:
+    """Return world_from_camera's rotation for an eye that stands at an azimuth and looks down by the elevation."""
+    c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    forward = np.array([-c * np.cos(elevation_rad), -s * np.cos(elevation_rad), -np.sin(elevation_rad)])
+    right = np.array([-s, c, 0.0])
+    return np.stack([right, np.cross(forward, right), forward], axis=1)

@@ -1,0 +1,228 @@
+"""A synthetic recording from a seed: the log and, beside it, the truth.
+
+Each part draws from a generator of its own (room, walk, camera, samples), so that a longer log of a seed starts like a
+shorter one and another camera sees the same room.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, truth_record
+from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
+from hickory_stream.evaluation.worlds.parts import model_mesh
+from hickory_stream.evaluation.worlds.rendering import Renderer
+from hickory_stream.evaluation.worlds.room import furnished_room
+from hickory_stream.evaluation.worlds.trajectory import NoWalk, Trajectory, WalkConfig, walk_round
+from hickory_stream.evaluation.worlds.visibility import SeenSurface
+from hickory_stream.evaluation.worlds.zed_log import ZedLog, encode_png
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.mesh import write_glb
+from hickory_stream.geometry.rigid import invert
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.evaluation.worlds.rendering import Rendered
+    from hickory_stream.evaluation.worlds.scene import World
+
+_START_NS = 1_752_400_000_000_000_000
+_ODOMETRY_HZ = 30
+_ROOMS = 20
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordingConfig:
+    """What is recorded: the same config gives the same bytes."""
+
+    seed: int = 7
+    seconds: float = 20.0
+    rate_hz: float = 6.0
+    width: int = 640
+    height: int = 360
+    horizontal_fov_deg: float = 80.0
+    color_noise: float = 1.0
+    """Standard deviation of the colour noise, in grey levels."""
+    jpeg_quality: int = 80
+    walk: WalkConfig = field(default_factory=WalkConfig)
+    depth: DepthCameraConfig = field(default_factory=DepthCameraConfig)
+
+    def __post_init__(self) -> None:
+        if not (self.seconds > 0 and 0 < self.rate_hz <= 120 and self.seconds * self.rate_hz >= 1):
+            raise ConfigError(
+                f"{self.seconds} s at {self.rate_hz} Hz; expected a positive time and a rate of up to 120 Hz "
+                "that give at least one frame"
+            )
+        if not (32 <= self.width <= 4096 and 32 <= self.height <= 4096):
+            raise ConfigError(f"images of {self.width}x{self.height}; expected 32 to 4096 pixels a side")
+        if self.seed < 0:
+            raise ConfigError(f"seed {self.seed}; expected 0 or more")
+
+    @property
+    def camera(self) -> Camera:
+        """The pinhole camera of both images."""
+        focal_px = self.width / 2 / np.tan(np.radians(self.horizontal_fov_deg) / 2)
+        return Camera(
+            width=self.width,
+            height=self.height,
+            fx=float(focal_px),
+            fy=float(focal_px),
+            cx=(self.width - 1) / 2,
+            cy=(self.height - 1) / 2,
+        )
+
+
+def make_recording(
+    config: RecordingConfig, folder: Path, name: str, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Truth:
+    """Write NAME.mcap and NAME.truth/ into a folder, replacing older ones, and return the truth.
+
+    Both are made in a hidden folder beside their place and moved when complete: a failure leaves the old ones.
+
+    Raises:
+        ConfigError: NAME.truth exists and is no truth folder, or the seed's rooms leave no way to walk.
+    """
+    truth_folder = folder / f"{name}.truth"
+    if truth_folder.exists() and not (truth_folder / TRUTH_FILE).is_file():
+        raise ConfigError(f"{truth_folder} is there and has no {TRUTH_FILE}; choose another --name or --out")
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
+        truth = _make(config, Path(unfinished), name, progress)
+        if truth_folder.exists():
+            shutil.rmtree(truth_folder)
+        truth.folder.rename(truth_folder)
+        (Path(unfinished) / f"{name}.mcap").replace(folder / f"{name}.mcap")
+    return replace(truth, folder=truth_folder)
+
+
+def _make(config: RecordingConfig, folder: Path, name: str, progress: Callable[[int, int], None]) -> Truth:
+    world, trajectory = _walkable_world(config)
+    truth_folder, log_path = folder / f"{name}.truth", folder / f"{name}.mcap"
+    for part in ("meshes", "instances"):
+        (truth_folder / part).mkdir(parents=True)
+    structure = _write_meshes(world, truth_folder)
+    frames, seen, shown = _record(config, world, trajectory, (log_path, truth_folder), progress)
+    truth = Truth(
+        folder=truth_folder,
+        camera=config.camera,
+        objects=tuple(
+            TruthObject(
+                id=item.id,
+                kind=item.model.kind,
+                mesh=f"meshes/{item.id}.glb",
+                world_from_object=item.world_from_object,
+                seen_fraction=round(seen.fraction(item.id), 4),
+                frames=tuple(shown[item.id]),
+            )
+            for item in world.objects
+        ),
+        structure=structure,
+        frames=tuple(frames),
+    )
+    (truth_folder / TRUTH_FILE).write_text(json.dumps(truth_record(truth), indent=1) + "\n", encoding="utf-8")
+    return truth
+
+
+def _walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
+    """Return the first of the seed's rooms that one can walk round, and the walk."""
+    for attempt in range(_ROOMS):
+        rng = np.random.default_rng([config.seed, 2])
+        world = furnished_room(config.seed, attempt)
+        trajectory = walk_round(world, config.seconds, config.walk, rng)
+        if not isinstance(trajectory, NoWalk):
+            return world, trajectory
+    raise ConfigError(
+        f"seed {config.seed}: none of {_ROOMS} rooms leaves {config.walk.clearance_m} m to walk; choose another --seed"
+    )
+
+
+def _write_meshes(world: World, truth_folder: Path) -> tuple[str, ...]:
+    """Write every mesh and return the paths of the structure's."""
+    for item in world.objects:
+        write_glb(model_mesh(item.model), truth_folder / f"meshes/{item.id}.glb")
+    paths = [f"meshes/structure_{i}_{model.kind}.glb" for i, model in enumerate(world.structure)]
+    for path, model in zip(paths, world.structure, strict=True):
+        write_glb(model_mesh(model), truth_folder / path)
+    return tuple(paths)
+
+
+def _record(
+    config: RecordingConfig,
+    world: World,
+    trajectory: Trajectory,
+    targets: tuple[Path, Path],
+    progress: Callable[[int, int], None],
+) -> tuple[list[TruthFrame], SeenSurface, dict[int, list[int]]]:
+    """Render and write frame by frame; return the true frames, what was seen, and where each object shows."""
+    log_path, truth_folder = targets
+    camera, renderer = config.camera, Renderer(world)
+    rng = np.random.default_rng([config.seed, 3])
+    seen = SeenSurface(
+        world, config.depth.min_depth_m, config.depth.max_depth_m, np.random.default_rng([config.seed, 4])
+    )
+    shown: dict[int, list[int]] = {item.id: [] for item in world.objects}
+    frames: list[TruthFrame] = []
+    stamps_ns, every = _stamps_ns(config)
+    num_frames = len(range(0, len(stamps_ns), every))
+    with ZedLog(log_path, camera, config.jpeg_quality) as log:
+        log.write_static(stamps_ns[0])
+        for i, stamp_ns in enumerate(stamps_ns):
+            time_s = (stamp_ns - stamps_ns[0]) / 1e9
+            world_from_camera = trajectory.pose_at(time_s)
+            log.write_pose(stamp_ns, world_from_camera, _velocity(trajectory, time_s))
+            if i % every:
+                continue
+            index = i // every
+            rendered = renderer.render(camera, world_from_camera)
+            seen.add(rendered, camera, world_from_camera)
+            for item_id in np.unique(rendered.instances[rendered.instances > 0]):
+                shown[int(item_id)].append(index)
+            log.write_images(stamp_ns, *_sensed(rendered, camera, config, rng))
+            frame = TruthFrame(
+                index=index,
+                stamp_ns=stamp_ns,
+                world_from_camera=world_from_camera,
+                instances=f"instances/{index:06d}.png",
+            )
+            (truth_folder / frame.instances).write_bytes(encode_png(rendered.instances))
+            frames.append(frame)
+            progress(index + 1, num_frames)
+    return frames, seen, shown
+
+
+def _stamps_ns(config: RecordingConfig) -> tuple[list[int], int]:
+    """Return the stamps of all grabs and how many of them there are to an image."""
+    every = max(1, int(np.ceil(_ODOMETRY_HZ / config.rate_hz)))
+    num_frames = int(np.floor(config.seconds * config.rate_hz + 1e-9))
+    num_grabs = (num_frames - 1) * every + 1
+    start_ns = _START_NS + 1_000_003 * config.seed
+    return [start_ns + round(i * 1e9 / (config.rate_hz * every)) for i in range(num_grabs)], every
+
+
+def _velocity(trajectory: Trajectory, time_s: float) -> NDArray[np.float64]:
+    """Return the (6,) linear and angular velocity of the camera at a time, in the body's frame (x forward, z up)."""
+    step_s = 0.01
+    world_from_now, world_from_next = trajectory.pose_at(time_s), trajectory.pose_at(time_s + step_s)
+    now_from_next = invert(world_from_now) @ world_from_next
+    skew = (now_from_next[:3, :3] - now_from_next[:3, :3].T) / (2 * step_s)
+    linear, angular = now_from_next[:3, 3] / step_s, np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+    return np.concatenate([[v[2], -v[0], -v[1]] for v in (linear, angular)])
+
+
+def _sensed(
+    rendered: Rendered, camera: Camera, config: RecordingConfig, rng: np.random.Generator
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Return colour and depth as the camera reports them."""
+    noise = config.color_noise * rng.standard_normal(rendered.rgb.shape)
+    rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
+    return rgb, sensed_depth(rendered.depth_m, rendered.cosine, camera.fx, config.depth, rng)

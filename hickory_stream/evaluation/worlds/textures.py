@@ -1,0 +1,128 @@
+"""Solid textures: a colour for every point of an object's frame, so that no part needs an unwrapped surface.
+
+The kernels work on a table with one row per texture, because a frame has a million points of a hundred textures.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numba
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+Pattern = Literal["plain", "wood", "checker", "stripes", "speckle", "planks"]
+Color = tuple[float, float, float]
+
+_PATTERNS: tuple[Pattern, ...] = ("plain", "wood", "checker", "stripes", "speckle", "planks")
+_PLAIN, _WOOD, _CHECKER, _STRIPES, _SPECKLE = range(5)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Texture:
+    """A pattern of two colours (RGB in 0..1).
+
+    `period_m` is the size of its repeating cell, `axis` (0, 1, 2 = x, y, z) the direction of the grain or the normal of
+    the stripes, `grain` in 0..1 the strength of the fine noise that every pattern carries.
+    """
+
+    pattern: Pattern
+    first: Color
+    second: Color
+    period_m: float = 0.05
+    axis: int = 2
+    grain: float = 0.12
+
+
+def texture_table(textures: Sequence[Texture]) -> NDArray[np.float64]:
+    """Return (T, 10) rows for the kernels: pattern, first RGB, second RGB, period, axis, grain."""
+    rows = [(_PATTERNS.index(t.pattern), *t.first, *t.second, t.period_m, t.axis, t.grain) for t in textures]
+    return np.array(rows, dtype=np.float64).reshape(-1, 10)
+
+
+def colors_at(texture: Texture, points_object: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Return the (N, 3) colours of a texture at (N, 3) points, unlit."""
+    row = texture_table([texture])[0]
+    albedo = _colors_at(np.ascontiguousarray(points_object, dtype=np.float64), row)
+    return (albedo * 255 + 0.5).astype(np.uint8)
+
+
+@numba.njit(cache=True)
+def _colors_at(points, row):  # type: ignore[no-untyped-def] # pragma: no cover
+    colors = np.empty((len(points), 3))
+    for i in range(len(points)):
+        colors[i] = albedo(points[i, 0], points[i, 1], points[i, 2], row)
+    return colors
+
+
+@numba.njit(cache=True)
+def albedo(x, y, z, row):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the colour (r, g, b) in 0..1 of a table row at a point of the object's frame."""
+    pattern, period, axis = int(row[0]), row[7], int(row[8])
+    along, a, b = (x, y, z) if axis == 0 else ((y, z, x) if axis == 1 else (z, x, y))
+    share = 0.0
+    if pattern == _PLAIN:
+        share = value_noise(x / period, y / period, z / period)
+    elif pattern == _WOOD:
+        warp = value_noise(along * 3.0, a * 9.0, b * 9.0)
+        ring = math.sqrt((a + 0.31) ** 2 + (b + 0.17) ** 2) / period + 1.6 * warp
+        share = 0.5 + 0.5 * math.sin(2 * math.pi * ring)
+    elif pattern == _CHECKER:
+        # Half a millimetre off the lattice, so that a face at a multiple of the period does not flicker.
+        cells = math.floor(x / period + 0.013) + math.floor(y / period + 0.013) + math.floor(z / period + 0.013)
+        share = 1.0 if int(cells) % 2 != 0 else 0.0
+    elif pattern == _STRIPES:
+        share = 1.0 if along / period - math.floor(along / period) < 0.5 else 0.0
+    elif pattern == _SPECKLE:
+        share = 1.0 if value_noise(x / period, y / period, z / period) > 0.62 else 0.0
+    else:
+        share = _planks(along, a, b, period)
+    fine = 1.0 + row[9] * (value_noise(x * 90.0, y * 90.0, z * 90.0) + value_noise(x * 23.0, y * 23.0, z * 23.0) - 1.0)
+    red = (row[1] + (row[4] - row[1]) * share) * fine
+    green = (row[2] + (row[5] - row[2]) * share) * fine
+    blue = (row[3] + (row[6] - row[3]) * share) * fine
+    return min(max(red, 0.0), 1.0), min(max(green, 0.0), 1.0), min(max(blue, 0.0), 1.0)
+
+
+@numba.njit(cache=True)
+def _planks(along, a, b, period):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the share of the second colour of boards that run along an axis: own tone, grain, dark joints."""
+    board = math.floor(a / period)
+    length = 8.0 * period
+    piece = math.floor(along / length + 0.37 * board)
+    across, on = a / period - board, along / length + 0.37 * board - piece
+    if across < 0.03 or on < 0.004:
+        return 1.0
+    tone = _lattice(int(board), int(piece), 7)
+    return 0.15 + 0.35 * tone + 0.2 * value_noise(along * 4.0, a * 60.0, b * 60.0)
+
+
+@numba.njit(cache=True)
+def value_noise(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return smooth noise in 0..1 with features of size 1: random values on the integer lattice, blended."""
+    fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
+    ix, iy, iz = int(fx), int(fy), int(fz)
+    u, v, w = x - fx, y - fy, z - fz
+    u, v, w = u * u * (3 - 2 * u), v * v * (3 - 2 * v), w * w * (3 - 2 * w)
+    total = 0.0
+    for i in range(2):
+        for j in range(2):
+            for k in range(2):
+                weight = (u if i else 1 - u) * (v if j else 1 - v) * (w if k else 1 - w)
+                total += weight * _lattice(ix + i, iy + j, iz + k)
+    return total
+
+
+@numba.njit(cache=True)
+def _lattice(ix, iy, iz):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return a value in 0..1 that looks random, of three integers."""
+    h = (ix * 374761393 + iy * 668265263 + iz * 1440662683) & 0xFFFFFFFF
+    h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
+    h = ((h ^ (h >> 15)) * 2246822519) & 0xFFFFFFFF
+    return ((h ^ (h >> 16)) & 0xFFFF) / 65535.0

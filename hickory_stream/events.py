@@ -1,0 +1,158 @@
+"""Events and effects: the whole vocabulary of the core.
+
+`MapperCore.handle(event) -> list[Effect]`: events say what happened outside, effects say what the core wants done. Both
+are plain records, so that a run can be written down, replayed and compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hickory_stream.geometry.arrays import freeze
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.records import (
+        Decision,
+        MapSnapshot,
+        MaskFeature,
+        ObjectShape,
+        Observation,
+        RejectedMask,
+        SpaceObservation,
+        View,
+    )
+
+# ---- events ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FrameObserved:
+    """A keyframe was perceived."""
+
+    frame_index: int
+    stamp_ns: int
+    world_from_camera: NDArray[np.float64]
+    observations: tuple[Observation, ...]
+    space: SpaceObservation
+    rejected: tuple[RejectedMask, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_camera", float, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FeaturesReady:
+    """The answer to `ComputeFeatures`, for the same keyframe."""
+
+    frame_index: int
+    features: tuple[MaskFeature, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShapeReady:
+    """A shape job has ended well; `stamp_ns` is when it is committed."""
+
+    ticket: int
+    object_id: int
+    stamp_ns: int
+    shape: ObjectShape
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShapeFailed:
+    """A shape job has ended without a shape."""
+
+    ticket: int
+    object_id: int
+    stamp_ns: int
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TimeJumped:
+    """The stamps of the source went backwards or far ahead: a looped log, a seek, a restarted clock."""
+
+    from_ns: int
+    to_ns: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SourceEnded:
+    """No frame will follow; the core asks for what is still worth building."""
+
+    stamp_ns: int
+
+
+Event = FrameObserved | FeaturesReady | ShapeReady | ShapeFailed | TimeJumped | SourceEnded
+
+# ---- effects --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ComputeFeatures:
+    """Compute the features of these masks while the frame is still at hand, and answer with `FeaturesReady`."""
+
+    frame_index: int
+    observation_indices: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class KeepView:
+    """Write the pixels of this view; the frame is still at hand."""
+
+    view: View
+    observation_index: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DropView:
+    """The pixels of this view are no longer needed."""
+
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RequestShape:
+    """Build layers 2 to 4 of an object.
+
+    `views` are its kept views, the best one first. `points_world` and `colors` are its layer 1; `box` its box;
+    `support_z_m` the height of the surface it stands on, where known. The result is committed at the first keyframe at
+    or after `due_ns` (playback).
+    """
+
+    ticket: int
+    object_id: int
+    views: tuple[View, ...]
+    points_world: NDArray[np.float32]
+    colors: NDArray[np.uint8]
+    box: OrientedBox
+    support_z_m: float | None
+    due_ns: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CancelShape:
+    """The result of this job is no longer wanted."""
+
+    ticket: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Publish:
+    """Show the map as it is now, the decisions that led here, and the object that each observation went to.
+
+    `metrics` are the core's own counts under `core/...`, and S of the best views under `score/ID`.
+    """
+
+    snapshot: MapSnapshot
+    decisions: tuple[Decision, ...]
+    object_ids: tuple[int | None, ...] = ()
+    metrics: tuple[tuple[str, float], ...] = ()
+
+
+Effect = ComputeFeatures | KeepView | DropView | RequestShape | CancelShape | Publish

@@ -1,0 +1,1 @@
+"""Pure geometry: no I/O, no state; numpy, scipy and numba only."""

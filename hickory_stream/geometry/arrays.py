@@ -1,0 +1,38 @@
+"""Checked, read-only arrays: what every record does to its array fields on construction."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike, NDArray
+
+
+def frozen_array(values: Any, dtype: DTypeLike, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
+    """Return `values` as a read-only, C-contiguous array of `dtype`; `None` in `shape` is any length.
+
+    An array that is already read-only, contiguous and of the right type is returned as it is. Anything else is copied,
+    so that nobody keeps a writable reference.
+
+    Raises:
+        ValueError: the shape does not fit.
+    """
+    array = np.asarray(values, dtype=dtype)
+    if array.ndim != len(shape) or any(
+        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+    ):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(f"{name} has shape {array.shape}; expected ({wanted})")
+    if not array.flags.writeable and array.flags.c_contiguous:
+        return array
+    array = np.array(array, dtype=dtype, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def freeze(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None, ...]) -> None:
+    """Replace an array field of a frozen dataclass by its checked read-only form (for `__post_init__`)."""
+    label = f"{type(record).__name__}.{name}"
+    object.__setattr__(record, name, frozen_array(getattr(record, name), dtype, shape, label))

@@ -1,0 +1,194 @@
+"""Oriented boxes: the gravity-aligned box of minimum area, and the exact intersection of any two.
+
+The intersection of two boxes is a convex polyhedron. Its boundary is what remains of the faces of each box inside the
+other, so that clipping twelve squares and summing their cones gives its volume exactly, without building the polyhedron.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numba
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class OrientedBox:
+    """A box: `world_from_box` (4, 4), its centre the origin of the box frame; `half_extents_m` (3,), all positive."""
+
+    world_from_box: NDArray[np.float64]
+    half_extents_m: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_box", np.float64, (4, 4))
+        freeze(self, "half_extents_m", np.float64, (3,))
+        if not (self.half_extents_m > 0).all():
+            raise ValueError(f"half extents must be positive, found {self.half_extents_m}")
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """The centre in the world, (3,)."""
+        return self.world_from_box[:3, 3]
+
+    @property
+    def volume_m3(self) -> float:
+        """The volume."""
+        return float(8.0 * np.prod(self.half_extents_m))
+
+    @property
+    def diagonal_m(self) -> float:
+        """The length of the space diagonal."""
+        return float(2.0 * np.linalg.norm(self.half_extents_m))
+
+    def corners_world(self) -> NDArray[np.float64]:
+        """Return the (8, 3) corners in the world."""
+        signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+        return (signs * self.half_extents_m) @ self.world_from_box[:3, :3].T + self.center
+
+    def contains(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
+        """Return for each of (N, 3) points whether it lies in the box grown by `margin_m`."""
+        local = (points_world - self.center) @ self.world_from_box[:3, :3]
+        return np.asarray((np.abs(local) <= self.half_extents_m + margin_m).all(axis=1))
+
+    def grown(self, margin_m: float) -> OrientedBox:
+        """Return the box with every half extent larger by `margin_m`."""
+        return OrientedBox(world_from_box=self.world_from_box, half_extents_m=self.half_extents_m + margin_m)
+
+
+def gravity_aligned_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedBox:
+    """Return the upright box of minimum footprint around (N, 3) points, N >= 1; half extents are at least the minimum.
+
+    The footprint is found by rotating calipers: a minimal rectangle shares a side with the convex hull.
+    """
+    points = np.asarray(points_world, dtype=np.float64)
+    hull = _hull_2d(points[:, :2])
+    edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
+    angles = np.unique(np.mod(np.arctan2(edges[:, 1], edges[:, 0]), np.pi / 2))
+    c, s = np.cos(angles), np.sin(angles)
+    along = hull @ np.stack([c, s])
+    across = hull @ np.stack([-s, c])
+    sizes = np.stack([np.ptp(along, axis=0), np.ptp(across, axis=0)])
+    best = int(np.argmin(sizes[0] * sizes[1] + 1e-9 * sizes.sum(axis=0)))
+    rotation = yaw_rotation(float(angles[best]))
+    z_low, z_high = float(points[:, 2].min()), float(points[:, 2].max())
+    middle = rotation @ np.array(
+        [
+            (along[:, best].min() + along[:, best].max()) / 2,
+            (across[:, best].min() + across[:, best].max()) / 2,
+            (z_low + z_high) / 2,
+        ]
+    )
+    half = np.array([sizes[0, best], sizes[1, best], z_high - z_low]) / 2
+    return OrientedBox(
+        world_from_box=from_rotation_translation(rotation, middle),
+        half_extents_m=np.maximum(half, min_half_extent_m),
+    )
+
+
+def box_iou(a: OrientedBox, b: OrientedBox) -> float:
+    """Return the exact intersection over union of two oriented boxes."""
+    shared = intersection_volume_m3(a, b)
+    return shared / (a.volume_m3 + b.volume_m3 - shared)
+
+
+def intersection_volume_m3(a: OrientedBox, b: OrientedBox) -> float:
+    """Return the exact volume of the intersection of two oriented boxes; 0.0 when they only touch."""
+    reach = np.linalg.norm(a.half_extents_m) + np.linalg.norm(b.half_extents_m)
+    if np.linalg.norm(a.center - b.center) >= reach:
+        return 0.0
+    rotation_ab = np.ascontiguousarray(a.world_from_box[:3, :3].T @ b.world_from_box[:3, :3])
+    offset_ab = a.world_from_box[:3, :3].T @ (b.center - a.center)
+    shared = _intersection_volume(a.half_extents_m, b.half_extents_m, rotation_ab, offset_ab)
+    return float(min(max(shared, 0.0), a.volume_m3, b.volume_m3))
+
+
+def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the hull's corners in order; fewer than three distinct or collinear points are their own hull."""
+    if len(points) >= 3:
+        try:
+            return points[ConvexHull(points).vertices]
+        except QhullError:
+            pass  # collinear or coincident: the two ends along the longest direction are the hull
+    centered = points - points.mean(axis=0)
+    along = centered @ np.linalg.svd(centered, full_matrices=False)[2][0]
+    return points[[int(np.argmin(along)), int(np.argmax(along))]]
+
+
+@numba.njit(cache=True)
+def _clip(polygon, count, normal, offset, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Keep the part of a convex polygon with normal . p <= offset + tolerance; in place, returns the new count."""
+    out = np.empty_like(polygon)
+    kept = 0
+    for i in range(count):
+        p, q = polygon[i], polygon[(i + 1) % count]
+        dp = normal[0] * p[0] + normal[1] * p[1] + normal[2] * p[2] - offset - tolerance
+        dq = normal[0] * q[0] + normal[1] * q[1] + normal[2] * q[2] - offset - tolerance
+        if dp <= 0.0:
+            out[kept] = p
+            kept += 1
+        if (dp < 0.0 < dq) or (dq < 0.0 < dp):
+            out[kept] = p + (q - p) * (dp / (dp - dq))
+            kept += 1
+    polygon[:kept] = out[:kept]
+    return kept
+
+
+@numba.njit(cache=True)
+def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Sum the cones, seen from the origin, of the faces of one box that lie inside the other."""
+    total = 0.0
+    polygon = np.empty((16, 3))
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for sign in (-1.0, 1.0):
+            normal = sign * np.ascontiguousarray(rotation[:, axis])
+            middle = offset + normal * half[axis]
+            for corner in range(4):
+                du = half[u] if corner in (1, 2) else -half[u]
+                dv = half[v] if corner in (2, 3) else -half[v]
+                polygon[corner] = middle + rotation[:, u] * du + rotation[:, v] * dv
+            count = 4
+            for other_axis in range(3):
+                for other_sign in (-1.0, 1.0):
+                    plane = other_sign * np.ascontiguousarray(other_rotation[:, other_axis])
+                    height = plane @ other_offset + other_half[other_axis]
+                    if count:
+                        count = _clip(polygon, count, plane, height, tolerance)
+            area = np.zeros(3)
+            for i in range(1, count - 1):
+                area += 0.5 * np.cross(polygon[i] - polygon[0], polygon[i + 1] - polygon[0])
+            total += abs(area @ normal) * (normal @ middle) / 3.0
+    return total
+
+
+@numba.njit(cache=True)
+def _separated(half_a, half_b, rotation, offset, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether a face direction of either box separates them, or leaves them only touching."""
+    for i in range(3):
+        reach_a = half_a[i] + (np.abs(rotation[i, :]) * half_b).sum()
+        reach_b = half_b[i] + (np.abs(rotation[:, i]) * half_a).sum()
+        distance_b = abs((offset * rotation[:, i]).sum())
+        if abs(offset[i]) >= reach_a - tolerance or distance_b >= reach_b - tolerance:
+            return True
+    return False
+
+
+@numba.njit(cache=True)
+def _intersection_volume(half_a, half_b, rotation, offset):  # type: ignore[no-untyped-def] # pragma: no cover
+    # A face that the boxes share (same plane, same side) must be counted once: the faces of a are clipped by b with a
+    # small tolerance outwards, those of b by a with the same tolerance inwards.
+    tolerance = 1e-10 * max(half_a.max(), half_b.max())
+    if _separated(half_a, half_b, rotation, offset, 4.0 * tolerance):
+        return 0.0
+    identity, origin = np.eye(3), np.zeros(3)
+    return _cones(identity, origin, half_a, rotation, offset, half_b, tolerance) + _cones(
+        rotation, offset, half_b, identity, origin, half_a, -tolerance
+    )

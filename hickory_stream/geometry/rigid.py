@@ -1,0 +1,120 @@
+"""Rigid transforms as (4, 4) float64 matrices, named `a_from_b`.
+
+Plain matrices rather than a class: they compose with `@`, stack into `(..., 4, 4)` and need no conversion at any border.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def apply(a_from_b: NDArray[Any], points_b: NDArray[Any]) -> NDArray[Any]:
+    """Return `points_b` (..., 3) in frame a; the result has the dtype of the points when that is floating."""
+    dtype = points_b.dtype if np.issubdtype(points_b.dtype, np.floating) else np.float64
+    rotation = a_from_b[:3, :3].astype(dtype)
+    return points_b.astype(dtype, copy=False) @ rotation.T + a_from_b[:3, 3].astype(dtype)
+
+
+def invert(a_from_b: NDArray[Any]) -> NDArray[np.float64]:
+    """Return `b_from_a`."""
+    rotation = np.asarray(a_from_b[:3, :3], dtype=np.float64)
+    b_from_a = np.eye(4)
+    b_from_a[:3, :3] = rotation.T
+    b_from_a[:3, 3] = -rotation.T @ a_from_b[:3, 3]
+    return b_from_a
+
+
+def from_rotation_translation(rotation: NDArray[Any], translation: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the (4, 4) transform of a (3, 3) rotation and a (3,) translation."""
+    a_from_b = np.eye(4)
+    a_from_b[:3, :3] = rotation
+    a_from_b[:3, 3] = translation
+    return a_from_b
+
+
+def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation of a quaternion, normalised first.
+
+    Raises:
+        ValueError: the quaternion is not finite or has no length.
+    """
+    q = np.array([x, y, z, w], dtype=np.float64)
+    length = float(np.linalg.norm(q))
+    if not np.isfinite(length) or length < 1e-9:
+        raise ValueError(f"quaternion ({x}, {y}, {z}, {w}) is no rotation")
+    x, y, z, w = q / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the unit quaternion (x, y, z, w) of a (3, 3) rotation, with w >= 0."""
+    m = np.asarray(rotation, dtype=np.float64)
+    # The largest of the four squared components decides the branch: no division by a small number.
+    trace = np.trace(m)
+    squares = np.array([m[0, 0], m[1, 1], m[2, 2], trace])
+    best = int(np.argmax(squares))
+    if best == 3:
+        q = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1 + trace])
+    else:
+        i, j, k = best, (best + 1) % 3, (best + 2) % 3
+        q = np.empty(4)
+        q[i] = 1 + m[i, i] - m[j, j] - m[k, k]
+        q[j] = m[j, i] + m[i, j]
+        q[k] = m[k, i] + m[i, k]
+        q[3] = m[k, j] - m[j, k]
+    q /= np.linalg.norm(q)
+    return -q if q[3] < 0 else q
+
+
+def interpolate(a_from_b0: NDArray[Any], a_from_b1: NDArray[Any], fraction: float) -> NDArray[np.float64]:
+    """Return the pose at `fraction` in 0..1 between two: translation linearly, rotation by slerp."""
+    q0 = quaternion_from_rotation(a_from_b0[:3, :3])
+    q1 = quaternion_from_rotation(a_from_b1[:3, :3])
+    cosine = float(q0 @ q1)
+    if cosine < 0:
+        q1, cosine = -q1, -cosine
+    angle = float(np.arccos(min(cosine, 1.0)))
+    if angle < 1e-8:
+        q = (1 - fraction) * q0 + fraction * q1
+    else:
+        q = (np.sin((1 - fraction) * angle) * q0 + np.sin(fraction * angle) * q1) / np.sin(angle)
+    translation = (1 - fraction) * a_from_b0[:3, 3] + fraction * a_from_b1[:3, 3]
+    return from_rotation_translation(rotation_from_quaternion(*(float(c) for c in q)), translation)
+
+
+def rotation_angle_rad(rotation: NDArray[Any]) -> float:
+    """Return the angle of a (3, 3) rotation, in 0..pi."""
+    # atan2 of the two halves stays accurate near 0 and near pi, where arccos of the trace does not.
+    skew = np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    return float(np.arctan2(np.linalg.norm(skew), np.trace(rotation) - 1.0))
+
+
+def yaw_rotation(yaw_rad: float) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation by `yaw_rad` about z."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def is_rigid(a_from_b: NDArray[Any], tolerance: float = 1e-3) -> bool:
+    """Return whether a (4, 4) matrix is finite, with a proper rotation and the bottom row 0 0 0 1."""
+    if a_from_b.shape != (4, 4) or not np.isfinite(a_from_b).all():
+        return False
+    rotation = a_from_b[:3, :3]
+    return bool(
+        np.abs(rotation @ rotation.T - np.eye(3)).max() < tolerance
+        and np.linalg.det(rotation) > 0
+        and np.abs(a_from_b[3] - (0, 0, 0, 1)).max() < tolerance
+    )

@@ -1,0 +1,116 @@
+"""Which observation is which track: one-to-one by the exact IoU of oriented boxes, then partial views by their points.
+
+A thing that is half out of the picture has a small box inside the track's large one: where the boxes cannot tell, an
+observation belongs to the track on whose points it lies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.cloud import share_near
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from hickory_stream.mapping.track import Track
+    from hickory_stream.records import Observation
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AssociateConfig:
+    """When an observation is a track.
+
+    Attributes:
+        min_iou: least IoU of the oriented boxes.
+        min_lies_on: least share of a partial view's points that lie on the track.
+    """
+
+    min_iou: float = 0.2
+    min_lies_on: float = 0.55
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Match:
+    """An observation and the track that it is.
+
+    `is_part`: it lies on a track that another observation of the frame already is, so that it is a piece of it.
+    `candidates` are the tracks with overlapping boxes, best first, with their IoU: for people who ask why.
+    """
+
+    observation_index: int
+    track_id: int | None
+    iou: float
+    lies_on: float
+    is_part: bool
+    candidates: tuple[tuple[int, float], ...]
+
+
+def associate(
+    observations: Sequence[Observation], tracks: Mapping[int, Track], voxel_m: float, config: AssociateConfig
+) -> list[Match]:
+    """Return one match per observation, in order; `track_id` None means that it is new.
+
+    By boxes: pairs in the order of falling IoU, ties by track id, then by observation. Then, for observations that are
+    left: the track that they lie on most, by points.
+    """
+    ious = {
+        observation.index: {
+            track_id: iou for track_id, track in sorted(tracks.items()) if (iou := box_iou(observation.box, track.box)) > 0
+        }
+        for observation in observations
+    }
+    ranked = sorted(
+        (-iou, track_id, index) for index, row in ious.items() for track_id, iou in row.items() if iou >= config.min_iou
+    )
+    by_observation: dict[int, int] = {}
+    taken: set[int] = set()
+    for _, track_id, index in ranked:
+        if index not in by_observation and track_id not in taken:
+            by_observation[index] = track_id
+            taken.add(track_id)
+    matches = []
+    for observation in observations:
+        row = ious[observation.index]
+        candidates = tuple(sorted(row.items(), key=lambda pair: (-pair[1], pair[0]))[:4])
+        track_id, lies_on = by_observation.get(observation.index), 0.0
+        is_part = False
+        if track_id is None and row:
+            track_id, lies_on = _lies_on_most(observation, [tracks[i] for i in sorted(row)], voxel_m)
+            if lies_on < config.min_lies_on:
+                track_id = None
+            else:
+                assert track_id is not None
+                is_part = track_id in taken
+                taken.add(track_id)
+        matches.append(
+            Match(
+                observation_index=observation.index,
+                track_id=track_id,
+                iou=row.get(track_id, 0.0) if track_id is not None else 0.0,
+                lies_on=lies_on,
+                is_part=is_part,
+                candidates=candidates,
+            )
+        )
+    return matches
+
+
+def _lies_on_most(
+    observation: Observation, tracks: Sequence[Track], voxel_m: float
+) -> tuple[int | None, float]:
+    """Return the track that most of an observation's points lie on, and the share; ties go to the lower id."""
+    keys = keys_of_points(observation.points_world, voxel_m)
+    best_id, best_share = None, 0.0
+    for track in tracks:
+        if intersection_volume_m3(observation.box, track.box) < 0.2 * observation.box.volume_m3:
+            continue
+        share = share_near(keys, track.cloud)
+        if share > best_share + 1e-12:
+            best_id, best_share = track.id, share
+    return best_id, float(np.round(best_share, 6))

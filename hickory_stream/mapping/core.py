@@ -1,0 +1,431 @@
+"""The core of the mapper: every decision about the map, as a function of the events alone.
+
+`MapperCore.handle(event)` is synchronous: no I/O, no clock, no randomness. The same events in the same order give the
+same map, to the byte.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, assert_never
+
+import numpy as np
+
+from hickory_stream.events import (
+    CancelShape,
+    ComputeFeatures,
+    DropView,
+    Effect,
+    Event,
+    FeaturesReady,
+    FrameObserved,
+    KeepView,
+    Publish,
+    RequestShape,
+    ShapeFailed,
+    ShapeReady,
+    SourceEnded,
+    TimeJumped,
+)
+from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.mapping.associate import AssociateConfig, Match, associate
+from hickory_stream.mapping.cloud import cloud_of, solid, without
+from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, next_phase
+from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge
+from hickory_stream.mapping.observed_space import add, as_record, empty_space
+from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
+from hickory_stream.mapping.track import ShapeState, Track, TrackConfig, as_object, box_of, grown
+from hickory_stream.mapping.views import ViewConfig, better, covers_better, score, score_bound, sector_of
+from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
+
+if TYPE_CHECKING:
+    from hickory_stream.records import MaskFeature, Observation, TrackedObject
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MappingConfig:
+    """The configuration of everything that the core decides. `space_voxel_m` is the grid of the observed space."""
+
+    track: TrackConfig = field(default_factory=TrackConfig)
+    associate: AssociateConfig = field(default_factory=AssociateConfig)
+    lifecycle: LifecycleConfig = field(default_factory=LifecycleConfig)
+    merge: MergeConfig = field(default_factory=MergeConfig)
+    views: ViewConfig = field(default_factory=ViewConfig)
+    requests: RequestConfig = field(default_factory=RequestConfig)
+    space_voxel_m: float = 0.05
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Pending:
+    """The keyframe whose features are being computed: candidates for best view by observation, and where it went."""
+
+    frame_index: int
+    candidates: dict[int, View]
+    object_ids: tuple[int | None, ...]
+
+
+class MapperCore:
+    """Holds the map; only `handle` changes it."""
+
+    def __init__(self, config: MappingConfig) -> None:
+        self._config = config
+        self._tracks: dict[int, Track] = {}
+        self._votes = VoteBook()
+        self._space = empty_space(config.space_voxel_m)
+        self._clock_ns = 0
+        self._stamp_ns: int | None = None
+        self._revision = 0
+        self._next_id = 1
+        self._next_ticket = 1
+        self._pending: _Pending | None = None
+        self._kept_views: set[str] = set()
+        self._decisions: list[Decision] = []
+        self._shown: dict[int, tuple[Track, TrackedObject]] = {}
+        self._num_masks = 0
+        self._num_features = 0
+
+    def handle(self, event: Event) -> list[Effect]:
+        """Return what is to be done after an event.
+
+        Raises:
+            ValueError: the event does not fit, e.g. features of a keyframe that is not pending.
+        """
+        match event:
+            case FrameObserved():
+                return self._frame_observed(event)
+            case FeaturesReady():
+                return self._features_ready(event)
+            case ShapeReady() | ShapeFailed():
+                return self._shape_ended(event)
+            case TimeJumped():
+                self._stamp_ns = None
+                self._decide("drop", None, f"stamps jumped from {event.from_ns} to {event.to_ns}")
+                return []
+            case SourceEnded():
+                return self._source_ended()
+            case _:
+                assert_never(event)
+
+    def snapshot(self) -> MapSnapshot:
+        """Return the map as it is now."""
+        objects = []
+        for track_id in sorted(self._tracks):
+            track = self._tracks[track_id]
+            cached = self._shown.get(track_id)
+            if cached is None or cached[0] is not track:
+                cached = (track, as_object(track))
+                self._shown[track_id] = cached
+            objects.append(cached[1])
+        space = as_record(self._space)
+        return MapSnapshot(
+            revision=self._revision,
+            stamp_ns=self._stamp_ns or 0,
+            submaps=(Submap(id=0, world_from_submap=np.eye(4), observed_space=space),),
+            objects=tuple(objects),
+        )
+
+    # ---- one keyframe ------------------------------------------------------------------------------------------------
+
+    def _frame_observed(self, event: FrameObserved) -> list[Effect]:
+        if self._pending is not None:
+            raise ValueError(f"frame {event.frame_index} came while features of {self._pending.frame_index} are pending")
+        self._revision += 1
+        self._advance_clock(event.stamp_ns)
+        self._decisions += [Decision(kind="reject", object_id=None, text=f"mask {r.box_px}: {r.reason}") for r in event.rejected]
+
+        matches = associate(event.observations, self._tracks, self._config.track.voxel_m, self._config.associate)
+        homes = [self._place(event, match) for match in matches]
+        self._vote(event, matches, homes)
+        effects = self._merge_tracks({home for home in homes if home is not None})
+        self._age(event)
+        self._space = add(self._space, event.space)
+
+        candidates, keeps = self._propose_views(event, matches, homes)
+        object_ids = tuple(self._final_id(home) for home in homes)
+        self._num_masks += len(event.observations)
+        effects += keeps
+        if candidates:
+            self._num_features += len(candidates)
+            self._pending = _Pending(frame_index=event.frame_index, candidates=candidates, object_ids=object_ids)
+            wanted = tuple(sorted(candidates))
+            return [*effects, ComputeFeatures(frame_index=event.frame_index, observation_indices=wanted)]
+        return [*effects, *self._conclude(object_ids)]
+
+    def _features_ready(self, event: FeaturesReady) -> list[Effect]:
+        pending = self._pending
+        if pending is None or pending.frame_index != event.frame_index:
+            raise ValueError(f"features of frame {event.frame_index} were not asked for")
+        self._pending = None
+        effects: list[Effect] = []
+        for feature in sorted(event.features, key=lambda f: f.observation_index):
+            view = self._judge(pending.candidates[feature.observation_index], feature)
+            if view is not None and view.name not in self._kept_views:
+                self._kept_views.add(view.name)
+                effects.append(KeepView(view=view, observation_index=feature.observation_index))
+        return [*effects, *self._conclude(pending.object_ids)]
+
+    def _conclude(self, object_ids: tuple[int | None, ...]) -> list[Effect]:
+        """Return the requests, the drops and the publication that end every keyframe."""
+        effects: list[Effect] = [*self._request_shapes(is_final=False), *self._drop_views()]
+        decisions, self._decisions = tuple(self._decisions), []
+        return [
+            *effects,
+            Publish(snapshot=self.snapshot(), decisions=decisions, object_ids=object_ids, metrics=self._metrics()),
+        ]
+
+    # ---- the steps of a keyframe -------------------------------------------------------------------------------------
+
+    def _advance_clock(self, stamp_ns: int) -> None:
+        if self._stamp_ns is not None:
+            self._clock_ns += max(0, stamp_ns - self._stamp_ns)
+        self._stamp_ns = stamp_ns
+
+    def _place(self, event: FrameObserved, match: Match) -> int | None:
+        """Fuse an observation into its track, or make a new one; return the track's id."""
+        observation = event.observations[match.observation_index]
+        seen = cloud_of(observation.points_world, observation.colors, self._config.track.voxel_m)
+        others = ", ".join(f"#{i} {iou:.2f}" for i, iou in match.candidates) or "none"
+        if match.track_id is None:
+            track_id = self._next_id
+            self._next_id += 1
+            self._tracks[track_id] = Track(
+                id=track_id,
+                phase=Phase.TENTATIVE,
+                sightings=1,
+                first_seen_ns=event.stamp_ns,
+                last_seen_ns=event.stamp_ns,
+                seen_clock_ns=self._clock_ns,
+                cloud=seen,
+                box=box_of(seen.points, self._config.track),
+            )
+            self._decide("create", track_id, f"mask {observation.box_px}: new; candidates by IoU: {others}")
+            return track_id
+        track = self._tracks[match.track_id]
+        how = f"IoU {match.iou:.2f}" if match.lies_on == 0 else f"IoU {match.iou:.2f}, {match.lies_on:.0%} lies on it"
+        part = " as a part" if match.is_part else ""
+        self._decide("associate", track.id, f"mask {observation.box_px}{part}: {how}; candidates by IoU: {others}")
+        foreign, covered = foreign_points(seen, track, self._neighbors(track, observation), self._config.merge)
+        self._votes = self._votes.plus(((track.id, other) for other in covered), together=1)
+        track = replace(track, last_seen_ns=event.stamp_ns, seen_clock_ns=self._clock_ns, seen_through=0)
+        if foreign.mean() < 0.9:
+            track = grown(track, without(seen, foreign), track.sightings + (not match.is_part), self._config.track)
+        self._tracks[track.id] = track
+        return track.id
+
+    def _neighbors(self, track: Track, observation: Observation) -> list[Track]:
+        """Return the other confirmed tracks whose boxes reach into an observation's."""
+        low, high = observation.points_world.min(axis=0) - 0.02, observation.points_world.max(axis=0) + 0.02
+        near = []
+        for other_id in sorted(self._tracks):
+            other = self._tracks[other_id]
+            corners = other.box.corners_world()
+            if other_id != track.id and other.sightings >= 2:
+                if (corners.min(axis=0) <= high).all() and (corners.max(axis=0) >= low).all():
+                    near.append(other)
+        return near
+
+    def _vote(self, event: FrameObserved, matches: list[Match], homes: list[int | None]) -> None:
+        """Count the pairs of tracks that this keyframe sees apart: two whole observations with boxes that meet."""
+        whole = [(m, home) for m, home in zip(matches, homes, strict=True) if home is not None and not m.is_part]
+        apart = []
+        for k, (match_a, a) in enumerate(whole):
+            box_a = event.observations[match_a.observation_index].box.grown(0.05)
+            for match_b, b in whole[k + 1 :]:
+                box_b = event.observations[match_b.observation_index].box.grown(0.05)
+                reach = np.linalg.norm(box_a.half_extents_m) + np.linalg.norm(box_b.half_extents_m)
+                if np.linalg.norm(box_a.center - box_b.center) < reach:
+                    apart.append((a, b))
+        self._votes = self._votes.plus(apart, apart=1)
+
+    def _merge_tracks(self, changed: set[int]) -> list[Effect]:
+        effects: list[Effect] = []
+        while (pair := find_pair(self._tracks, changed, self._votes, self._config.merge)) is not None:
+            kept_id, gone_id, reason = pair
+            kept, gone = self._tracks[kept_id], self._tracks.pop(gone_id)
+            self._tracks[kept_id] = merge(kept, gone, self._config.track, self._config.views)
+            self._votes = self._votes.merged(kept_id, gone_id)
+            self._shown.pop(gone_id, None)
+            changed = (changed - {gone_id}) | {kept_id}
+            if gone.shape_state.open_ticket is not None:
+                effects.append(CancelShape(ticket=gone.shape_state.open_ticket))
+            self._decide("merge", kept_id, f"#{gone_id} is the same: {reason}")
+        return effects
+
+    def _age(self, event: FrameObserved) -> None:
+        for track_id in sorted(self._tracks):
+            track = self._tracks[track_id]
+            if track.seen_clock_ns != self._clock_ns and self._is_seen_through(track, event):
+                track = replace(track, seen_through=track.seen_through + 1)
+            phase = next_phase(track, self._clock_ns, self._config.lifecycle)
+            if phase is None:
+                self._drop_track(track, "looked through" if track.seen_through else "never confirmed")
+                continue
+            if phase is not track.phase:
+                self._decide("phase", track_id, f"{track.phase} -> {phase} after {track.sightings} sightings")
+            self._tracks[track_id] = aged(track, phase)
+
+    def _is_seen_through(self, track: Track, event: FrameObserved) -> bool:
+        keys = keys_of_points(track.cloud.points[:: max(1, len(track.cloud.points) // 200)], self._config.space_voxel_m)
+        share = float(contains(event.space.free_keys, keys).mean())
+        return share >= self._config.lifecycle.phantom_share
+
+    def _drop_track(self, track: Track, reason: str) -> None:
+        del self._tracks[track.id]
+        self._shown.pop(track.id, None)
+        self._votes = self._votes.without(track.id)
+        self._decide("drop", track.id, f"{reason}, after {track.sightings} sightings")
+
+    # ---- views -------------------------------------------------------------------------------------------------------
+
+    def _propose_views(
+        self, event: FrameObserved, matches: list[Match], homes: list[int | None]
+    ) -> tuple[dict[int, View], list[Effect]]:
+        """Return the views whose bound beats the best view, by observation, and the keeping of views for their direction."""
+        candidates: dict[int, View] = {}
+        keeps: list[Effect] = []
+        for match, home in zip(matches, homes, strict=True):
+            track_id = self._final_id(home)
+            if track_id is None or match.is_part:
+                continue
+            observation, track = event.observations[match.observation_index], self._tracks[track_id]
+            view = _view_of(event, observation, track_id)
+            best = track.best_view
+            bound = score_bound(view, self._config.views)
+            if best is None or best.score is None or bound > best.score:
+                candidates[observation.index] = view
+            else:
+                self._decide("view", track_id, f"frame {event.frame_index}: bound {bound:.3f} <= best {best.score:.3f}")
+            sector = sector_of(view, track.box.center)
+            coverage = dict(track.coverage)
+            if covers_better(view, coverage.get(sector), self._config.views):
+                coverage[sector] = view
+                self._tracks[track_id] = replace(track, coverage=tuple(sorted(coverage.items(), key=lambda kv: kv[0])))
+                self._kept_views.add(view.name)
+                keeps.append(KeepView(view=view, observation_index=observation.index))
+        return candidates, keeps
+
+    def _judge(self, candidate: View, feature: MaskFeature) -> View | None:
+        """Make a candidate the best view if its score wins; return it then."""
+        track_id = self._final_id(candidate.object_id)
+        if track_id is None:
+            return None
+        track = self._tracks[track_id]
+        value = score(candidate, feature.variance, self._config.views)
+        view = replace(
+            candidate, object_id=track_id, score=value, variance=feature.variance, feature=feature.pooled
+        )
+        coverage = tuple((sector, view if kept.name == view.name else kept) for sector, kept in track.coverage)
+        wins = better(track.best_view, view) is view
+        before = "no view before" if track.best_view is None else f"best was {track.best_view.score or 0.0:.3f}"
+        self._decide(
+            "view",
+            track_id,
+            f"frame {view.frame_index}: {self._config.views.strategy} {value:.3f} "
+            f"(sigma^2 {feature.variance:.3f}, area {view.r_area:.4f}, depth {view.r_depth:.2f}), {before}: "
+            + ("best" if wins else "kept out"),
+        )
+        self._tracks[track_id] = replace(track, coverage=coverage, best_view=view if wins else track.best_view)
+        return view if wins else None
+
+    def _drop_views(self) -> list[Effect]:
+        used = {view.name for track in self._tracks.values() for view in track.views}
+        gone = sorted(self._kept_views - used)
+        self._kept_views &= used
+        return [DropView(name=name) for name in gone]
+
+    # ---- shapes ------------------------------------------------------------------------------------------------------
+
+    def _request_shapes(self, *, is_final: bool) -> list[Effect]:
+        config = self._config.requests
+        num_open = sum(track.shape_state.open_ticket is not None for track in self._tracks.values())
+        effects: list[Effect] = []
+        for track_id in next_requests(
+            self._tracks, num_open, self._clock_ns, is_final=is_final, config=config
+        ):
+            track = self._tracks[track_id]
+            core = solid(track.cloud, track.sightings)
+            views = sorted(track.views, key=lambda view: (view is not track.best_view, view.frame_index, view.box_px))
+            ticket = self._next_ticket
+            self._next_ticket += 1
+            effects.append(
+                RequestShape(
+                    ticket=ticket,
+                    object_id=track_id,
+                    views=tuple(views),
+                    points_world=core.points,
+                    colors=np.round(core.colors).astype(np.uint8),
+                    box=track.box,
+                    support_z_m=support_height_m(track, self._tracks.values(), self._space.floor_z_m),
+                    due_ns=(self._stamp_ns or 0) + int(config.latency_s * 1e9),
+                )
+            )
+            self._decide("shape", track_id, f"job {ticket} asked for: gain {gain_of(track):.2f}, {len(views)} views")
+            state = ShapeState(
+                open_ticket=ticket,
+                asked_clock_ns=self._clock_ns,
+                asked_points=len(core.keys),
+                asked_views=tuple(view.name for view in track.views),
+                failures=track.shape_state.failures,
+            )
+            self._tracks[track_id] = replace(track, shape_state=state)
+        return effects
+
+    def _shape_ended(self, event: ShapeReady | ShapeFailed) -> list[Effect]:
+        track = self._tracks.get(event.object_id)
+        if track is None or track.shape_state.open_ticket != event.ticket:
+            self._decide("shape", event.object_id, f"job {event.ticket} ended, but is no longer wanted")
+            return []
+        state = replace(track.shape_state, open_ticket=None)
+        if isinstance(event, ShapeReady):
+            self._decide("shape", track.id, f"job {event.ticket}: {len(event.shape.fitted)} superquadrics")
+            self._tracks[track.id] = replace(track, shape=event.shape, shape_state=replace(state, failures=0))
+        else:
+            self._decide("shape", track.id, f"job {event.ticket} gave no shape: {event.reason}")
+            self._tracks[track.id] = replace(track, shape_state=replace(state, failures=state.failures + 1))
+        return []
+
+    # ---- the end -----------------------------------------------------------------------------------------------------
+
+    def _source_ended(self) -> list[Effect]:
+        for track_id in sorted(self._tracks):
+            if self._tracks[track_id].phase is Phase.TENTATIVE:
+                self._drop_track(self._tracks[track_id], "never confirmed")
+        effects = [*self._request_shapes(is_final=True), *self._drop_views()]
+        decisions, self._decisions = tuple(self._decisions), []
+        return [*effects, Publish(snapshot=self.snapshot(), decisions=decisions, metrics=self._metrics())]
+
+    def _final_id(self, track_id: int | None) -> int | None:
+        """Return the track that a track has become: itself, the one that it was merged into, or None if it was dropped."""
+        if track_id is None or track_id in self._tracks:
+            return track_id
+        return next((i for i in sorted(self._tracks) if track_id in self._tracks[i].merged_ids), None)
+
+    def _decide(self, kind: str, object_id: int | None, text: str) -> None:
+        self._decisions.append(Decision(kind=kind, object_id=object_id, text=text))
+
+    def _metrics(self) -> tuple[tuple[str, float], ...]:
+        counts = [(f"core/{phase}", float(sum(t.phase is phase for t in self._tracks.values()))) for phase in Phase]
+        scores = [
+            (f"score/{track.id}", track.best_view.score)
+            for _, track in sorted(self._tracks.items())
+            if track.best_view is not None and track.best_view.score is not None
+        ]
+        saved = 1.0 - self._num_features / self._num_masks if self._num_masks else 0.0
+        return (*counts, ("core/features_saved", saved), *scores)
+
+
+def _view_of(event: FrameObserved, observation: Observation, track_id: int) -> View:
+    return View(
+        object_id=track_id,
+        frame_index=event.frame_index,
+        stamp_ns=event.stamp_ns,
+        box_px=observation.box_px,
+        world_from_camera=event.world_from_camera,
+        r_area=observation.r_area,
+        r_depth=observation.r_depth,
+        box_volume_m3=observation.box.volume_m3,
+        score=None,
+        variance=None,
+        feature=None,
+        is_cut=observation.is_cut,
+    )

@@ -1,0 +1,54 @@
+"""Which frames are keyframes: decided from stamps and poses alone, before anything is decoded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import rotation_angle_rad
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class KeyframeConfig:
+    """When a frame is a keyframe.
+
+    Attributes:
+        min_interval_s: never sooner after the last one.
+        min_distance_m, min_angle_deg: at least one of both away from the last one ...
+        max_interval_s: ... unless the last one is this old.
+    """
+
+    min_interval_s: float = 0.25
+    min_distance_m: float = 0.15
+    min_angle_deg: float = 5.0
+    max_interval_s: float = 2.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Keyframe:
+    """The stamp and the pose of a keyframe."""
+
+    stamp_ns: int
+    world_from_camera: NDArray[np.float64]
+
+
+def is_keyframe(
+    last: Keyframe | None, stamp_ns: int, world_from_camera: NDArray[np.float64], config: KeyframeConfig
+) -> bool:
+    """Return whether a frame is the next keyframe; the first frame is one, and so is the first after a jump back."""
+    if last is None or stamp_ns < last.stamp_ns:
+        return True
+    elapsed_ns = stamp_ns - last.stamp_ns
+    # A millisecond of slack: stamps of a 20 Hz log are 50 ms apart only on average.
+    if elapsed_ns < config.min_interval_s * 1e9 - 1_000_000:
+        return False
+    if elapsed_ns >= config.max_interval_s * 1e9 - 1_000_000:
+        return True
+    distance_m = float(np.linalg.norm(world_from_camera[:3, 3] - last.world_from_camera[:3, 3]))
+    turned_rad = rotation_angle_rad(last.world_from_camera[:3, :3].T @ world_from_camera[:3, :3])
+    return distance_m >= config.min_distance_m or turned_rad >= np.deg2rad(config.min_angle_deg)

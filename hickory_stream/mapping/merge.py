@@ -1,0 +1,162 @@
+"""Tracks that are one object: duplicates, whose points coincide, and pieces, which are seen as one more often than apart.
+
+A segmenter is wrong now and then, in either direction. A single frame that sees two things as one must not weld them
+together for ever: points that lie on another track are not taken over, they are a vote.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.boxes import intersection_volume_m3
+from hickory_stream.mapping.cloud import fuse, is_near, share_near, solid
+from hickory_stream.mapping.track import Track, TrackConfig, box_of
+from hickory_stream.mapping.views import better, covers_better
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.mapping.cloud import Cloud
+    from hickory_stream.mapping.views import ViewConfig
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MergeConfig:
+    """When two tracks are one.
+
+    Attributes:
+        duplicate_share: share of the smaller cloud's voxels on the larger one that makes a duplicate.
+        sure_share: the same for tracks that were seen apart more often than together.
+        covers_share: an observation of one track that covers this share of another is a vote for their being one.
+        min_votes: votes that are needed, and more than the keyframes in which they were seen apart.
+    """
+
+    duplicate_share: float = 0.5
+    sure_share: float = 0.8
+    covers_share: float = 0.3
+    min_votes: int = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Votes:
+    """In how many keyframes a pair of tracks was seen together, as one, and apart, as two that touch."""
+
+    together: int = 0
+    apart: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VoteBook:
+    """The votes of every pair (a, b), a < b, that ever had one."""
+
+    votes: Mapping[tuple[int, int], Votes] = field(default_factory=dict)
+
+    def of(self, a: int, b: int) -> Votes:
+        """Return the votes of a pair."""
+        return self.votes.get((min(a, b), max(a, b)), Votes())
+
+    def plus(self, pairs: Iterable[tuple[int, int]], *, together: int = 0, apart: int = 0) -> VoteBook:
+        """Return the book with one more vote for each pair."""
+        votes = dict(self.votes)
+        for a, b in pairs:
+            key = (min(a, b), max(a, b))
+            old = votes.get(key, Votes())
+            votes[key] = Votes(old.together + together, old.apart + apart)
+        return VoteBook(votes=votes)
+
+    def merged(self, kept: int, gone: int) -> VoteBook:
+        """Return the book after `gone` became `kept`: its votes about others are the kept track's now."""
+        votes: dict[tuple[int, int], Votes] = {}
+        for (a, b), vote in self.votes.items():
+            a, b = (kept if i == gone else i for i in (a, b))
+            if a != b:
+                key = (min(a, b), max(a, b))
+                old = votes.get(key, Votes())
+                votes[key] = Votes(old.together + vote.together, old.apart + vote.apart)
+        return VoteBook(votes=votes)
+
+    def without(self, gone: int) -> VoteBook:
+        """Return the book without a track that was dropped."""
+        return VoteBook(votes={pair: vote for pair, vote in self.votes.items() if gone not in pair})
+
+
+def foreign_points(
+    cloud: Cloud, own: Track, others: Iterable[Track], config: MergeConfig
+) -> tuple[NDArray[np.bool_], list[int]]:
+    """Return which of an observation's voxels lie on other tracks and not on its own, and the tracks that it covers."""
+    foreign = np.zeros(len(cloud.keys), dtype=bool)
+    covered: list[int] = []
+    on_own: NDArray[np.bool_] | None = None
+    for other in others:
+        on_other = is_near(cloud.keys, other.cloud)
+        if not on_other.any():
+            continue
+        if on_own is None:
+            on_own = is_near(cloud.keys, own.cloud)
+        only_other = on_other & ~on_own
+        foreign |= only_other
+        if only_other.sum() >= config.covers_share * min(len(solid(other.cloud, other.sightings).keys), len(cloud.keys)):
+            covered.append(other.id)
+    return foreign, covered
+
+
+def find_pair(tracks: Mapping[int, Track], changed: Iterable[int], book: VoteBook, config: MergeConfig) -> tuple[int, int, str] | None:
+    """Return (kept id, gone id, reason) of the first pair of tracks that is one object, None if there is none."""
+    for i in sorted(changed):
+        if i not in tracks:
+            continue
+        for j in sorted(tracks):
+            if j == i:
+                continue
+            reason = _why_one(tracks[i], tracks[j], book, config)
+            if reason is not None:
+                return min(i, j), max(i, j), reason
+    return None
+
+
+def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: ViewConfig) -> Track:
+    """Return one track with the histories of both."""
+    cloud = fuse(kept.cloud, gone.cloud)
+    sightings = max(kept.sightings, gone.sightings)
+    coverage = dict(kept.coverage)
+    for sector, view in gone.coverage:
+        mine = replace(view, object_id=kept.id)
+        if covers_better(mine, coverage.get(sector), view_config):
+            coverage[sector] = mine
+    theirs = replace(gone.best_view, object_id=kept.id) if gone.best_view is not None else None
+    return replace(
+        kept,
+        phase=kept.phase if kept.sightings >= gone.sightings else gone.phase,
+        sightings=sightings,
+        first_seen_ns=min(kept.first_seen_ns, gone.first_seen_ns),
+        last_seen_ns=max(kept.last_seen_ns, gone.last_seen_ns),
+        seen_clock_ns=max(kept.seen_clock_ns, gone.seen_clock_ns),
+        cloud=cloud,
+        box=box_of(solid(cloud, sightings).points, track_config),
+        coverage=tuple(sorted(coverage.items())),
+        best_view=better(kept.best_view, theirs),
+        shape=kept.shape or gone.shape,
+        merged_ids=tuple(sorted({*kept.merged_ids, *gone.merged_ids, gone.id})),
+        seen_through=min(kept.seen_through, gone.seen_through),
+    )
+
+
+def _why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | None:
+    # Touching pieces have boxes that meet: a few centimetres of slack let them.
+    if intersection_volume_m3(a.box.grown(0.03), b.box.grown(0.03)) <= 0.0:
+        return None
+    votes = book.of(a.id, b.id)
+    if votes.together >= config.min_votes and votes.together > votes.apart:
+        return f"seen as one in {votes.together} keyframes, apart in {votes.apart}"
+    cloud_a, cloud_b = solid(a.cloud, a.sightings), solid(b.cloud, b.sightings)
+    small, large = (cloud_a, cloud_b) if len(cloud_a.keys) <= len(cloud_b.keys) else (cloud_b, cloud_a)
+    share = share_near(small.keys, large)
+    limit = config.sure_share if votes.apart > votes.together else config.duplicate_share
+    if share >= limit:
+        return f"{share:.0%} of the smaller cloud lies on the larger one"
+    return None

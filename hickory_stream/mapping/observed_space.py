@@ -1,0 +1,77 @@
+"""Space as it was seen so far: free and structure voxels, kept as sorted keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.voxels import contains
+from hickory_stream.records import ObservedSpace
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import SpaceObservation
+
+_SURE_HITS = 2
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SpaceState:
+    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, capped at 255."""
+
+    voxel_m: float
+    free: NDArray[np.int64]
+    structure: NDArray[np.int64]
+    hits: NDArray[np.uint8]
+    floor_z_m: float | None = None
+
+
+def empty_space(voxel_m: float) -> SpaceState:
+    """Return space of which nothing was seen."""
+    none = np.zeros(0, dtype=np.int64)
+    return SpaceState(voxel_m=voxel_m, free=none, structure=none, hits=np.zeros(0, dtype=np.uint8))
+
+
+def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
+    """Return the space after one more keyframe. The floor follows slowly, and goes down at once."""
+    fresh = ~contains(state.free, seen.free_keys)
+    free = _merged(state.free, seen.free_keys[fresh])
+    known = contains(state.structure, seen.structure_keys)
+    hits = state.hits.copy()
+    at = np.searchsorted(state.structure, seen.structure_keys[known])
+    hits[at] = np.minimum(hits[at].astype(np.int64) + 1, 255)
+    keys = np.concatenate([state.structure, seen.structure_keys[~known]])
+    hits = np.concatenate([hits, np.ones(int((~known).sum()), dtype=np.uint8)])
+    order = np.argsort(keys, kind="stable")
+    return SpaceState(
+        voxel_m=state.voxel_m,
+        free=free,
+        structure=keys[order],
+        hits=hits[order],
+        floor_z_m=_floor(state.floor_z_m, seen.floor_z_m),
+    )
+
+
+def as_record(state: SpaceState) -> ObservedSpace:
+    """Return the public record: structure that was seen twice, and free space that is not structure."""
+    structure = state.structure[state.hits >= _SURE_HITS]
+    return ObservedSpace(
+        voxel_m=state.voxel_m,
+        free=state.free[~contains(structure, state.free)],
+        structure=structure,
+        floor_z_m=state.floor_z_m,
+    )
+
+
+def _merged(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    # A stable sort of two sorted runs is a merge.
+    return np.sort(np.concatenate([a, b]), kind="stable") if len(b) else a
+
+
+def _floor(known_m: float | None, seen_m: float | None) -> float | None:
+    if known_m is None or seen_m is None:
+        return known_m if seen_m is None else seen_m
+    return seen_m if seen_m < known_m - 0.06 else 0.8 * known_m + 0.2 * seen_m

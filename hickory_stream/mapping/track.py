@@ -1,0 +1,117 @@
+"""A track: what the core knows of one object. Frozen; a step makes a new one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
+from hickory_stream.mapping.cloud import Cloud, fuse, solid
+from hickory_stream.records import Phase, TrackedObject, View
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import ObjectShape
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrackConfig:
+    """How a track keeps its points and its box.
+
+    Attributes:
+        voxel_m: the lattice of layer 1.
+        box_quantile: share of the points beyond each end of each axis that the box leaves out as noise.
+    """
+
+    voxel_m: float = 0.01
+    box_quantile: float = 0.004
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShapeState:
+    """Where the shape of a track stands: the ticket that is open, and what was known when the last one was asked for."""
+
+    open_ticket: int | None = None
+    asked_clock_ns: int = 0
+    asked_points: int = 0
+    asked_views: tuple[str, ...] = ()
+    failures: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Track:
+    """One object as the core holds it.
+
+    `seen_clock_ns` is the core's own clock, which runs on through a jump of the stamps. `coverage` holds kept views by
+    the sector they look from. `seen_through` counts keyframes that looked through the
+    place where the object should be.
+    """
+
+    id: int
+    phase: Phase
+    sightings: int
+    first_seen_ns: int
+    last_seen_ns: int
+    seen_clock_ns: int
+    cloud: Cloud
+    box: OrientedBox
+    coverage: tuple[tuple[int, View], ...] = ()
+    best_view: View | None = None
+    shape: ObjectShape | None = None
+    shape_state: ShapeState = ShapeState()
+    merged_ids: tuple[int, ...] = ()
+    seen_through: int = 0
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The kept views, each once, in the order of their frames."""
+        kept = {view.name: view for _, view in self.coverage}
+        if self.best_view is not None:
+            kept[self.best_view.name] = self.best_view
+        return tuple(sorted(kept.values(), key=lambda view: (view.frame_index, view.box_px)))
+
+
+def grown(track: Track, seen: Cloud, sightings: int, config: TrackConfig) -> Track:
+    """Return the track with a cloud fused into its own, `sightings` in all, and the box that follows."""
+    cloud = fuse(track.cloud, seen)
+    return replace(track, cloud=cloud, sightings=sightings, box=box_of(solid(cloud, sightings).points, config))
+
+
+def box_of(points: NDArray[np.float32], config: TrackConfig) -> OrientedBox:
+    """Return the gravity-aligned box of a cloud without its outermost points."""
+    low, high = np.quantile(points, [config.box_quantile, 1 - config.box_quantile], axis=0)
+    inside = ((points >= low) & (points <= high)).all(axis=1)
+    return gravity_aligned_box(points[inside] if inside.any() else points, config.voxel_m)
+
+
+def as_object(track: Track) -> TrackedObject:
+    """Return the public record of a track."""
+    core = solid(track.cloud, track.sightings)
+    return TrackedObject(
+        id=track.id,
+        phase=track.phase,
+        submap_id=0,
+        sightings=track.sightings,
+        first_seen_ns=track.first_seen_ns,
+        last_seen_ns=track.last_seen_ns,
+        points_world=core.points,
+        colors=np.round(core.colors).astype(np.uint8),
+        box=track.box,
+        feature=_mean_feature(track.views),
+        views=track.views,
+        best_view=track.best_view,
+        shape=track.shape,
+        merged_ids=track.merged_ids,
+    )
+
+
+def _mean_feature(views: tuple[View, ...]) -> NDArray[np.float32] | None:
+    features = [view.feature for view in views if view.feature is not None]
+    if not features:
+        return None
+    mean = np.mean(np.stack(features).astype(np.float64), axis=0)
+    length = float(np.linalg.norm(mean))
+    return (mean / length).astype(np.float32) if length > 0 else None

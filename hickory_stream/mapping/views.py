@@ -1,0 +1,96 @@
+"""Best views, lazily: S, its bound, the strategies that it is compared with, and the views kept for their direction.
+
+    S = ln(1 + sigma^2) * R_area^alpha * R_depth^beta                                            (paper, Eq. of the S-score)
+
+Patch features have unit norm, so that sigma^2, the trace of their covariance, is at most 1 and
+S <= ln 2 * R_area^alpha * R_depth^beta. The features of a mask are computed only where that bound beats the object's best
+view.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, assert_never
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hickory_stream.records import View
+
+Strategy = Literal["s_score", "initial", "max_area", "max_box", "max_volume"]
+
+_SECTORS = 8
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewConfig:
+    """How views are chosen.
+
+    Attributes:
+        strategy: `s_score`, or one of the paper's four others: the initial view, the largest mask, the largest 2D box, the
+            largest 3D box.
+        alpha, beta: the exponents of S.
+        better_by: a kept view of a direction is replaced by one that is better by this factor.
+    """
+
+    strategy: Strategy = "s_score"
+    alpha: float = 0.3
+    beta: float = 0.5
+    better_by: float = 1.4
+
+
+def s_score(variance: float, r_area: float, r_depth: float, config: ViewConfig) -> float:
+    """Return S of a view."""
+    return math.log1p(variance) * r_area**config.alpha * r_depth**config.beta
+
+
+def score_bound(view: View, config: ViewConfig) -> float:
+    """Return the most that a view can score before its features are known; the score itself for the other strategies."""
+    if config.strategy == "s_score":
+        return s_score(1.0, view.r_area, view.r_depth, config)
+    return score(view, 0.0, config)
+
+
+def score(view: View, variance: float, config: ViewConfig) -> float:
+    """Return the score of a view by the chosen strategy; the best view has the highest."""
+    x0, y0, x1, y1 = view.box_px
+    match config.strategy:
+        case "s_score":
+            return s_score(variance, view.r_area, view.r_depth, config)
+        case "initial":
+            return -float(view.frame_index)
+        case "max_area":
+            return view.r_area
+        case "max_box":
+            return float((x1 - x0) * (y1 - y0))
+        case "max_volume":
+            return view.box_volume_m3
+        case _:
+            assert_never(config.strategy)
+
+
+def better(a: View | None, b: View | None) -> View | None:
+    """Return the view with the higher score; the earlier one if they are equal."""
+    if a is None or b is None:
+        return a or b
+    a_key, b_key = (-(a.score or 0.0), a.frame_index, a.box_px), (-(b.score or 0.0), b.frame_index, b.box_px)
+    if a.score is None or b.score is None:
+        return a if b.score is None else b
+    return a if a_key <= b_key else b
+
+
+def sector_of(view: View, center: np.ndarray[tuple[int], np.dtype[np.float64]]) -> int:
+    """Return which of eight sectors around the object a view looks from."""
+    dx, dy = view.world_from_camera[:2, 3] - center[:2]
+    return int(math.floor((math.atan2(dy, dx) + math.pi) / (2 * math.pi) * _SECTORS)) % _SECTORS
+
+
+def usefulness(view: View) -> float:
+    """Return how much a view shows of its side of the object: large, with depth, and not cut by the border."""
+    return math.sqrt(view.r_area) * view.r_depth * (0.35 if view.is_cut else 1.0)
+
+
+def covers_better(view: View, incumbent: View | None, config: ViewConfig) -> bool:
+    """Return whether a view should take the place of the one kept for its sector."""
+    return incumbent is None or usefulness(view) > config.better_by * usefulness(incumbent)

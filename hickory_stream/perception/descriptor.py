@@ -1,0 +1,99 @@
+"""A dense patch descriptor from colour alone, with DINOv2's interface: small, documented, without weights.
+
+Per patch of 14 pixels: a soft histogram of colour in Lab (opponent colours and lightness), one of gradient orientation at
+two scales, and the contrast. A network replaces it later; what rests on it (the variance in S, the mean feature of an
+object) needs only unit-norm patch features.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import MaskFeature, Observation
+
+_LIGHT_BINS, _HUE_BINS, _ORIENTATIONS = 5, 8, 8
+
+
+class ColorTextureDescriptor:
+    """Patch features of `dim` = 30: 5 of lightness, 8 of hue by chroma, 1 of grey, 16 of gradients."""
+
+    patch_px = 14
+    dim = _LIGHT_BINS + _HUE_BINS + 1 + 2 * _ORIENTATIONS
+
+    def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return (h, w, 30) float32 features of unit norm, one per patch of 14 pixels; h = ceil(H / 14)."""
+        lab = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+        channels = [*_lightness(lab), *_hues(lab), *_gradients(lab[..., 0], 1), *_gradients(lab[..., 0], 2)]
+        pooled = np.stack([self._pool(channel) for channel in channels], axis=-1)
+        # Square roots make the inner product of two histograms their Bhattacharyya coefficient.
+        features = np.sqrt(np.maximum(pooled, 0.0)) + 1e-4
+        features /= np.linalg.norm(features, axis=-1, keepdims=True)
+        return features.astype(np.float32)
+
+    def _pool(self, channel: NDArray[np.float32]) -> NDArray[np.float32]:
+        h, w = -(-channel.shape[0] // self.patch_px), -(-channel.shape[1] // self.patch_px)
+        pad = ((0, h * self.patch_px - channel.shape[0]), (0, w * self.patch_px - channel.shape[1]))
+        padded = np.pad(channel, pad, mode="edge")
+        return padded.reshape(h, self.patch_px, w, self.patch_px).mean(axis=(1, 3), dtype=np.float32)
+
+
+def mask_feature(
+    observation: Observation, features: NDArray[np.float32], patch_px: int
+) -> MaskFeature:
+    """Return the pooled feature of a mask and the variance of its patches, each patch weighted by its share of mask.
+
+    sigma^2 is the trace of the covariance of the unit-norm patch features, at most 1 (issue: S <= ln 2 * ...).
+    """
+    from hickory_stream.records import MaskFeature
+
+    x0, y0, x1, y1 = observation.box_px
+    ys, xs = np.nonzero(observation.mask)
+    rows, columns = (ys + y0) // patch_px, (xs + x0) // patch_px
+    weights = np.zeros(features.shape[:2])
+    np.add.at(weights, (rows, columns), 1.0)
+    used = weights > 0
+    weight = weights[used] / weights.sum()
+    values = features[used].astype(np.float64)
+    mean = weight @ values
+    variance = float(weight @ (values**2).sum(axis=1) - mean @ mean)
+    norm = float(np.linalg.norm(mean))
+    return MaskFeature(
+        observation_index=observation.index,
+        variance=min(max(variance, 0.0), 1.0),
+        pooled=(mean / norm).astype(np.float32),
+    )
+
+
+def _lightness(lab: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    position = lab[..., 0] / 100 * (_LIGHT_BINS - 1)
+    return [np.maximum(0, 1 - np.abs(position - i)).astype(np.float32) for i in range(_LIGHT_BINS)]
+
+
+def _hues(lab: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    chroma = np.minimum(np.hypot(lab[..., 1], lab[..., 2]) / 40, 1)
+    position = np.mod(np.arctan2(lab[..., 2], lab[..., 1]) / (2 * np.pi) * _HUE_BINS, _HUE_BINS)
+    hues = []
+    for i in range(_HUE_BINS):
+        distance = np.abs(position - i)
+        distance = np.minimum(distance, _HUE_BINS - distance)
+        hues.append((2 * chroma * np.maximum(0, 1 - distance)).astype(np.float32))
+    return [*hues, (1 - chroma).astype(np.float32)]
+
+
+def _gradients(light: NDArray[np.float32], scale: int) -> list[NDArray[np.float32]]:
+    small = cv2.GaussianBlur(light, (0, 0), 0.7 * scale)
+    gx, gy = cv2.Sobel(small, cv2.CV_32F, 1, 0), cv2.Sobel(small, cv2.CV_32F, 0, 1)
+    strength = np.minimum(np.hypot(gx, gy) / 40, 2)
+    position = np.mod(np.arctan2(gy, gx) / np.pi * _ORIENTATIONS, _ORIENTATIONS)
+    parts = []
+    for i in range(_ORIENTATIONS):
+        distance = np.abs(position - i)
+        distance = np.minimum(distance, _ORIENTATIONS - distance)
+        parts.append((0.5 * strength * np.maximum(0, 1 - distance)).astype(np.float32))
+    return parts

@@ -1,0 +1,223 @@
+"""Fragments: connected pieces of surface that no depth edge, concave crease or supporting plane divides.
+
+Working pixels are joined to their neighbours by union-find, in an order that does not matter: the result is a partition
+that depends only on which neighbour pairs may join.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numba
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FragmentConfig:
+    """What divides a surface.
+
+    Attributes:
+        step_m: distance between neighbouring pixels, out of each other's plane, that is a depth edge (beside 3 sigma).
+        gap_share: neighbours whose depths differ by more than this share are divided, whatever their planes.
+        crease_rad: angle of a concave crease that divides.
+        crease_reach_px: normals are compared over twice this many pixels.
+        min_pixels: smaller fragments are given to a neighbour or dropped.
+    """
+
+    step_m: float = 0.008
+    gap_share: float = 0.025
+    crease_rad: float = 0.45
+    crease_reach_px: int = 2
+    min_pixels: int = 12
+
+
+def support_labels(
+    surface: Surface, heights_m: NDArray[np.float64], *, min_pixels: int, tolerance_m: float = 0.008
+) -> NDArray[np.int32]:
+    """Return (h, w) 1 + the index of the horizontal plane that a pixel lies in; 0 where it lies in none."""
+    labels = np.zeros(surface.depth_m.shape, dtype=np.int32)
+    upward = surface.normals_world[..., 2] > 0.85
+    z = surface.points_world[..., 2]
+    for i, height in enumerate(heights_m):
+        fits = upward & (np.abs(z - height) < tolerance_m + 1.5 * surface.sigma_m)
+        _, regions, stats, _ = cv2.connectedComponentsWithStats(fits.astype(np.uint8), connectivity=4)
+        large = np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= min_pixels)
+        labels[np.isin(regions, large[large > 0]) & (labels == 0)] = i + 1
+    return labels
+
+
+def concave_creases(surface: Surface, config: FragmentConfig) -> NDArray[np.bool_]:
+    """Return (h, w) the pixels on a concave crease."""
+    return _creases(
+        surface.points_world,
+        surface.normals_world,
+        surface.sigma_m,
+        config.crease_reach_px,
+        np.float32(np.cos(config.crease_rad)),
+        np.float32(config.step_m),
+    )
+
+
+def fragments_of(
+    surface: Surface,
+    structure: NDArray[np.bool_],
+    supports: NDArray[np.int32],
+    creases: NDArray[np.bool_],
+    config: FragmentConfig,
+) -> NDArray[np.int32]:
+    """Return (h, w) fragment labels 1..n in scan order; 0 on structure and where there is no surface."""
+    labels = _join(
+        surface.depth_m,
+        surface.points_world,
+        surface.normals_world,
+        surface.sigma_m,
+        structure,
+        supports,
+        creases,
+        np.float32(config.step_m),
+        np.float32(config.gap_share),
+    )
+    usable = ~structure & np.isfinite(surface.depth_m)
+    return _grow_into(labels, usable, surface.depth_m, supports, config.min_pixels)
+
+
+@numba.njit(cache=True)
+def _creases(points, normals, sigma, reach, cos_crease, step):  # type: ignore[no-untyped-def] # pragma: no cover
+    height, width = sigma.shape
+    out = np.zeros((height, width), dtype=np.bool_)
+    for y in range(height):
+        for x in range(width):
+            if np.isnan(sigma[y, x]):
+                continue
+            for direction in range(4):
+                dx = reach if direction == 0 else (0 if direction == 1 else reach)
+                dy = 0 if direction == 0 else (reach if direction != 3 else -reach)
+                ya, xa, yb, xb = y - dy, x - dx, y + dy, x + dx
+                if min(ya, yb) < 0 or max(ya, yb) >= height or xa < 0 or xb >= width:
+                    continue
+                na, nb = normals[ya, xa], normals[yb, xb]
+                cosine = na[0] * nb[0] + na[1] * nb[1] + na[2] * nb[2]
+                if np.isnan(cosine) or cosine > cos_crease:
+                    continue
+                delta = points[yb, xb] - points[ya, xa]
+                length = np.sqrt(delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2)
+                if length > 0.10:
+                    continue
+                # Both ends see each other's normals lean towards them: a valley. The depth of the valley must be
+                # more than noise.
+                lean_a = delta[0] * na[0] + delta[1] * na[1] + delta[2] * na[2]
+                lean_b = -(delta[0] * nb[0] + delta[1] * nb[1] + delta[2] * nb[2])
+                if lean_a + lean_b > 2.0 * sigma[y, x] + 0.15 * length and min(lean_a, lean_b) > -0.3 * step:
+                    out[y, x] = True
+                    break
+    return out
+
+
+@numba.njit(cache=True)
+def _find(parent, i):  # type: ignore[no-untyped-def] # pragma: no cover
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@numba.njit(cache=True)
+def _join(depth, points, normals, sigma, structure, supports, creases, step, gap_share):  # type: ignore[no-untyped-def] # pragma: no cover
+    height, width = depth.shape
+    parent = np.arange(height * width)
+    for y in range(height):
+        for x in range(width):
+            if np.isnan(depth[y, x]) or structure[y, x] or creases[y, x]:
+                continue
+            for side in range(2):
+                yy, xx = (y, x + 1) if side == 0 else (y + 1, x)
+                if yy >= height or xx >= width or np.isnan(depth[yy, xx]) or structure[yy, xx] or creases[yy, xx]:
+                    continue
+                if _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_share):
+                    ra, rb = _find(parent, y * width + x), _find(parent, yy * width + xx)
+                    if ra != rb:
+                        parent[max(ra, rb)] = min(ra, rb)
+    labels = np.zeros((height, width), dtype=np.int32)
+    names = np.zeros(height * width, dtype=np.int32)
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            if np.isnan(depth[y, x]) or structure[y, x] or creases[y, x]:
+                continue
+            root = _find(parent, y * width + x)
+            if names[root] == 0:
+                count += 1
+                names[root] = count
+            labels[y, x] = names[root]
+    return labels
+
+
+@numba.njit(cache=True)
+def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_share):  # type: ignore[no-untyped-def] # pragma: no cover
+    a, b = supports[y, x], supports[yy, xx]
+    if a != b:  # what stands on a plane and what hangs below it is decided over whole fragments, in `join`
+        return False
+    za, zb = depth[y, x], depth[yy, xx]
+    nearer = min(za, zb)
+    if abs(za - zb) < 0.5 * step + sigma[y, x]:
+        return True
+    if abs(za - zb) > gap_share * nearer + 3.0 * sigma[y, x]:
+        return False
+    d0, d1, d2 = points[yy, xx, 0] - points[y, x, 0], points[yy, xx, 1] - points[y, x, 1], points[yy, xx, 2] - points[y, x, 2]
+    out_a = abs(d0 * normals[y, x, 0] + d1 * normals[y, x, 1] + d2 * normals[y, x, 2])
+    out_b = abs(d0 * normals[yy, xx, 0] + d1 * normals[yy, xx, 1] + d2 * normals[yy, xx, 2])
+    limit = step + 2.0 * sigma[y, x]
+    # NaN normals compare False: such pixels join only by like depth.
+    return out_a < limit or out_b < limit
+
+
+@numba.njit(cache=True)
+def _grow_into(labels, usable, depth, supports, min_pixels):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Give crease pixels and specks to the neighbouring fragment of the most alike depth, ring by ring."""
+    height, width = labels.shape
+    sizes = np.bincount(labels.ravel())
+    out = labels.copy()
+    for y in range(height):
+        for x in range(width):
+            if sizes[out[y, x]] < min_pixels:
+                out[y, x] = 0
+    for _ in range(4):
+        changed = False
+        before = out.copy()
+        for y in range(height):
+            for x in range(width):
+                if before[y, x] or not usable[y, x]:
+                    continue
+                best = 0.03 * depth[y, x] + 0.005
+                for side in range(4):
+                    yy = y + (1 if side == 0 else (-1 if side == 1 else 0))
+                    xx = x + (1 if side == 2 else (-1 if side == 3 else 0))
+                    if yy < 0 or xx < 0 or yy >= height or xx >= width or before[yy, xx] == 0:
+                        continue
+                    difference = abs(depth[yy, xx] - depth[y, x])
+                    if supports[y, x] != supports[yy, xx]:
+                        difference += 0.01
+                    if difference < best:
+                        best = difference
+                        out[y, x] = before[yy, xx]
+                        changed = True
+        if not changed:
+            break
+    names = np.zeros(len(sizes), dtype=np.int32)
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            label = out[y, x]
+            if label:
+                if names[label] == 0:
+                    count += 1
+                    names[label] = count
+                out[y, x] = names[label]
+    return out

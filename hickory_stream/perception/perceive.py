@@ -1,0 +1,68 @@
+"""The whole of perception for one keyframe: from a frame to what the core is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.perception.descriptor import mask_feature
+from hickory_stream.perception.geometric import GeometricConfig
+from hickory_stream.perception.observe import ObserveConfig, observe
+from hickory_stream.perception.space import SpaceConfig, observe_space
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from hickory_stream.ports import FeatureExtractor, Segmenter
+    from hickory_stream.records import (
+        Frame,
+        MaskFeature,
+        Observation,
+        ObservedSpace,
+        RejectedMask,
+        Segmentation,
+        SpaceObservation,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PerceptionConfig:
+    """The segmenter, the lifting of masks, and the rays of the observed space."""
+
+    geometric: GeometricConfig = field(default_factory=GeometricConfig)
+    observe: ObserveConfig = field(default_factory=ObserveConfig)
+    space: SpaceConfig = field(default_factory=SpaceConfig)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Perceived:
+    """What a keyframe shows."""
+
+    segmentation: Segmentation
+    observations: tuple[Observation, ...]
+    rejected: tuple[RejectedMask, ...]
+    space: SpaceObservation
+
+
+def perceive(
+    frame: Frame, prior: ObservedSpace | None, segmenter: Segmenter, config: PerceptionConfig
+) -> Perceived:
+    """Return what a keyframe shows, seen with the space that the map knows so far."""
+    segmentation = segmenter.segment(frame, prior)
+    observations, rejected = observe(frame, segmentation, config.observe)
+    return Perceived(
+        segmentation=segmentation,
+        observations=observations,
+        rejected=rejected,
+        space=observe_space(frame, segmentation, config.space),
+    )
+
+
+def features_of(
+    frame: Frame, observations: Sequence[Observation], indices: Sequence[int], extractor: FeatureExtractor
+) -> tuple[MaskFeature, ...]:
+    """Return the pooled features of the observations at `indices`."""
+    patches = extractor.extract(np.asarray(frame.rgb))
+    return tuple(mask_feature(observations[i], patches, extractor.patch_px) for i in indices)

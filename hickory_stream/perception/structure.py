@@ -1,0 +1,195 @@
+"""Structure: the floor, walls and ceiling of a frame, which are no objects.
+
+The floor is the lowest wide horizontal surface; a wall or a ceiling is a plane with the whole room on one side of it. A
+cupboard's front is as flat as a wall, but the room goes on behind it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StructureConfig:
+    """What counts as structure.
+
+    Attributes:
+        floor_area_m2: the least visible area of a floor.
+        wall_area_m2: the least visible area of a wall or ceiling.
+        behind_share: a wall has at most this share of the frame's surface behind it.
+        tolerance_m: distance from a plane, beside 3 sigma of depth, that still belongs to it.
+        floor_below_camera_m: without a known floor, a floor lies at least this far below the camera.
+    """
+
+    floor_area_m2: float = 0.25
+    wall_area_m2: float = 0.45
+    behind_share: float = 0.02
+    tolerance_m: float = 0.025
+    floor_below_camera_m: float = 0.25
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class HorizontalPlane:
+    """A horizontal surface at height `z_m`, with `area_m2` of it visible in the frame."""
+
+    z_m: float
+    area_m2: float
+
+
+def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
+    """Return (h, w) the area of surface that each pixel sees; 0 where there is none, bounded at grazing angles."""
+    rays = surface.points_world - surface.world_from_camera[:3, 3].astype(np.float32)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = np.abs(np.einsum("ijk,ijk->ij", rays, surface.normals_world)) / np.linalg.norm(rays, axis=2)
+    flat = surface.depth_m**2 / (surface.camera.fx * surface.camera.fy)
+    return np.nan_to_num(flat / np.maximum(cosine, np.float32(0.15))).astype(np.float32)
+
+
+def horizontal_planes(
+    surface: Surface, areas_m2: NDArray[np.float32], *, min_area_m2: float, bin_m: float = 0.01
+) -> list[HorizontalPlane]:
+    """Return the upward-facing horizontal planes of a frame, lowest first: peaks of the height histogram."""
+    upward = surface.normals_world[..., 2] > 0.9
+    heights, weights = surface.points_world[..., 2][upward], areas_m2[upward]
+    if len(heights) == 0:
+        return []
+    low = float(heights.min()) - 3 * bin_m
+    bins = int((float(heights.max()) - low) / bin_m) + 4
+    histogram = np.bincount(((heights - low) / bin_m).astype(np.int64), weights=weights, minlength=bins)
+    # Five bins together: a plane seen with noise of a centimetre or two is one peak.
+    smooth = np.convolve(histogram, np.ones(5), mode="same")
+    planes: list[HorizontalPlane] = []
+    while True:
+        peak = int(np.argmax(smooth))
+        if smooth[peak] < min_area_m2:
+            return sorted(planes, key=lambda plane: plane.z_m)
+        near = np.abs(heights - (low + (peak + 0.5) * bin_m)) < 2.5 * bin_m
+        z_m = float(np.average(heights[near], weights=weights[near])) if near.any() else low + (peak + 0.5) * bin_m
+        planes.append(HorizontalPlane(z_m=z_m, area_m2=float(smooth[peak])))
+        smooth[max(0, peak - 4) : peak + 5] = 0.0
+
+
+def floor_height_m(
+    surface: Surface, planes: list[HorizontalPlane], known_m: float | None, config: StructureConfig
+) -> float | None:
+    """Return the floor's height as this frame shows it, or the known height where the frame shows no floor.
+
+    A table that fills the view is told from the floor by the known height: a floor is only ever replaced by a lower one.
+    """
+    camera_z = float(surface.world_from_camera[2, 3])
+    for plane in planes:
+        if plane.area_m2 < config.floor_area_m2 or plane.z_m > camera_z - config.floor_below_camera_m:
+            continue
+        if known_m is not None and plane.z_m > known_m + 0.06:
+            return known_m
+        return plane.z_m
+    return known_m
+
+
+def structure_mask(
+    surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None, config: StructureConfig
+) -> NDArray[np.bool_]:
+    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one."""
+    tolerance = config.tolerance_m + 2.0 * surface.sigma_m
+    mask = np.zeros(surface.depth_m.shape, dtype=bool)
+    z = surface.points_world[..., 2]
+    if floor_z_m is not None:
+        level = surface.normals_world[..., 2] > 0.8
+        mask |= (z < floor_z_m + tolerance) & (level | (z < floor_z_m + 0.6 * tolerance))
+    mask |= _ceiling(surface, areas_m2, tolerance, config)
+    for normal, offset in _walls(surface, areas_m2, floor_z_m, config):
+        distance = surface.points_world[..., :2] @ normal - offset
+        facing = surface.normals_world[..., :2] @ normal
+        mask |= (distance < 1.5 * tolerance) & ((facing > 0.8) | (distance < 0.6 * tolerance))
+    return mask
+
+
+def _ceiling(
+    surface: Surface, areas_m2: NDArray[np.float32], tolerance: NDArray[np.float32], config: StructureConfig
+) -> NDArray[np.bool_]:
+    downward = surface.normals_world[..., 2] < -0.9
+    z = surface.points_world[..., 2]
+    above = z > surface.world_from_camera[2, 3] + 0.4
+    if float(areas_m2[downward & above].sum()) < config.wall_area_m2:
+        return np.zeros(z.shape, dtype=bool)
+    top = float(np.nanmax(z[downward & above]))
+    return np.asarray((z > top - 2 * tolerance - 0.05) & above)
+
+
+def _walls(
+    surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None, config: StructureConfig
+) -> list[tuple[NDArray[np.float32], float]]:
+    """Return the walls as (horizontal unit normal into the room, offset): normal . p >= offset inside the room."""
+    points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
+    weights = areas_m2.reshape(-1)
+    valid = weights > 0
+    upright = valid & (np.abs(normals[:, 2]) < 0.2)
+    if not upright.any():
+        return []
+    walls: list[tuple[NDArray[np.float32], float]] = []
+    direction = normals[upright, :2] / np.linalg.norm(normals[upright, :2], axis=1, keepdims=True)
+    at, weight = points[upright, :2], weights[upright].astype(np.float64)
+    all_at, all_weight = points[valid, :2], weights[valid].astype(np.float64)
+    heights = points[upright, 2]
+    total = float(all_weight.sum())
+    left = np.ones(len(at), dtype=bool)
+    for _ in range(8):
+        normal = _dominant_direction(direction[left], weight[left])
+        along = at @ normal
+        fits = left & (direction @ normal > 0.97)
+        offset = _farthest_peak(along[fits], weight[fits], config.wall_area_m2)
+        aside = left & (direction @ normal > 0.94)
+        left &= ~aside
+        if offset is not None:
+            on_it = fits & (np.abs(along - offset) < 0.04)
+            behind = float(all_weight[all_at @ normal < offset - 0.12].sum()) / total
+            tall = _is_tall(heights[on_it], floor_z_m)
+            if behind < config.behind_share and tall:
+                walls.append((normal, offset))
+        if float(weight[left].sum()) < config.wall_area_m2:
+            break
+    return walls
+
+
+def _is_tall(heights: NDArray[np.float32], floor_z_m: float | None) -> bool:
+    """Return whether a vertical plane is as tall as a wall: over 1.3 m above the floor, or over 0.8 m of it in view."""
+    low, high = np.percentile(heights, [2, 98])
+    if floor_z_m is not None and high - floor_z_m > 1.3:
+        return True
+    return bool(high - low > 1.0)
+
+
+def _dominant_direction(direction: NDArray[np.float32], weight: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the unit direction (2,) that most area faces: the peak of a histogram of 3 degrees, refined."""
+    azimuth = np.arctan2(direction[:, 1], direction[:, 0])
+    bins = np.mod(((azimuth + np.pi) / (2 * np.pi) * 120).astype(np.int64), 120)
+    histogram = np.bincount(bins, weights=weight, minlength=120)
+    smooth = histogram + 0.7 * (np.roll(histogram, 1) + np.roll(histogram, -1))
+    center = (int(np.argmax(smooth)) + 0.5) / 120 * 2 * np.pi - np.pi
+    near = direction @ np.array([np.cos(center), np.sin(center)], dtype=np.float32) > 0.98
+    mean = np.average(direction[near], axis=0, weights=weight[near])
+    return (mean / np.linalg.norm(mean)).astype(np.float32)
+
+
+def _farthest_peak(along: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> float | None:
+    """Return the offset of the rearmost plane of enough area, seen along its normal; None if there is none."""
+    if len(along) == 0:
+        return None
+    bin_m, low = 0.02, float(along.min()) - 0.04
+    histogram = np.bincount(((along - low) / bin_m).astype(np.int64), weights=weight)
+    smooth = np.convolve(histogram, np.ones(3), mode="same")
+    enough = np.flatnonzero(smooth > min_area_m2)
+    if len(enough) == 0:
+        return None
+    first = int(enough[0])
+    peak = first + int(np.argmax(smooth[first : first + 4]))
+    near = np.abs(along - (low + (peak + 0.5) * bin_m)) < 1.5 * bin_m
+    return float(np.average(along[near], weights=weight[near]))

@@ -1,0 +1,164 @@
+"""The extension points: plain, blocking Python objects that know nothing of asyncio.
+
+`hickory_stream.testing` has an in-memory twin of each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from hickory_stream.geometry.arrays import freeze
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import Containment, Frame, FrameReport, ObservedSpace, RawFrame, Segmentation, SourceInfo
+
+
+class Source(Protocol):
+    """A log or a camera: posed RGB-D frames in the order of their stamps."""
+
+    @property
+    def info(self) -> SourceInfo:
+        """What was found when the source was opened."""
+        ...
+
+    def frames(self) -> Iterator[RawFrame]:
+        """Yield the frames from the beginning; each call starts anew."""
+        ...
+
+    def ledger(self) -> Mapping[str, int]:
+        """Return how many messages or files had which fate so far, e.g. `frames`, `color_without_depth`."""
+        ...
+
+    def close(self) -> None:
+        """Release files and devices."""
+        ...
+
+
+class Segmenter(Protocol):
+    """Finds the instances in a frame."""
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None) -> Segmentation:
+        """Return the instances and the structure of a frame; `prior` is the space as the map knows it so far."""
+        ...
+
+
+class FeatureExtractor(Protocol):
+    """Dense patch features, with DINOv2's interface."""
+
+    @property
+    def patch_px(self) -> int:
+        """The side of a patch."""
+        ...
+
+    @property
+    def dim(self) -> int:
+        """The length D of a feature."""
+        ...
+
+    def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return (h, w, D) float32 features of unit norm, one per patch; h = ceil(H / patch), w = ceil(W / patch)."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Crop:
+    """The pixels of a kept view: a cut-out of a frame with its own camera.
+
+    `rgb` (h, w, 3) uint8, `depth_m` (h, w) float32 with NaN, `mask` (h, w) bool; `world_from_camera` (4, 4).
+    """
+
+    rgb: NDArray[np.uint8]
+    depth_m: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    camera: Camera
+    world_from_camera: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        freeze(self, "rgb", "u1", (*size, 3))
+        freeze(self, "depth_m", "f4", size)
+        freeze(self, "mask", "?", size)
+        freeze(self, "world_from_camera", "f8", (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ShapeInputs:
+    """All that a reconstructor may use: `crops` (the best view first), layer 1, the box, and the height of the support.
+
+    `points_world` (N, 3) float32, `colors` (N, 3) uint8.
+    """
+
+    crops: tuple[Crop, ...]
+    points_world: NDArray[np.float32]
+    colors: NDArray[np.uint8]
+    box: OrientedBox
+    support_z_m: float | None
+
+    def __post_init__(self) -> None:
+        freeze(self, "points_world", "f4", (None, 3))
+        freeze(self, "colors", "u1", (len(self.points_world), 3))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Reconstruction:
+    """Layer 2: a mesh in the object frame, and its place `world_from_object` (4, 4)."""
+
+    mesh: Mesh
+    world_from_object: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_object", "f8", (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoShape:
+    """No shape can be made of this input: an expected outcome."""
+
+    reason: str
+
+
+class Reconstructor(Protocol):
+    """Makes layer 2."""
+
+    @property
+    def name(self) -> str:
+        """The name by which the configuration chooses it."""
+        ...
+
+    def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
+        """Return a complete, closed, coloured mesh, or why there is none. Deterministic."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class BuiltShape:
+    """Layers 2 to 4 as one job makes them; superquadrics in the world. `timings_s` are for people, not for the map."""
+
+    reconstruction: Reconstruction
+    fitted: Superquadrics
+    inflated: Superquadrics
+    seen_share: NDArray[np.float64]
+    containment: Containment
+    timings_s: Mapping[str, float]
+
+
+class Sink(Protocol):
+    """Shows or stores what happened. Called from one thread of its own, in the order of the frames."""
+
+    def show(self, report: FrameReport) -> None:
+        """Take one report."""
+        ...
+
+    def close(self) -> None:
+        """Finish what was begun; no `show` follows."""
+        ...

@@ -1,0 +1,356 @@
+"""The records that the parts of the system hand to each other.
+
+All are frozen; array fields are checked for dtype and shape and made read-only on construction, so that a record can be
+shared between threads and kept for ever. Stamps are integer nanoseconds; the world is z up; lengths are metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.geometry.superquadric import Superquadrics
+
+
+# ---- what a source yields -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Frame:
+    """A decoded, posed RGB-D frame; colour and depth are registered pixel by pixel.
+
+    `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32 along the optical axis, NaN = no return;
+    `world_from_camera` (4, 4).
+    """
+
+    index: int
+    stamp_ns: int
+    rgb: NDArray[np.uint8]
+    depth_m: NDArray[np.float32]
+    camera: Camera
+    world_from_camera: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        freeze(self, "rgb", np.uint8, (*size, 3))
+        freeze(self, "depth_m", np.float32, size)
+        freeze(self, "world_from_camera", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RawFrame:
+    """A posed frame that is still compressed: only keyframes are ever decoded.
+
+    `decode()` returns the `Frame`, or raises `RecordingError` where an image is torn. `color_bytes` are the log's own
+    compressed colour (JPEG or PNG), for the viewer; None when the log had none.
+    """
+
+    index: int
+    stamp_ns: int
+    camera: Camera
+    world_from_camera: NDArray[np.float64]
+    decode: Callable[[], Frame]
+    color_bytes: bytes | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_camera", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SourceInfo:
+    """What a source found: for the operator, the progress bar and the manifest.
+
+    `num_frames`, `start_ns` and `end_ns` are None where they are not known beforehand. `streams` maps a role
+    (color, depth, camera_info, pose, ...) to the topic or file pattern that plays it. `identity` tells two logs apart.
+    """
+
+    uri: str
+    kind: str
+    identity: str
+    camera: Camera
+    num_frames: int | None
+    start_ns: int | None
+    end_ns: int | None
+    streams: tuple[tuple[str, str], ...]
+
+
+# ---- perception -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RejectedMask:
+    """A mask that became no observation, and why; `box_px` = (x0, y0, x1, y1), the ends exclusive."""
+
+    box_px: tuple[int, int, int, int]
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Segmentation:
+    """What a segmenter says of a frame.
+
+    `instances` (H, W) int32, 0 = no object, 1..n = the n instances; `structure` (H, W) bool: floor, walls, ceiling.
+    `floor_z_m` is the height of the floor where this frame shows it.
+    """
+
+    instances: NDArray[np.int32]
+    structure: NDArray[np.bool_]
+    floor_z_m: float | None = None
+    rejected: tuple[RejectedMask, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self, "instances", np.int32, (None, None))
+        freeze(self, "structure", np.bool_, self.instances.shape)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Observation:
+    """One object in one keyframe, lifted to 3D; it has no feature yet.
+
+    `index` numbers the observations of the frame from 0. `box_px` = (x0, y0, x1, y1), ends exclusive; `mask` (h, w) bool
+    within it. `points_world` (N, 3) float32 and `colors` (N, 3) uint8, after depth filtering. `r_area` and `r_depth` are
+    the cheap factors of S (Eq. for S in the paper), in 0..1. `is_cut`: the mask touches the border of the image.
+    """
+
+    index: int
+    box_px: tuple[int, int, int, int]
+    mask: NDArray[np.bool_]
+    points_world: NDArray[np.float32]
+    colors: NDArray[np.uint8]
+    box: OrientedBox
+    r_area: float
+    r_depth: float
+    is_cut: bool
+
+    def __post_init__(self) -> None:
+        x0, y0, x1, y1 = self.box_px
+        freeze(self, "mask", np.bool_, (y1 - y0, x1 - x0))
+        freeze(self, "points_world", np.float32, (None, 3))
+        freeze(self, "colors", np.uint8, (len(self.points_world), 3))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SpaceObservation:
+    """What one keyframe says of space: sorted voxel keys seen free, and on structure; the floor's height if it shows."""
+
+    free_keys: NDArray[np.int64]
+    structure_keys: NDArray[np.int64]
+    floor_z_m: float | None
+
+    def __post_init__(self) -> None:
+        freeze(self, "free_keys", np.int64, (None,))
+        freeze(self, "structure_keys", np.int64, (None,))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MaskFeature:
+    """The pooled feature of one mask: `pooled` (D,) float32 of unit norm; `variance` = sigma^2 over its patches."""
+
+    observation_index: int
+    variance: float
+    pooled: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        freeze(self, "pooled", np.float32, (None,))
+
+
+# ---- the map --------------------------------------------------------------------------------------------------------
+
+
+class Phase(StrEnum):
+    """The phases of a track; the rules between them are the table in `mapping/lifecycle.py`."""
+
+    TENTATIVE = "tentative"
+    ACTIVE = "active"
+    DORMANT = "dormant"
+    ARCHIVED = "archived"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class View:
+    """One kept view of an object; its pixels live in the file `name` of the map folder's `views/`.
+
+    `score` is what the chosen strategy gives it (S by default); it, `variance` and `feature` (D,) are None for a view that
+    was kept for its direction alone, whose features were never worth computing. `is_cut`: it touches the image's border.
+    """
+
+    object_id: int
+    frame_index: int
+    stamp_ns: int
+    box_px: tuple[int, int, int, int]
+    world_from_camera: NDArray[np.float64]
+    r_area: float
+    r_depth: float
+    box_volume_m3: float
+    score: float | None
+    variance: float | None
+    feature: NDArray[np.float32] | None
+    is_cut: bool = False
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_camera", np.float64, (4, 4))
+        if self.feature is not None:
+            freeze(self, "feature", np.float32, (None,))
+
+    @property
+    def name(self) -> str:
+        """The stem of the files that hold its pixels: frame and place in it, which no merge ever changes."""
+        x0, y0, x1, y1 = self.box_px
+        return f"{self.frame_index:06d}-{x0}-{y0}-{x1}-{y1}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Containment:
+    """How layer 4 covers the object, measured on its surface and its layer-1 points: the worst G and the share outside."""
+
+    num_checked: int
+    num_outside: int
+    max_g: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ObjectShape:
+    """Layers 2 to 4 of an object.
+
+    `mesh_name` is a file in the map folder's `shapes/`, in the object frame; `world_from_object` (4, 4) places it.
+    `fitted` and `inflated` are in the world; `seen_share` (N,) is the share of each primitive's surface that was seen
+    rather than generated. `revision` is the ticket of the job that made it.
+    """
+
+    revision: int
+    reconstructor: str
+    mesh_name: str
+    mesh_sha256: str
+    world_from_object: NDArray[np.float64]
+    fitted: Superquadrics
+    inflated: Superquadrics
+    seen_share: NDArray[np.float64]
+    containment: Containment
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_object", np.float64, (4, 4))
+        freeze(self, "seen_share", np.float64, (len(self.fitted),))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TrackedObject:
+    """One object of the map: its layer 1, its views, and layers 2 to 4 once they were built.
+
+    `points_world` (N, 3) float32, one per occupied voxel of the fixed lattice, with `colors` (N, 3) uint8; `feature` (D,)
+    is the mean over its kept views, unit norm, or None; `views` is sorted by frame; `best_view` is among them;
+    `merged_ids` are the tracks that were found to be this one.
+    """
+
+    id: int
+    phase: Phase
+    submap_id: int
+    sightings: int
+    first_seen_ns: int
+    last_seen_ns: int
+    points_world: NDArray[np.float32]
+    colors: NDArray[np.uint8]
+    box: OrientedBox
+    feature: NDArray[np.float32] | None
+    views: tuple[View, ...]
+    best_view: View | None
+    shape: ObjectShape | None
+    merged_ids: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self, "points_world", np.float32, (None, 3))
+        freeze(self, "colors", np.uint8, (len(self.points_world), 3))
+        if self.feature is not None:
+            freeze(self, "feature", np.float32, (None,))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ObservedSpace:
+    """A sparse grid of what was seen: sorted voxel keys `free` and `structure`; everything else is unknown.
+
+    `floor_z_m` is the floor's height, None while no floor was seen.
+    """
+
+    voxel_m: float
+    free: NDArray[np.int64]
+    structure: NDArray[np.int64]
+    floor_z_m: float | None
+
+    def __post_init__(self) -> None:
+        freeze(self, "free", np.int64, (None,))
+        freeze(self, "structure", np.int64, (None,))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Submap:
+    """A piece of the map with one rigid place in the world: `world_from_submap` (4, 4), and the space seen in it."""
+
+    id: int
+    world_from_submap: NDArray[np.float64]
+    observed_space: ObservedSpace
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_submap", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MapSnapshot:
+    """The map as of one moment; `objects` sorted by id."""
+
+    revision: int
+    stamp_ns: int
+    submaps: tuple[Submap, ...]
+    objects: tuple[TrackedObject, ...]
+
+
+# ---- what sinks are shown -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Decision:
+    """One decision and its reason, for people who ask why.
+
+    `kind` is one of associate, create, merge, phase, view, shape, reject, drop; `text` names the candidates and numbers.
+    """
+
+    kind: str
+    object_id: int | None
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FrameReport:
+    """Everything about one frame that a sink may show.
+
+    `keyframe_index` is None between keyframes; then there is no `frame`, no `segmentation`, no `snapshot`.
+    `object_ids` (per observation) says which object each observation went to. `metrics` are named numbers for plots:
+    stage timings in seconds under `time/...`, queue lengths under `queue/...`, S under `score/ID`.
+    """
+
+    index: int
+    stamp_ns: int
+    keyframe_index: int | None
+    camera: Camera
+    world_from_camera: NDArray[np.float64]
+    color_bytes: bytes | None
+    frame: Frame | None = None
+    segmentation: Segmentation | None = None
+    observations: tuple[Observation, ...] = ()
+    object_ids: tuple[int | None, ...] = ()
+    decisions: tuple[Decision, ...] = ()
+    snapshot: MapSnapshot | None = None
+    metrics: tuple[tuple[str, float], ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_camera", np.float64, (4, 4))

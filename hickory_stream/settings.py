@@ -1,0 +1,18 @@
+"""The whole configuration file: the mapper's sections, and those of the sinks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hickory_stream.config import MapperConfig
+from hickory_stream.sinks.disk_sink import DiskSinkConfig
+from hickory_stream.sinks.rerun_sink import RerunConfig
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Settings:
+    """`mapper` decides the map; `disk` how often it is saved; `rerun` what is shown of it."""
+
+    mapper: MapperConfig = field(default_factory=MapperConfig)
+    disk: DiskSinkConfig = field(default_factory=DiskSinkConfig)
+    rerun: RerunConfig = field(default_factory=RerunConfig)

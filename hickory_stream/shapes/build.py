@@ -1,0 +1,81 @@
+"""One job of a shape worker: from what is kept of an object to its layers 2, 3 and 4."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, assert_never
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.superquadric import Superquadrics, display_mesh, moved
+from hickory_stream.ports import BuiltShape, NoShape, Reconstruction, Reconstructor, ShapeInputs
+from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
+from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor
+from hickory_stream.shapes.inflate import InflateConfig, inflate
+from hickory_stream.shapes.single_view import SingleViewConfig, SingleViewReconstructor
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+ReconstructorName = Literal["fused", "single_view"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShapeConfig:
+    """`reconstructor` makes layer 2, "fused" or "single_view"; the others configure the steps."""
+
+    reconstructor: ReconstructorName = "fused"
+    fused: FusedConfig = field(default_factory=FusedConfig)
+    single_view: SingleViewConfig = field(default_factory=SingleViewConfig)
+    fit: FitConfig = field(default_factory=FitConfig)
+    inflate: InflateConfig = field(default_factory=InflateConfig)
+
+
+def make_reconstructor(name: ReconstructorName, config: ShapeConfig) -> Reconstructor:
+    """Return the reconstructor of that name."""
+    if name == "fused":
+        return FusedReconstructor(config.fused)
+    if name == "single_view":
+        return SingleViewReconstructor(config.single_view)
+    assert_never(name)
+
+
+def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: ShapeConfig) -> BuiltShape | NoShape:
+    """Return layers 2 to 4 of an object, or the reason of the first step that found none."""
+    started = time.perf_counter()
+    reconstruction = reconstructor.reconstruct(inputs)
+    if isinstance(reconstruction, NoShape):
+        return NoShape(reason=f"{reconstructor.name}: {reconstruction.reason}")
+    meshed = time.perf_counter()
+    try:
+        fitted = moved(fit_superquadrics(reconstruction.mesh, config.fit), reconstruction.world_from_object)
+    except ValueError as error:
+        return NoShape(reason=f"fit: {error}")
+    found = time.perf_counter()
+    inflated, containment = inflate(fitted, reconstruction, inputs.points_world, config.inflate)
+    ended = time.perf_counter()
+    return BuiltShape(
+        reconstruction=reconstruction,
+        fitted=fitted,
+        inflated=inflated,
+        seen_share=seen_shares(fitted, reconstruction),
+        containment=containment,
+        timings_s={"reconstruct": meshed - started, "fit": found - meshed, "inflate": ended - found},
+    )
+
+
+def seen_shares(primitives: Superquadrics, reconstruction: Reconstruction) -> NDArray[np.float64]:
+    """Return (N,) the share of each primitive's surface, in the world, whose nearest vertex of the mesh was seen."""
+    mesh = reconstruction.mesh
+    tree = cKDTree(apply(reconstruction.world_from_object, mesh.vertices.astype(np.float64)))
+    shares = np.empty(len(primitives))
+    for i in range(len(primitives)):
+        vertices, faces = display_mesh(primitives, i)
+        a, b, c = (vertices[faces[:, corner]].astype(np.float64) for corner in range(3))
+        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        _, nearest = tree.query((a + b + c) / 3)
+        shares[i] = (areas * mesh.is_seen[nearest]).sum() / max(areas.sum(), 1e-12)
+    return shares

@@ -1,0 +1,131 @@
+"""From partial evidence to a solid: which of the voxels that nobody saw belong to the object.
+
+An unknown voxel is taken as solid when looking around from it mostly meets the object and hardly ever free space: the
+inside of a box whose back was never seen fills up to the object's box, the shadow behind a chair leg does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+from scipy import ndimage
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.shapes.tsdf import Evidence
+
+UNKNOWN, FREE, SOLID = 0, 1, 2
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CompletionConfig:
+    """How unseen space is completed.
+
+    Of the 26 directions around an unknown voxel at least `min_hit_share` must meet the object, and those that meet free
+    space may be `max_free_ratio` times as many. `max_support_gap_m`: an object whose seen part ends this close above its support is continued down to it.
+    `min_piece_share`: a separate piece smaller than this share of the largest is dropped.
+    """
+
+    min_hit_share: float = 0.3
+    max_free_ratio: float = 0.45
+    max_support_gap_m: float = 0.06
+    min_piece_share: float = 0.02
+
+
+def classify(evidence: Evidence, surface_cells: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return UNKNOWN, FREE or SOLID per voxel; `surface_cells` (N, 3) hold points of layer 1, solid where not carved."""
+    states = np.full(evidence.near.shape, UNKNOWN, np.uint8)
+    is_near = evidence.near > evidence.free
+    states[evidence.free > 0] = FREE
+    states[is_near & (evidence.distance > 0)] = FREE
+    states[is_near & (evidence.distance <= 0)] = SOLID
+    i, j, k = surface_cells.T
+    unseen = states[i, j, k] == UNKNOWN
+    states[i[unseen], j[unseen], k[unseen]] = SOLID
+    return states
+
+
+def solid_of(
+    states: NDArray[np.uint8],
+    fillable: tuple[slice, slice, slice],
+    support_index: int | None,
+    max_gap: int,
+    config: CompletionConfig,
+) -> NDArray[np.bool_]:
+    """Return the completed solid.
+
+    Unseen voxels are filled within `fillable` only; `support_index` is the lowest layer above the support, `max_gap` in
+    voxels.
+    """
+    hits, frees = look_around(states)
+    enclosed = np.zeros(states.shape, dtype=bool)
+    enclosed[fillable] = ((hits >= config.min_hit_share) & (frees <= config.max_free_ratio * hits))[fillable]
+    solid = (states == SOLID) | ((states == UNKNOWN) & enclosed)
+    solid = _without_hair(solid, states)
+    if support_index is not None:
+        solid = _down_to_support(solid, states, support_index, max_gap)
+    return _large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), config.min_piece_share)
+
+
+def look_around(states: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return per voxel the shares of the 26 directions in which the first known voxel is SOLID, and FREE."""
+    hits = np.zeros(states.shape, np.float32)
+    frees = np.zeros(states.shape, np.float32)
+    first = np.empty(states.shape, np.uint8)
+    for direction in np.ndindex(3, 3, 3):
+        step = np.array(direction) - 1
+        if step.any():
+            _first_known(states, step, first)
+            hits += first == SOLID
+            frees += first == FREE
+    return hits / 26, frees / 26
+
+
+def _without_hair(solid: NDArray[np.bool_], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Remove completed voxels that a majority filter would not keep; what was observed stays."""
+    share = ndimage.uniform_filter(solid.astype(np.float32), 3, mode="constant")
+    return np.asarray((states == SOLID) | ((states == UNKNOWN) & (share > 0.5)))
+
+
+def _down_to_support(
+    solid: NDArray[np.bool_], states: NDArray[np.uint8], support_index: int, max_gap: int
+) -> NDArray[np.bool_]:
+    """Continue columns that end within `max_gap` voxels above the support, through unknown voxels only."""
+    out = solid.copy()
+    out[:, :, :support_index] = False
+    top = min(support_index + max_gap, solid.shape[2] - 1)
+    for k in range(top - 1, support_index - 1, -1):
+        out[:, :, k] |= out[:, :, k + 1] & (states[:, :, k] != FREE)
+    return out
+
+
+def _large_pieces(solid: NDArray[np.bool_], min_share: float) -> NDArray[np.bool_]:
+    labels, count = ndimage.label(solid)
+    if count < 2:
+        return solid
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    return np.asarray((sizes >= min_share * sizes.max())[labels] & solid)
+
+
+@numba.njit(cache=True)
+def _first_known(states, step, first):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill `first` with the first known state met from each voxel along `step`; UNKNOWN where the block ends first."""
+    nx, ny, nz = states.shape
+    for a in range(nx):
+        i = nx - 1 - a if step[0] > 0 else a
+        for b in range(ny):
+            j = ny - 1 - b if step[1] > 0 else b
+            for c in range(nz):
+                k = nz - 1 - c if step[2] > 0 else c
+                u, v, w = i + step[0], j + step[1], k + step[2]
+                if u < 0 or v < 0 or w < 0 or u >= nx or v >= ny or w >= nz:
+                    first[i, j, k] = 0
+                elif states[u, v, w] != 0:
+                    first[i, j, k] = states[u, v, w]
+                else:
+                    first[i, j, k] = first[u, v, w]

@@ -1,0 +1,176 @@
+"""The object as the fit sees it: distances in cells, and how much of every cell is explained already."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from hickory_stream.shapes.quadric_lm import tangent_distance, refined
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.shapes.sdf import DistanceGrid
+
+
+class FitField:
+    """An object's distances, and the cover by the primitives so far; `waste_weight` is the price of claiming outside."""
+
+    def __init__(self, grid: DistanceGrid, waste_weight: float) -> None:
+        self._distance = (grid.values / grid.step_m).astype(np.float32)
+        # Occupancy is linear within half a cell of the surface: a plate of 2.1 cells counts as 2.1.
+        self._object = np.clip(0.5 - self._distance, 0, 1).astype(np.float32)
+        self._covered = np.zeros_like(self._object)
+        self._waste_weight = waste_weight
+        self._band = grid.band_m / grid.step_m
+        self._occupancies: dict[bytes, NDArray[np.float32]] = {}
+        self._speaking: NDArray[np.int64] | None = None
+        self.volume = float(self._object.sum(dtype=np.float64))
+
+    @property
+    def solid(self) -> NDArray[np.bool_]:
+        """The cells inside the object."""
+        return self._distance < 0
+
+    @property
+    def left(self) -> NDArray[np.bool_]:
+        """The cells inside the object that no primitive explains."""
+        return (self._distance < 0) & (self._object - self._covered > 0.5)
+
+    def cover_with(self, rows: list[NDArray[np.float64]]) -> None:
+        """Let exactly these primitives explain the object."""
+        self._covered[...] = 0
+        for row in rows:
+            self.consume(row)
+
+    def consume(self, row: NDArray[np.float64]) -> None:
+        """Take away what a primitive explains."""
+        low, high = self._window(row, 1.0)
+        key = row.tobytes()
+        if key not in self._occupancies:
+            self._occupancies[key] = _occupancies(row, low, high)
+        part = self._covered[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        np.maximum(part, self._occupancies[key], out=part)
+        self._speaking = None
+
+    def gain(self, row: NDArray[np.float64], max_samples: int) -> float:
+        """Return what a primitive adds to the explained volume, less the price of what it claims outside, in cells.
+
+        Estimated from about `max_samples` cells where its window has more.
+        """
+        low, high = self._window(row, 1.0)
+        stride = max(int(np.prod(high - low)) // max_samples, 1) | 1
+        return float(_gain(self._object, self._covered, row, low, high, stride, self._waste_weight))
+
+    def fitted(self, row: NDArray[np.float64], max_samples: int, iterations: int) -> NDArray[np.float64]:
+        """Return the primitive fitted to what is not explained in its neighbourhood."""
+        if self._speaking is None:
+            self._speaking = _speaking(self._distance, self._covered, self._band)
+        low, high = self._window(row, self._band + 2)
+        cells = _within(self._speaking, low, high, max_samples)
+        if len(cells) < 11:
+            return row
+        i, j, k = cells.T
+        return refined(
+            row,
+            cells.astype(np.float64),
+            self._distance[i, j, k].astype(np.float64),
+            1.0 - self._covered[i, j, k].astype(np.float64),
+            band=self._band,
+            iterations=iterations,
+            max_log_axis=float(np.log(max(self._object.shape))),
+        )
+
+    def _window(self, row: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the first cells and the ends of the part of the grid within `margin` of the box of a primitive."""
+        reach = np.abs(row[8:17].reshape(3, 3)) @ np.exp(row[2:5]) + margin
+        shape = np.array(self._object.shape)
+        low = np.clip(np.floor(row[5:8] - reach), 0, shape - 1).astype(np.int64)
+        high = np.clip(np.ceil(row[5:8] + reach) + 1, low + 1, shape).astype(np.int64)
+        return low, high
+
+
+@numba.njit(cache=True)
+def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the share of a cell within a primitive, linear within half a cell of its surface; `axes` = exp(row[2:5])."""
+    dx, dy, dz = x - row[5], y - row[6], z - row[7]
+    u = abs(row[8] * dx + row[11] * dy + row[14] * dz)
+    v = abs(row[9] * dx + row[12] * dy + row[15] * dz)
+    w = abs(row[10] * dx + row[13] * dy + row[16] * dz)
+    # Most cells need no logarithm: outside the box is outside, and deep in the octahedron (for exponents up to 1 in the
+    # ellipsoid) is inside. A gauge changes by at most 1 / inradius per cell.
+    if u > axes[0] + 0.5 or v > axes[1] + 0.5 or w > axes[2] + 0.5:
+        return 0.0
+    u, v, w = u / axes[0], v / axes[1], w / axes[2]
+    smallest = min(axes[0], axes[1], axes[2])
+    if row[0] <= 1.0 and row[1] <= 1.0:
+        if (1.0 - np.sqrt(u * u + v * v + w * w)) * smallest > 0.5:
+            return 1.0
+    elif (1.0 - u - v - w) * smallest / 1.7320508 > 0.5:
+        return 1.0
+    return min(max(0.5 - tangent_distance(row, x, y, z, local, gradient, shape), 0.0), 1.0)
+
+
+@numba.njit(cache=True)
+def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty((high[0] - low[0], high[1] - low[1], high[2] - low[2]), np.float32)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    axes = np.exp(row[2:5])
+    for i in range(low[0], high[0]):
+        for j in range(low[1], high[1]):
+            for k in range(low[2], high[2]):
+                occupied = _occupancy(row, i, j, k, axes, local, gradient, shape)
+                out[i - low[0], j - low[1], k - low[2]] = occupied
+    return out
+
+
+@numba.njit(cache=True)
+def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    axes = np.exp(row[2:5])
+    total = 0.0
+    size_y, size_z = high[1] - low[1], high[2] - low[2]
+    for n in range(0, (high[0] - low[0]) * size_y * size_z, stride):
+        i = low[0] + n // (size_y * size_z)
+        j = low[1] + (n // size_z) % size_y
+        k = low[2] + n % size_z
+        before = covered[i, j, k]
+        if before >= 1.0:
+            continue
+        after = max(_occupancy(row, i, j, k, axes, local, gradient, shape), before)
+        share = inside[i, j, k]
+        total += min(after, share) - min(before, share)
+        total -= waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))
+    return total * stride
+
+
+@numba.njit(cache=True)
+def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the (N, 3) cells that tell a fit something: of those deep inside, which all say the same, one in eight."""
+    out = np.empty((distance.size, 3), np.int64)
+    count = 0
+    for i in range(distance.shape[0]):
+        for j in range(distance.shape[1]):
+            for k in range(distance.shape[2]):
+                if distance[i, j, k] >= band or covered[i, j, k] >= 0.95:
+                    continue
+                if distance[i, j, k] > -0.99 * band or (i % 2 == 0 and j % 2 == 0 and k % 2 == 0):
+                    out[count, 0], out[count, 1], out[count, 2] = i, j, k
+                    count += 1
+    return out[:count].copy()
+
+
+@numba.njit(cache=True)
+def _within(cells, low, high, max_samples):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the cells within a window, every n-th where there are more than about `max_samples`."""
+    chosen = np.empty(len(cells), np.int64)
+    count = 0
+    for n in range(len(cells)):
+        i, j, k = cells[n]
+        if low[0] <= i < high[0] and low[1] <= j < high[1] and low[2] <= k < high[2]:
+            chosen[count] = n
+            count += 1
+    # An odd stride, so that the samples do not fall into the same columns again and again.
+    return cells[chosen[: count : max(count // max_samples, 1) | 1]]

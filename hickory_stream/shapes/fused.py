@@ -1,0 +1,135 @@
+"""Layer 2 from all kept views: a truncated signed distance field over the object's box, completed, meshed and closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.shapes.complete import CompletionConfig, classify, solid_of
+from hickory_stream.shapes.surface import extract, in_object_frame, painted, surface_field, taubin_smoothed
+from hickory_stream.shapes.tsdf import DepthView, Evidence, VoxelGrid, integrate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_MARGIN_VOXELS = 3
+_MIN_POINTS = 20
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VolumeConfig:
+    """The grid and the surface taken from it.
+
+    The voxel is the longest side of the box over `cells`, within `min_voxel_m` .. `max_voxel_m`, and larger where the box
+    has so much surface that the mesh would exceed about `max_faces`. `noise_per_m` is the depth camera's sigma / z^2.
+    `smoothing` counts the Taubin iterations. `seen_voxels`: how far from a measurement a vertex still counts as seen.
+    """
+
+    cells: int = 64
+    min_voxel_m: float = 0.004
+    max_voxel_m: float = 0.03
+    max_faces: int = 20_000
+    noise_per_m: float = 0.004
+    smoothing: int = 6
+    seen_voxels: float = 1.5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FusedConfig:
+    """`volume` is the grid, `completion` says how unseen space is filled."""
+
+    volume: VolumeConfig = field(default_factory=VolumeConfig)
+    completion: CompletionConfig = field(default_factory=CompletionConfig)
+
+
+class FusedReconstructor:
+    """Fuses the kept crops and the points of layer 1."""
+
+    name = "fused"
+
+    def __init__(self, config: FusedConfig) -> None:
+        self._config = config
+
+    def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
+        """Return the closed mesh over the object's box, or why there is none."""
+        if len(inputs.points_world) < _MIN_POINTS:
+            return NoShape(reason=f"{len(inputs.points_world)} points; a surface needs at least {_MIN_POINTS}")
+        views = [
+            DepthView(
+                depth_m=crop.depth_m,
+                mask=crop.mask,
+                camera=crop.camera,
+                camera_from_world=invert(crop.world_from_camera),
+            )
+            for crop in inputs.crops
+        ]
+        return reconstruct_views(inputs, views, self._config.volume, self._config.completion)
+
+
+def reconstruct_views(
+    inputs: ShapeInputs, views: list[DepthView], volume: VolumeConfig, completion: CompletionConfig
+) -> Reconstruction | NoShape:
+    """Return the mesh of the surface that `views` and the points of `inputs` show within the box of `inputs`."""
+    block = block_over(inputs.box, inputs.support_z_m, volume, completion.max_support_gap_m)
+    grid = block.grid
+    evidence = integrate(grid, views, volume.noise_per_m)
+    cells = grid.cells(inputs.points_world)
+    states = classify(evidence, cells[grid.contains(cells)])
+    max_gap = int(np.ceil(completion.max_support_gap_m / grid.voxel_m)) + 1
+    solid = solid_of(states, block.fillable, block.support_index, max_gap, completion)
+    if not solid.any():
+        return NoShape(reason="no voxel of the object's box is solid: its views contradict one another")
+    return _mesh_of(solid, evidence, grid, inputs, volume)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Block:
+    """The grid of one object: unseen space is filled within `fillable` only, the object's box.
+
+    `support_index` is the lowest layer above the support, None where the object does not rest on one.
+    """
+
+    grid: VoxelGrid
+    fillable: tuple[slice, slice, slice]
+    support_index: int | None
+
+
+def block_over(box: OrientedBox, support_z_m: float | None, volume: VolumeConfig, max_gap_m: float) -> Block:
+    """Return the grid over the box and a margin, down to the support where the box ends at most `max_gap_m` above."""
+    half = box.half_extents_m
+    low_z = float(-half[2])
+    rests = support_z_m is not None and low_z + box.center[2] - support_z_m <= max_gap_m
+    if rests and support_z_m is not None:
+        low_z = min(low_z, support_z_m - float(box.center[2]))
+    area = 8 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
+    # Marching cubes yields about two faces per voxel face.
+    voxel = max(2 * half.max() / volume.cells, float(np.sqrt(2 * area / volume.max_faces)))
+    voxel = float(np.clip(voxel, volume.min_voxel_m, volume.max_voxel_m))
+    low = np.array([-half[0], -half[1], low_z]) - _MARGIN_VOXELS * voxel
+    counts = [int(n) for n in np.ceil((half - low) / voxel) + _MARGIN_VOXELS + 1]
+    world_from_grid = box.world_from_box.copy()
+    world_from_grid[:3, 3] += box.world_from_box[:3, :3] @ low
+    support_index = None
+    if rests and support_z_m is not None:
+        support_index = max(int(np.ceil((support_z_m - world_from_grid[2, 3]) / voxel - 1e-6)), 0)
+    inner = [slice(_MARGIN_VOXELS, n - _MARGIN_VOXELS) for n in counts]
+    return Block(
+        grid=VoxelGrid(world_from_grid=world_from_grid, voxel_m=voxel, shape=(counts[0], counts[1], counts[2])),
+        fillable=(inner[0], inner[1], inner[2]),
+        support_index=support_index,
+    )
+
+
+def _mesh_of(
+    solid: NDArray[np.bool_], evidence: Evidence, grid: VoxelGrid, inputs: ShapeInputs, volume: VolumeConfig
+) -> Reconstruction:
+    vertices, faces = extract(surface_field(solid, evidence), grid)
+    vertices = taubin_smoothed(vertices, faces, volume.smoothing)
+    reach = volume.seen_voxels * grid.voxel_m
+    colors, is_seen = painted(vertices, inputs.crops, inputs.points_world, inputs.colors, reach)
+    return in_object_frame(vertices, faces, colors, is_seen)

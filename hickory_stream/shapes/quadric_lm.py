@@ -1,0 +1,278 @@
+"""One superquadric fitted to signed distances: Levenberg-Marquardt with analytic Jacobians.
+
+The distance of a point to the primitive is that to a tangent plane near it, exact for spheres and over the faces of boxes.
+With the gauge h = G^(e1/2), ln h is a nested log-sum-exp of the log coordinates, whose derivatives are its
+softmax weights and entropies, so that nothing overflows for exponents down to 0.1. Rotations are updated on the manifold.
+
+Residuals follow Marching-Primitives (Liu et al., 2023): truncated distances, and a mixture of a Gaussian and a uniform
+distribution that decides how much of a misfit belongs to another primitive. Only missing cover can belong to another one;
+where the primitive claims space outside the object the misfit is its own.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# A primitive is a row of 17 numbers: e1, e2, ln a1..a3, the centre, the rotation row by row.
+ROW = 17
+# Outside, distances are cut off early: near an edge the tangent planes understate them, which would round every box.
+OUTER_BAND = 1.0
+# The density of the uniform distribution relative to the peak of the Gaussian.
+OUTLIER = 0.1
+# Parameter order of a step: e1, e2, ln a (3), centre in the local frame (3), rotation vector in the local frame (3).
+
+
+def row_of(
+    exponents: tuple[float, float],
+    semi_axes: NDArray[np.float64],
+    center: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the (17,) row of a primitive; `rotation` (3, 3) turns local into grid directions."""
+    return np.concatenate([exponents, np.log(semi_axes), center, rotation.ravel()])
+
+
+def refined(
+    row: NDArray[np.float64],
+    points: NDArray[np.float64],
+    distances: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    *,
+    band: float,
+    iterations: int,
+    max_log_axis: float,
+) -> NDArray[np.float64]:
+    """Return the fitted (17,) row.
+
+    `points` (N, 3), signed `distances` (N,), negative inside, truncated at `band`, and `weights` (N,): 0 where another
+    primitive already explains the object. Everything is in units of cells, so that no tolerance depends on the scale.
+    """
+    return np.asarray(_fit(row, points, distances, weights, band, iterations, max_log_axis))
+
+
+@numba.njit(cache=True)
+def _log_gauge(row, px, py, pz, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return ln h at a grid point; fill the local point and, there, the derivatives."""
+    dx, dy, dz = px - row[5], py - row[6], pz - row[7]
+    # The columns of the rotation are the local axes.
+    x = row[8] * dx + row[11] * dy + row[14] * dz
+    y = row[9] * dx + row[12] * dy + row[15] * dz
+    z = row[10] * dx + row[13] * dy + row[16] * dz
+    return _log_gauge_local(row, x, y, z, local, gradient, shape)
+
+
+@numba.njit(cache=True)
+def _log_gauge_local(row, x, y, z, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return ln h at a local point; fill its gradient there and d ln h / d (e1, e2, ln a1, ln a2, ln a3)."""
+    e1, e2 = row[0], row[1]
+    local[0] = x if abs(x) > 1e-6 else 1e-6
+    local[1] = y if abs(y) > 1e-6 else 1e-6
+    local[2] = z if abs(z) > 1e-6 else 1e-6
+    logs = (np.log(abs(local[0])) - row[2], np.log(abs(local[1])) - row[3], np.log(abs(local[2])) - row[4])
+    # ln of the gauge in the xy plane.
+    high = max(logs[0], logs[1])
+    share_x, share_y = np.exp(2.0 / e2 * (logs[0] - high)), np.exp(2.0 / e2 * (logs[1] - high))
+    total = share_x + share_y
+    log_rho = high + 0.5 * e2 * np.log(total)
+    share_x, share_y = share_x / total, share_y / total
+    # ln of the gauge along z and in the plane.
+    top = max(log_rho, logs[2])
+    share_r, share_z = np.exp(2.0 / e1 * (log_rho - top)), np.exp(2.0 / e1 * (logs[2] - top))
+    whole = share_r + share_z
+    log_h = top + 0.5 * e1 * np.log(whole)
+    share_r, share_z = share_r / whole, share_z / whole
+    gradient[0] = share_r * share_x / local[0]
+    gradient[1] = share_r * share_y / local[1]
+    gradient[2] = share_z / local[2]
+    shape[0] = 0.5 * _entropy(share_r, share_z)
+    shape[1] = 0.5 * share_r * _entropy(share_x, share_y)
+    shape[2] = -share_r * share_x
+    shape[3] = -share_r * share_y
+    shape[4] = -share_z
+    return log_h
+
+
+@numba.njit(cache=True)
+def _entropy(p, q):  # type: ignore[no-untyped-def] # pragma: no cover
+    return -(p * np.log(max(p, 1e-300)) + q * np.log(max(q, 1e-300)))
+
+
+@numba.njit(cache=True)
+def tangent_distance(row, x, y, z, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the signed distance of a point to a tangent plane near it; fill the local point and the derivatives there.
+
+    A convex body lies behind its tangent planes: the distance to one bounds the true distance from below outside, from
+    above inside. Outside the plane is that of the ray from the centre; inside it is the closest of that one and of those
+    met along the three axes, or else the rim of a plate would seem to be nearer than its faces.
+    """
+    log_h = _log_gauge(row, x, y, z, local, gradient, shape)
+    slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+    if log_h >= 0.0:
+        return (1.0 - np.exp(-log_h)) / slope
+    best = (np.exp(min(-log_h, 500.0)) - 1.0) / slope
+    p0, p1, p2 = local[0], local[1], local[2]
+    axis, reach = _nearest_along_axes(row, p0, p1, p2)
+    if reach >= best * 4.0:
+        return -best
+    at_axis, at_gradient, at_shape = np.empty(3), np.empty(3), np.empty(5)
+    s0 = p0 + (reach if p0 > 0.0 else -reach) * (axis == 0)
+    s1 = p1 + (reach if p1 > 0.0 else -reach) * (axis == 1)
+    s2 = p2 + (reach if p2 > 0.0 else -reach) * (axis == 2)
+    _log_gauge_local(row, s0, s1, s2, at_axis, at_gradient, at_shape)
+    at_slope = np.sqrt(at_gradient[0] ** 2 + at_gradient[1] ** 2 + at_gradient[2] ** 2)
+    planar = reach * abs(at_gradient[axis]) / at_slope
+    if planar < best:
+        gradient[:] = at_gradient
+        shape[:] = at_shape
+        best = planar
+    return -best
+
+
+@numba.njit(cache=True)
+def _nearest_along_axes(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the axis along which the surface is nearest to an inner point, and how far away it is."""
+    e1, e2 = row[0], row[1]
+    log_x, log_y = np.log(abs(x)) - row[2], np.log(abs(y)) - row[3]
+    log_z = np.log(abs(z)) - row[4]
+    high = max(log_x, log_y)
+    log_rho = high + 0.5 * e2 * np.log(np.exp(2.0 / e2 * (log_x - high)) + np.exp(2.0 / e2 * (log_y - high)))
+    best_axis = 2
+    best = np.exp(row[4] + 0.5 * e1 * np.log(max(-np.expm1(2.0 / e1 * log_rho), 1e-300))) - abs(z)
+    # ln of the largest gauge in the plane at this height.
+    log_most = 0.5 * e1 * np.log(max(-np.expm1(2.0 / e1 * log_z), 1e-300))
+    for axis in range(2):
+        other = log_y if axis == 0 else log_x
+        rest = max(-np.expm1(min(2.0 / e2 * (other - log_most), 0.0)), 1e-300)
+        reach = np.exp(row[2 + axis] + log_most + 0.5 * e2 * np.log(rest)) - abs(x if axis == 0 else y)
+        if reach < best:
+            best_axis, best = axis, reach
+    return best_axis, max(best, 0.0)
+
+
+@numba.njit(cache=True)
+def _distances(row, points):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty(points.shape[0])
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    for n in range(points.shape[0]):
+        out[n] = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape)
+    return out
+
+
+@numba.njit(cache=True)
+def _cost(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the robust cost of distances `d`: the negative log likelihood of the mixture, up to constants."""
+    total = 0.0
+    for n in range(len(d)):
+        r = min(max(d[n], -band), OUTER_BAND) - targets[n]
+        if r > 0.0:
+            total -= weights[n] * 2.0 * sigma2 * np.log((np.exp(-0.5 * r * r / sigma2) + OUTLIER) / (1.0 + OUTLIER))
+        else:
+            total += weights[n] * r * r
+    return total
+
+
+@numba.njit(cache=True)
+def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
+    a = np.zeros((11, 11))
+    b = np.zeros(11)
+    jacobian = np.empty(11)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    for n in range(points.shape[0]):
+        d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape)
+        if d > OUTER_BAND or d < -band:
+            continue
+        r = d - targets[n]
+        w = weights[n]
+        if r > 0.0:
+            gauss = np.exp(-0.5 * r * r / sigma2)
+            w *= gauss / (gauss + OUTLIER)
+        # The plane moves with the surface, its direction held fixed: dd = d ln h / |grad ln h|.
+        scale = 1.0 / np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+        for p in range(5):
+            jacobian[p] = shape[p] * scale
+        for p in range(3):
+            jacobian[5 + p] = -gradient[p] * scale
+        jacobian[8] = (gradient[1] * local[2] - gradient[2] * local[1]) * scale
+        jacobian[9] = (gradient[2] * local[0] - gradient[0] * local[2]) * scale
+        jacobian[10] = (gradient[0] * local[1] - gradient[1] * local[0]) * scale
+        for p in range(11):
+            wj = w * jacobian[p]
+            b[p] -= wj * r
+            for q in range(p + 1):
+                a[p, q] += wj * jacobian[q]
+    for p in range(11):
+        for q in range(p):
+            a[q, p] = a[p, q]
+    return a, b
+
+
+@numba.njit(cache=True)
+def _stepped(row, step, max_log_axis):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = row.copy()
+    for p in range(2):
+        out[p] = min(max(row[p] + min(max(step[p], -0.4), 0.4), 0.1), 2.0)
+    for p in range(3):
+        # No thinner than half a cell across, no longer than the object.
+        out[2 + p] = min(max(row[2 + p] + min(max(step[2 + p], -0.5), 0.5), -1.4), max_log_axis)
+    rotation = np.ascontiguousarray(row[8:17]).reshape(3, 3)
+    moved = rotation @ step[5:8]
+    out[5:8] += moved
+    angle = np.sqrt(step[8] ** 2 + step[9] ** 2 + step[10] ** 2)
+    if angle > 1e-12:
+        x, y, z = step[8] / angle, step[9] / angle, step[10] / angle
+        turn = min(angle, 0.5)
+        s, c = np.sin(turn), 1.0 - np.cos(turn)
+        k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        rotation = rotation @ (np.eye(3) + s * k + c * (k @ k))
+        out[8:17] = rotation.ravel()
+    return out
+
+
+@numba.njit(cache=True)
+def _sigma2(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the mixture's variance, the maximisation step; never below half a cell squared."""
+    total, count = 0.0, 0.0
+    for n in range(len(d)):
+        r = min(max(d[n], -band), OUTER_BAND) - targets[n]
+        w = weights[n]
+        if r > 0.0:
+            gauss = np.exp(-0.5 * r * r / sigma2)
+            w *= gauss / (gauss + OUTLIER)
+        total += w * r * r
+        count += w
+    return max(total / max(count, 1e-9), 0.25)
+
+
+@numba.njit(cache=True)
+def _fit(row, points, distances, weights, band, iterations, max_log_axis):  # type: ignore[no-untyped-def] # pragma: no cover
+    targets = np.minimum(np.maximum(distances, -band), OUTER_BAND)
+    d = _distances(row, points)
+    sigma2 = _sigma2(d, targets, weights, band, band * band)
+    cost = _cost(d, targets, weights, band, sigma2)
+    damping = 1e-3
+    for _ in range(iterations):
+        a, b = _normal_equations(row, points, targets, weights, band, sigma2)
+        gain = 0.0
+        for _ in range(6):
+            lhs = a.copy()
+            for p in range(11):
+                lhs[p, p] += damping * a[p, p] + 1e-6 * (a[0, 0] + a[5, 5] + 1.0)
+            candidate = _stepped(row, np.linalg.solve(lhs, b), max_log_axis)
+            d = _distances(candidate, points)
+            new_cost = _cost(d, targets, weights, band, sigma2)
+            if new_cost < cost:
+                gain = (cost - new_cost) / max(cost, 1e-12)
+                row, damping = candidate, max(damping * 0.3, 1e-6)
+                break
+            damping = min(damping * 8.0, 1e6)
+        if gain < 1e-4:
+            break
+        sigma2 = min(sigma2, _sigma2(d, targets, weights, band, sigma2))
+        cost = _cost(d, targets, weights, band, sigma2)
+    return row

@@ -1,0 +1,114 @@
+"""Layer 2 from the best view alone: completed by the plane that the object stands on and by mirror symmetry.
+
+It stands in for a network that generates a whole object from one picture: what it makes depends on which view was chosen.
+A mirrored view is a view through a mirrored camera, so that the fusion of `fused` does the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.shapes.complete import CompletionConfig
+from hickory_stream.shapes.fused import VolumeConfig, reconstruct_views
+from hickory_stream.shapes.symmetry import SymmetryConfig, mirror_plane
+from hickory_stream.shapes.tsdf import DepthView, smoothed_depth
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import Crop
+
+_MIN_POINTS = 20
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SingleViewConfig:
+    """`volume` and `completion` as for `fused`; `symmetry` says how planes are searched.
+
+    `mirror_trust` is the weight of a mirrored view relative to the view itself.
+    """
+
+    volume: VolumeConfig = field(default_factory=VolumeConfig)
+    completion: CompletionConfig = field(default_factory=CompletionConfig)
+    symmetry: SymmetryConfig = field(default_factory=SymmetryConfig)
+    mirror_trust: float = 0.2
+
+
+class SingleViewReconstructor:
+    """Completes the best view."""
+
+    name = "single_view"
+
+    def __init__(self, config: SingleViewConfig) -> None:
+        self._config = config
+
+    def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
+        """Return the closed mesh that the best view suggests, or why there is none."""
+        if not inputs.crops:
+            return NoShape(reason="no view is kept")
+        crop, config = inputs.crops[0], self._config
+        points, colors = seen_points(crop, config.volume.noise_per_m)
+        if len(points) < _MIN_POINTS:
+            return NoShape(reason=f"{len(points)} pixels with depth; a surface needs at least {_MIN_POINTS}")
+        views = with_mirrored(crop, points, config)
+        around = np.concatenate([apply(invert(v.camera_from_world) @ crop_pose(crop), points) for v in views])
+        alone = ShapeInputs(
+            crops=(crop,),
+            points_world=points.astype(np.float32),
+            colors=colors,
+            box=gravity_aligned_box(around, 2 * config.volume.min_voxel_m),
+            support_z_m=inputs.support_z_m,
+        )
+        return reconstruct_views(alone, views, config.volume, config.completion)
+
+
+def seen_points(crop: Crop, noise_per_m: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Return the (N, 3) world points of the crop's mask and their (N, 3) colours, without those far from the rest."""
+    depth = smoothed_depth(crop.depth_m, crop.mask, noise_per_m)
+    valid = np.isfinite(depth)
+    if not valid.any():
+        return np.empty((0, 3)), np.empty((0, 3), np.uint8)
+    points = apply(crop.world_from_camera, backproject(depth, crop.camera)[valid].astype(np.float64))
+    low, high = np.quantile(points, [0.005, 0.995], axis=0)
+    slack = 0.05 * (high - low) + 0.01
+    kept = ((points >= low - slack) & (points <= high + slack)).all(axis=1)
+    return points[kept], crop.rgb[valid][kept]
+
+
+def crop_pose(crop: Crop) -> NDArray[np.float64]:
+    """Return camera_from_world of a crop."""
+    return invert(crop.world_from_camera)
+
+
+def with_mirrored(crop: Crop, points: NDArray[np.float64], config: SingleViewConfig) -> list[DepthView]:
+    """Return the view of a crop and its mirror images: about the best plane, then about the best one for both."""
+    view = DepthView(
+        depth_m=crop.depth_m, mask=crop.mask, camera=crop.camera, camera_from_world=invert(crop.world_from_camera)
+    )
+    views = [view]
+    seen = points
+    median_z = float(np.median(apply(view.camera_from_world, points)[:, 2]))
+    tolerance = max(3 * config.volume.noise_per_m * median_z**2, 2 * config.volume.min_voxel_m)
+    for _ in range(2):
+        reflection = mirror_plane(seen, [view], tolerance, config.symmetry)
+        if reflection is None:
+            break
+        views += [
+            DepthView(
+                depth_m=crop.depth_m,
+                mask=crop.mask,
+                camera=crop.camera,
+                camera_from_world=v.camera_from_world @ reflection,
+                trust=config.mirror_trust * v.trust,
+            )
+            for v in views
+        ]
+        seen = np.concatenate([seen, apply(reflection, seen)])
+    return views

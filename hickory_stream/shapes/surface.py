@@ -1,0 +1,124 @@
+"""From a solid on a grid to a closed, smooth, coloured mesh in the object's frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import ndimage, sparse
+from scipy.spatial import cKDTree
+
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.camera import project
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.ports import Reconstruction
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import Crop
+    from hickory_stream.shapes.tsdf import Evidence, VoxelGrid
+
+_GREY = (150, 150, 150)
+
+
+def surface_field(solid: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.float32]:
+    """Return a signed field in voxels, negative inside, whose zero is the surface.
+
+    Where the surface was measured the field is the measured distance; elsewhere it is the distance to the completed
+    solid, smoothed. It is never exactly zero on a voxel, so that its level set is a closed manifold.
+    """
+    distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)
+    rough = (distance - np.sign(distance) * 0.5).astype(np.float32)
+    smooth = ndimage.gaussian_filter(rough, 1.0, mode="nearest")
+    measured = (evidence.near > evidence.free) & (np.abs(evidence.distance) < 1.0) & ((evidence.distance <= 0) == solid)
+    # Where both are known the nearer of the two surfaces counts: a measured front must not move a completed back.
+    magnitude = np.where(measured, np.minimum(np.abs(evidence.distance), np.abs(rough)), np.abs(smooth))
+    # Smoothing must not open a hole in a plate one voxel thick, so that the sign is the solid's everywhere.
+    magnitude = np.where(~measured & ((smooth < 0) != solid), 0.1, np.maximum(magnitude, 1e-3))
+    return np.where(solid, -magnitude, magnitude).astype(np.float32)
+
+
+def extract(field: NDArray[np.float32], grid: VoxelGrid) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the closed surface of a field that is negative inside: (V, 3) world vertices, (F, 3) outward faces."""
+    from skimage.measure import marching_cubes
+
+    padded = np.pad(field, 1, constant_values=1.0)
+    vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="descent")
+    return grid.points_world(vertices - 1.0), faces.astype(np.int32)
+
+
+def taubin_smoothed(vertices: NDArray[np.float64], faces: NDArray[np.int32], iterations: int) -> NDArray[np.float64]:
+    """Return the vertices after Taubin's lambda-mu smoothing (0.5, -0.53), which does not shrink the shape."""
+    count = len(vertices)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ones = np.ones(len(edges))
+    neighbours = sparse.csr_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
+    averaging = sparse.diags(1 / np.maximum(np.asarray(neighbours.sum(axis=1)).ravel(), 1)) @ neighbours
+    for _ in range(iterations):
+        for factor in (0.5, -0.53):
+            vertices = vertices + factor * (averaging @ vertices - vertices)
+    return vertices
+
+
+def painted(
+    vertices: NDArray[np.float64],
+    crops: tuple[Crop, ...],
+    points_world: NDArray[np.float32],
+    point_colors: NDArray[np.uint8],
+    reach_m: float,
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Return per vertex its colour and whether it was seen.
+
+    Seen is what a crop measured within `reach_m`, or what lies that close to a layer-1 point. Its colour is the mean over
+    those crops, else the point's; generated surface takes the colour of the nearest seen vertex.
+    """
+    total = np.zeros((len(vertices), 3))
+    weight = np.zeros(len(vertices))
+    for crop in crops:
+        here, colors, weights = _seen_in(vertices, crop, reach_m)
+        total[here] += colors * weights[:, None]
+        weight[here] += weights
+    is_seen = weight > 0
+    colors = total / np.maximum(weight, 1e-12)[:, None]
+    if len(points_world):
+        near, which = cKDTree(points_world).query(vertices, distance_upper_bound=reach_m)
+        found = np.isfinite(near) & ~is_seen
+        colors[found] = point_colors[which[found]]
+        is_seen |= found
+    if is_seen.any() and not is_seen.all():
+        _, nearest = cKDTree(vertices[is_seen]).query(vertices[~is_seen])
+        colors[~is_seen] = colors[is_seen][nearest]
+    elif not is_seen.any():
+        colors[:] = _GREY
+    return np.round(colors).clip(0, 255).astype(np.uint8), is_seen
+
+
+def in_object_frame(
+    vertices_world: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    colors: NDArray[np.uint8],
+    is_seen: NDArray[np.bool_],
+) -> Reconstruction:
+    """Return the mesh in the frame of its own gravity-aligned box, the origin at the box's centre."""
+    world_from_object = gravity_aligned_box(vertices_world, 1e-4).world_from_box
+    mesh = Mesh(vertices=apply(invert(world_from_object), vertices_world), faces=faces, colors=colors, is_seen=is_seen)
+    return Reconstruction(mesh=mesh, world_from_object=world_from_object)
+
+
+def _seen_in(
+    vertices: NDArray[np.float64], crop: Crop, reach_m: float
+) -> tuple[NDArray[np.int64], NDArray[Any], NDArray[np.float64]]:
+    """Return the vertices that a crop measured, their colours (n, 3) and weights 1/z^2."""
+    points = apply(invert(crop.world_from_camera), vertices)
+    pixels = project(points, crop.camera)
+    inside = np.isfinite(pixels).all(axis=1)
+    columns = np.round(np.where(inside, pixels[:, 0], 0)).astype(np.int64)
+    rows = np.round(np.where(inside, pixels[:, 1], 0)).astype(np.int64)
+    inside &= (columns >= 0) & (rows >= 0) & (columns < crop.camera.width) & (rows < crop.camera.height)
+    candidates = np.nonzero(inside)[0]
+    rows, columns = rows[candidates], columns[candidates]
+    depth = crop.depth_m[rows, columns]
+    kept = crop.mask[rows, columns] & (np.abs(depth - points[candidates, 2]) <= reach_m)
+    return candidates[kept], crop.rgb[rows[kept], columns[kept]], 1 / np.square(depth[kept].astype(np.float64))

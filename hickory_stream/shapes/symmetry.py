@@ -1,0 +1,106 @@
+"""The vertical plane about which an object seen from one side is most plausibly symmetric.
+
+A mirror plane is judged by what it would put where the camera saw nothing (free space contradicts it), by how much of the
+mirrored surface falls on measured surface, and by how much larger it makes the object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from hickory_stream.geometry.rigid import apply
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.shapes.tsdf import DepthView
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SymmetryConfig:
+    """How mirror planes are searched.
+
+    `num_yaws` directions in half a turn and `num_offsets` places along each, from the middle of the seen extent to its far
+    end. `max_contradiction` is the share of mirrored points that may lie in space seen free; `growth_penalty` and
+    `contradiction_penalty` are relative to a full overlap.
+    """
+
+    num_yaws: int = 36
+    num_offsets: int = 9
+    max_contradiction: float = 0.1
+    growth_penalty: float = 0.5
+    contradiction_penalty: float = 4.0
+    max_points: int = 800
+
+
+def mirror_plane(
+    points_world: NDArray[np.float64], views: list[DepthView], tolerance_m: float, config: SymmetryConfig
+) -> NDArray[np.float64] | None:
+    """Return world_from_mirrored (4, 4), a reflection about the best vertical plane; None where all are contradicted."""
+    points = points_world[:: max(len(points_world) // config.max_points, 1)]
+    best, best_score = None, -np.inf
+    for yaw in np.pi * np.arange(config.num_yaws) / config.num_yaws:
+        normal = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        along = points @ normal
+        low, high = np.quantile(along, [0.01, 0.99])
+        for offset in _offsets(low, high, config.num_offsets):
+            reflection = reflection_about(normal, offset)
+            mirrored = apply(reflection, points)
+            overlap, contradiction = _judged(mirrored, views, tolerance_m)
+            if contradiction > config.max_contradiction:
+                continue
+            grown = (max(high, 2 * offset - low) - min(low, 2 * offset - high)) / max(high - low, tolerance_m) - 1
+            score = overlap - config.growth_penalty * grown - config.contradiction_penalty * contradiction
+            if score > best_score:
+                best, best_score = reflection, score
+    return best
+
+
+def reflection_about(normal: NDArray[np.float64], offset_m: float) -> NDArray[np.float64]:
+    """Return the (4, 4) reflection about the plane normal . p = offset; the normal has unit length."""
+    reflection = np.eye(4)
+    reflection[:3, :3] -= 2 * np.outer(normal, normal)
+    reflection[:3, 3] = 2 * offset_m * normal
+    return reflection
+
+
+def _offsets(low: float, high: float, count: int) -> NDArray[np.float64]:
+    """Return places of a plane: at the middle, and on to either end of the extent."""
+    return np.concatenate([np.linspace((low + high) / 2, end, count // 2 + 1)[i:] for i, end in ((0, low), (1, high))])
+
+
+def _judged(mirrored: NDArray[np.float64], views: list[DepthView], tolerance_m: float) -> tuple[float, float]:
+    """Return the shares of mirrored points that fall on measured surface, and into space seen free (by any view)."""
+    on_surface = np.zeros(len(mirrored), dtype=bool)
+    in_free = np.zeros(len(mirrored), dtype=bool)
+    for view in views:
+        camera = view.camera
+        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        states = _against(apply(view.camera_from_world, mirrored), view.depth_m, view.mask, intrinsics, tolerance_m)
+        on_surface |= states == 1
+        in_free |= states == 2
+    return float(on_surface.mean()), float(in_free.mean())
+
+
+@numba.njit(cache=True)
+def _against(points, depth, mask, intrinsics, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Compare camera points with a depth image: 1 on the object's surface, 2 in free space, 0 hidden or unknown."""
+    fx, fy, cx, cy = intrinsics
+    out = np.zeros(len(points), np.uint8)
+    for n in range(len(points)):
+        x, y, z = points[n]
+        if z <= 0.05:
+            continue
+        column, row = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))
+        if row < 0 or column < 0 or row >= depth.shape[0] or column >= depth.shape[1]:
+            continue
+        ahead = depth[row, column] - z
+        if ahead > tolerance:
+            out[n] = 2
+        elif abs(ahead) <= tolerance and mask[row, column]:
+            out[n] = 1
+    return out

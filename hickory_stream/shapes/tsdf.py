@@ -1,0 +1,221 @@
+"""What depth images say of a block of voxels: near a surface, free, or nothing.
+
+Two kinds of evidence are kept apart until the end: signed distances near a surface, and free space. What lies behind a
+surface by more than a short band stays unknown, so that the far side of a thin plate is never overruled by its front.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numba
+import numpy as np
+
+from hickory_stream.geometry.rigid import apply
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.camera import Camera
+
+# Behind a surface the evidence fades out over this many voxels: a plate two voxels thick keeps both of its sides.
+BAND_BEHIND_VOXELS = 2.0
+BAND_BEFORE_VOXELS = 3.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class VoxelGrid:
+    """A block of cubic voxels; the origin of its frame is the centre of voxel (0, 0, 0), in units of metres."""
+
+    world_from_grid: NDArray[np.float64]
+    voxel_m: float
+    shape: tuple[int, int, int]
+
+    def cells(self, points_world: NDArray[Any]) -> NDArray[np.int64]:
+        """Return the (N, 3) cells of (N, 3) points, also outside the block."""
+        rotation, origin = self.world_from_grid[:3, :3], self.world_from_grid[:3, 3]
+        return np.round((points_world.astype(np.float64) - origin) @ rotation / self.voxel_m).astype(np.int64)
+
+    def points_world(self, cells: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the (N, 3) world points of (N, 3) cell coordinates, fractional ones included."""
+        return apply(self.world_from_grid, cells.astype(np.float64) * self.voxel_m)
+
+    def contains(self, cells: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return for each of (N, 3) cells whether it lies in the block."""
+        return np.asarray(((cells >= 0) & (cells < np.array(self.shape))).all(axis=1))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class DepthView:
+    """A depth image as the integration uses it.
+
+    `camera_from_world` may hold a reflection: a mirrored view. `trust` scales its weight.
+    """
+
+    depth_m: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    camera: Camera
+    camera_from_world: NDArray[np.float64]
+    trust: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Evidence:
+    """What the views say of every voxel of a grid, three float32 arrays of its shape.
+
+    `distance` is the weighted mean signed distance in voxels, `near` its weight, and `free` the weight of the views that
+    saw through the voxel.
+    """
+
+    distance: NDArray[np.float32]
+    near: NDArray[np.float32]
+    free: NDArray[np.float32]
+
+
+def integrate(grid: VoxelGrid, views: list[DepthView], noise_per_m: float) -> Evidence:
+    """Return what `views` say of the voxels of `grid`; `noise_per_m` is sigma / z^2 of the depth camera, in 1/m."""
+    total = np.zeros(grid.shape, np.float32)
+    near = np.zeros(grid.shape, np.float32)
+    free = np.zeros(grid.shape, np.float32)
+    for view in views:
+        camera_from_grid = view.camera_from_world @ grid.world_from_grid
+        depth = smoothed_depth(view.depth_m, view.mask, noise_per_m)
+        camera = view.camera
+        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        carve = _carving_depth(view.depth_m)
+        inner = _inner(view.mask)
+        cosine = _cosine(depth, intrinsics)
+        _integrate(
+            total, near, free, camera_from_grid, grid.voxel_m,
+            depth, cosine, carve, view.mask, inner, intrinsics, noise_per_m, view.trust,
+        )  # fmt: skip
+    return Evidence(distance=total / np.maximum(near, 1e-9), near=near, free=free)
+
+
+def smoothed_depth(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], noise_per_m: float) -> NDArray[np.float32]:
+    """Return the depth averaged within the mask over 5 x 5 pixels that lie within four sigma; holes stay holes."""
+    return np.asarray(_smooth(depth_m, mask, noise_per_m))
+
+
+@numba.njit(cache=True)
+def _smooth(depth, mask, noise_per_m):  # type: ignore[no-untyped-def] # pragma: no cover
+    height, width = depth.shape
+    out = np.full_like(depth, np.nan)
+    for row in range(height):
+        for column in range(width):
+            middle = depth[row, column]
+            if not mask[row, column] or not middle > 0.0:
+                continue
+            gate = 4.0 * noise_per_m * middle * middle
+            total, count = 0.0, 0.0
+            for r in range(max(row - 2, 0), min(row + 3, height)):
+                for c in range(max(column - 2, 0), min(column + 3, width)):
+                    if mask[r, c] and abs(depth[r, c] - middle) <= gate:
+                        total += depth[r, c]
+                        count += 1.0
+            out[row, column] = total / max(count, 1.0)
+    return out
+
+
+@numba.njit(cache=True)
+def _cosine(depth, intrinsics):  # type: ignore[no-untyped-def] # pragma: no cover
+    """The cosine between surface normal and optical axis, in 0.25..1: from distances along the axis to true ones."""
+    height, width = depth.shape
+    fx, fy = intrinsics[0], intrinsics[1]
+    out = np.ones_like(depth)
+    for row in range(height):
+        for column in range(width):
+            z = depth[row, column]
+            if not z > 0.0:
+                continue
+            left, right = depth[row, max(column - 2, 0)], depth[row, min(column + 2, width - 1)]
+            above, below = depth[max(row - 2, 0), column], depth[min(row + 2, height - 1), column]
+            # One-sided where the other side is a hole; 0 where both are.
+            dx = 0.25 * (right - left)
+            if not abs(dx) < 1e9:
+                dx = 0.5 * (right - z) if right > 0.0 else (0.5 * (z - left) if left > 0.0 else 0.0)
+            dy = 0.25 * (below - above)
+            if not abs(dy) < 1e9:
+                dy = 0.5 * (below - z) if below > 0.0 else (0.5 * (z - above) if above > 0.0 else 0.0)
+            a, b = dx * fx / z, dy * fy / z
+            out[row, column] = max(0.25, 1.0 / np.sqrt(1.0 + a * a + b * b))
+    return out
+
+
+@numba.njit(cache=True)
+def _carving_depth(depth):  # type: ignore[no-untyped-def] # pragma: no cover
+    """The nearest depth among 3 x 3 pixels: what is safely free, also beside an edge."""
+    height, width = depth.shape
+    out = np.full_like(depth, np.nan)
+    for row in range(height):
+        for column in range(width):
+            if not depth[row, column] > 0.0:
+                continue
+            nearest = depth[row, column]
+            for r in range(max(row - 1, 0), min(row + 2, height)):
+                for c in range(max(column - 1, 0), min(column + 2, width)):
+                    if depth[r, c] < nearest:
+                        nearest = depth[r, c]
+            out[row, column] = nearest
+    return out
+
+
+@numba.njit(cache=True)
+def _inner(mask):  # type: ignore[no-untyped-def] # pragma: no cover
+    """The pixels whose four neighbours are in the mask too: the others may hold a depth from behind the object."""
+    height, width = mask.shape
+    out = np.zeros_like(mask)
+    for row in range(1, height - 1):
+        for column in range(1, width - 1):
+            out[row, column] = (
+                mask[row, column]
+                and mask[row - 1, column]
+                and mask[row + 1, column]
+                and mask[row, column - 1]
+                and mask[row, column + 1]
+            )
+    return out
+
+
+@numba.njit(cache=True)
+def _integrate(  # type: ignore[no-untyped-def] # pragma: no cover
+    total, near, free, camera_from_grid, voxel, depth, cosine, carve, mask, inner, intrinsics, noise_per_m, trust
+):
+    height, width = depth.shape
+    fx, fy, cx, cy = intrinsics
+    m = camera_from_grid
+    for i in range(total.shape[0]):
+        for j in range(total.shape[1]):
+            for k in range(total.shape[2]):
+                gx, gy, gz = i * voxel, j * voxel, k * voxel
+                z = m[2, 0] * gx + m[2, 1] * gy + m[2, 2] * gz + m[2, 3]
+                if z <= 0.05:
+                    continue
+                x = m[0, 0] * gx + m[0, 1] * gy + m[0, 2] * gz + m[0, 3]
+                y = m[1, 0] * gx + m[1, 1] * gy + m[1, 2] * gz + m[1, 3]
+                column = int(np.floor(x / z * fx + cx + 0.5))
+                row = int(np.floor(y / z * fy + cy + 0.5))
+                if column < 0 or row < 0 or column >= width or row >= height:
+                    continue
+                sigma = noise_per_m * z * z
+                before = max(BAND_BEFORE_VOXELS * voxel, 3.0 * sigma)
+                weight = trust / (1.0 + z * z)
+                if not mask[row, column]:
+                    # A nearer surface hides the voxel, one at its depth is not this object's: both say nothing.
+                    if carve[row, column] - z > max(voxel, 2.0 * sigma):
+                        free[i, j, k] += weight
+                    continue
+                along = depth[row, column] - z
+                if not abs(along) < 1e9:
+                    continue
+                slope = cosine[row, column]
+                distance = along * slope
+                behind = max(BAND_BEHIND_VOXELS * voxel, 1.5 * sigma * slope)
+                if along > before and distance > voxel:
+                    if inner[row, column] and carve[row, column] - z > before:
+                        free[i, j, k] += weight
+                elif distance > -behind:
+                    fade = 1.0 if distance >= 0.0 else 1.0 + distance / behind
+                    total[i, j, k] += weight * fade * min(distance / voxel, 3.0)
+                    near[i, j, k] += weight * fade

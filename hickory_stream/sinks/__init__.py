@@ -1,0 +1,1 @@
+"""Sinks: where snapshots go, to be looked at or to be kept."""

@@ -1,0 +1,60 @@
+"""The sink that keeps the map: it saves snapshots into the map folder, seldom enough not to matter.
+
+Only the newest snapshot is held. What a save costs is the objects that changed since the last one; the rest of the
+folder (views, meshes, journal) is written where it is made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.records import FrameReport, MapSnapshot
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DiskSinkConfig:
+    """How often the map is saved.
+
+    `every_keyframes`: a save at most every so many keyframes; a killed run loses no more than these.
+    """
+
+    every_keyframes: int = 20
+
+    def __post_init__(self) -> None:
+        if self.every_keyframes < 1:
+            raise ValueError(f"every_keyframes must be at least 1, found {self.every_keyframes}")
+
+
+class DiskSink:
+    """Saves the map while it grows, and once more at the end.
+
+    `show` and `close` raise `MapFolderError` when the disk refuses; the folder then opens as of the save before.
+    """
+
+    def __init__(self, folder: MapFolder, config: DiskSinkConfig | None = None) -> None:
+        self._folder = folder
+        self._every = (config or DiskSinkConfig()).every_keyframes
+        self._unsaved: MapSnapshot | None = None
+        self._keyframes_since_save = 0
+
+    def show(self, report: FrameReport) -> None:
+        """Remember the report's snapshot, and save it when it is time."""
+        if report.snapshot is None:
+            return
+        self._unsaved = report.snapshot
+        self._keyframes_since_save += 1
+        if self._keyframes_since_save >= self._every:
+            self._save()
+
+    def close(self) -> None:
+        """Save the last snapshot, if it is not saved yet."""
+        self._save()
+
+    def _save(self) -> None:
+        if self._unsaved is not None:
+            self._folder.save(self._unsaved)
+            self._unsaved = None
+            self._keyframes_since_save = 0

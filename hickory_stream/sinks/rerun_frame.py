@@ -1,0 +1,142 @@
+"""What one frame shows: the camera, its colour, depth, masks and 2D boxes, and the way it came.
+
+Between keyframes only the pose and the still-compressed colour are logged; the masks of the last keyframe stay.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import rerun as rr
+
+from hickory_stream.sinks.palette import color_of_id
+from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import Frame, FrameReport
+
+CAMERA = "world/camera"
+TRAJECTORY = "world/trajectory"
+# Class ids of masks: object ids, and this for an observation that went to no object.
+_UNASSIGNED = 65535
+_GREY = (150, 150, 150)
+_MILLIMETRES = 1000.0
+_SEGMENT_LENGTH = 64
+
+
+def camera_items(report: FrameReport) -> list[LogItem]:
+    """Return the camera's pose and pinhole."""
+    camera = report.camera
+    pose = rr.Transform3D(translation=report.world_from_camera[:3, 3], mat3x3=report.world_from_camera[:3, :3])
+    pinhole = rr.Pinhole(
+        image_from_camera=camera.K,
+        resolution=(camera.width, camera.height),
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=0.35,
+        color=(255, 214, 90),
+    )
+    return [LogItem(path=CAMERA, archetypes=(pose, pinhole), span=Span.LASTING)]
+
+
+def color_items(report: FrameReport, jpeg_quality: int) -> list[LogItem]:
+    """Return the colour as the log had it, or encoded here where a keyframe has no compressed colour."""
+    if report.color_bytes is not None:
+        image = rr.EncodedImage(contents=report.color_bytes, media_type=_media_type(report.color_bytes))
+    elif report.frame is not None:
+        image = encoded_jpeg(report.frame.rgb, jpeg_quality)
+    else:
+        return []
+    return [LogItem(path=f"{CAMERA}/color", archetypes=(image,), weight=Weight.HEAVY)]
+
+
+def depth_items(frame: Frame) -> list[LogItem]:
+    """Return the depth as a 16-bit PNG in millimetres, 0 = no return; what is beyond 65 m is left out."""
+    millimetres = np.nan_to_num(frame.depth_m * _MILLIMETRES, nan=0.0, posinf=0.0, neginf=0.0)
+    millimetres[(millimetres < 0) | (millimetres > 65535)] = 0.0
+    _, png = cv2.imencode(".png", np.rint(millimetres).astype(np.uint16), [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    image = rr.EncodedDepthImage(blob=png.tobytes(), media_type="image/png", meter=_MILLIMETRES)
+    return [LogItem(path=f"{CAMERA}/depth", archetypes=(image,), weight=Weight.HEAVY)]
+
+
+def mask_items(report: FrameReport) -> list[LogItem]:
+    """Return the observations of a keyframe: a class image whose classes are object ids, and labelled boxes."""
+    classes = np.zeros((report.camera.height, report.camera.width), dtype=np.uint16)
+    ids = report.object_ids or (None,) * len(report.observations)
+    for observation, object_id in zip(report.observations, ids, strict=True):
+        x0, y0, x1, y1 = observation.box_px
+        classes[y0:y1, x0:x1][observation.mask] = _UNASSIGNED if object_id is None else object_id % _UNASSIGNED
+    boxes = rr.Boxes2D(
+        array=np.array([o.box_px for o in report.observations], dtype=np.float32).reshape(-1, 4),
+        array_format=rr.Box2DFormat.XYXY,
+        labels=["" if i is None else str(i) for i in ids],
+        colors=[_GREY if i is None else color_of_id(i) for i in ids],
+        radii=-1.0,
+        show_labels=True,
+    )
+    masks = rr.SegmentationImage(classes, opacity=0.5)
+    return [
+        LogItem(path=f"{CAMERA}/masks", archetypes=(masks,), weight=Weight.HEAVY),
+        LogItem(path=f"{CAMERA}/boxes", archetypes=(boxes,)),
+    ]
+
+
+class ClassColors:
+    """Gives the masks the colours of their objects, as new ids come up."""
+
+    def __init__(self) -> None:
+        self._known: set[int] = set()
+
+    def items(self, object_ids: Iterable[int | None]) -> list[LogItem]:
+        """Return the annotations of all ids so far when there is a new one among these."""
+        new = {i % _UNASSIGNED for i in object_ids if i is not None} - self._known
+        if not new and self._known:
+            return []
+        self._known |= new | {0}
+        classes = [(i, str(i), color_of_id(i)) for i in sorted(self._known - {0})]
+        context = rr.AnnotationContext([(0, "no object", (0, 0, 0, 0)), *classes, (_UNASSIGNED, "rejected", _GREY)])
+        return [LogItem(path=CAMERA, archetypes=(context,), span=Span.STATIC)]
+
+
+class Trajectory:
+    """The way of the camera as pieces of a line: only the last piece is logged again, so that the cost stays linear."""
+
+    def __init__(self) -> None:
+        self._piece = 0
+        self._points: list[NDArray[np.float64]] = []
+        self._ended: list[LogItem] = []
+
+    def add(self, world_from_camera: NDArray[np.float64]) -> None:
+        """Take the camera's next place."""
+        if len(self._points) == _SEGMENT_LENGTH:
+            self._ended.append(self._piece_item())
+            self._points = self._points[-1:]
+            self._piece += 1
+        self._points.append(world_from_camera[:3, 3])
+
+    def items(self) -> list[LogItem]:
+        """Return the pieces that grew since the last call."""
+        grown, self._ended = [*self._ended, self._piece_item()], []
+        return grown
+
+    def _piece_item(self) -> LogItem:
+        line = rr.LineStrips3D([np.array(self._points)], colors=(255, 214, 90), radii=-1.5)
+        return LogItem(path=f"{TRAJECTORY}/{self._piece:04d}", archetypes=(line,), span=Span.LASTING)
+
+
+def encoded_jpeg(rgb: NDArray[np.uint8], quality: int) -> Any:
+    """Return (H, W, 3) colour as a JPEG archetype."""
+    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg")
+
+
+def _media_type(data: bytes) -> str | None:
+    """Return the type by the file's first bytes; None lets the viewer find out."""
+    if data.startswith(b"\xff\xd8"):
+        return "image/jpeg"
+    return "image/png" if data.startswith(b"\x89PNG") else None

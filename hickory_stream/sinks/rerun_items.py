@@ -1,0 +1,83 @@
+"""Log items: what is to be shown, apart from where it goes.
+
+A report becomes a list of items once; the file and the live viewer each take from it what they can carry. An item says
+whether it is heavy (may be left out when space or time runs short) and whether it lasts (an object's cloud is missed
+until the next one comes, an image or a number of a plot is not).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from hickory_stream.records import FrameReport
+
+LOG_TIME, FRAME, KEYFRAME = "log_time", "frame", "keyframe"
+
+
+class Weight(Enum):
+    """What an item costs."""
+
+    LIGHT = auto()
+    HEAVY = auto()
+
+
+class Span(Enum):
+    """How long an item matters: for its moment, until its entity is logged again, or regardless of time (static)."""
+
+    MOMENT = auto()
+    LASTING = auto()
+    STATIC = auto()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Moment:
+    """A place on the three timelines; `keyframe` is None between keyframes, and such rows are not on that timeline."""
+
+    stamp_ns: int
+    frame: int
+    keyframe: int | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LogItem:
+    """Rerun archetypes for one entity. `is_clear`: it empties the entity and everything below it."""
+
+    path: str
+    archetypes: tuple[Any, ...]
+    weight: Weight = Weight.LIGHT
+    span: Span = Span.MOMENT
+    is_clear: bool = False
+
+
+def moment_of(report: FrameReport) -> Moment:
+    """Return the moment of a report."""
+    return Moment(stamp_ns=report.stamp_ns, frame=report.index, keyframe=report.keyframe_index)
+
+
+def emit(stream: Any, moment: Moment, items: Iterable[LogItem]) -> None:
+    """Log items to a RecordingStream; sets every timeline, since Rerun's time is sticky and per thread."""
+    stream.reset_time()
+    # A float of epoch seconds would lose some 100 ns.
+    stream.set_time(LOG_TIME, timestamp=np.datetime64(moment.stamp_ns, "ns"))
+    stream.set_time(FRAME, sequence=moment.frame)
+    if moment.keyframe is not None:
+        stream.set_time(KEYFRAME, sequence=moment.keyframe)
+    for item in items:
+        stream.log(item.path, *item.archetypes, static=item.span is Span.STATIC)
+
+
+def new_stream(recording_id: str) -> Any:
+    """Return a RecordingStream without the SDK's own timelines: they show when we logged, not when it happened."""
+    import rerun as rr
+
+    stream = rr.RecordingStream("hickory_stream", recording_id=recording_id, send_properties=False)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    return stream

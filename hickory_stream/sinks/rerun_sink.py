@@ -1,0 +1,160 @@
+"""Shows a run in Rerun: live in a viewer, in a .rrd file, or both.
+
+Two streams with one recording id: the file's is written in `show`, the viewer's by a thread that nobody waits for. The
+modules that need Rerun are imported when a sink is made, so that the command line starts without it.
+"""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind, parse_viewer, start_viewer
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import Frame, FrameReport
+    from hickory_stream.sinks.rerun_items import LogItem, Moment
+
+__all__ = ["RerunConfig", "RerunSink", "ViewerChoice", "ViewerKind", "parse_viewer"]
+
+_CLOSE_TIMEOUT_S = 2.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RerunConfig:
+    """What is shown, and how much of it.
+
+    Attributes:
+        rrd_cap_mb: the size at which the file gets no more images, clouds and meshes.
+        max_points_per_object: a larger cloud is thinned evenly.
+        cloud_period_s: a growing cloud is logged at most this often.
+        color_every: every n-th colour frame between keyframes is logged; keyframes always are.
+        jpeg_quality: for logs without compressed colour, and for thumbnails.
+        structure_every: floor and walls are logged every n-th keyframe.
+        live_queue_length: entries that wait for the viewer; one is a heavy item, or all light ones of a frame.
+        server_memory_limit: what a viewer or server that we start may keep for those who connect late.
+        bind: where a viewer or server that we start listens.
+    """
+
+    rrd_cap_mb: float = 1000.0
+    max_points_per_object: int = 3000
+    cloud_period_s: float = 1.0
+    color_every: int = 1
+    jpeg_quality: int = 80
+    structure_every: int = 20
+    live_queue_length: int = 256
+    server_memory_limit: str = "512MiB"
+    bind: str = "127.0.0.1"
+
+    def __post_init__(self) -> None:
+        for name in ("max_points_per_object", "color_every", "structure_every", "live_queue_length"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"rerun.{name} is {getattr(self, name)}; expected at least 1")
+        if not 1 <= self.jpeg_quality <= 100:
+            raise ConfigError(f"rerun.jpeg_quality is {self.jpeg_quality}; expected 1 to 100")
+        if self.rrd_cap_mb <= 0 or self.cloud_period_s < 0:
+            raise ConfigError("rerun.rrd_cap_mb must be positive and rerun.cloud_period_s not negative")
+
+
+class RerunSink:
+    """A `Sink` for Rerun.
+
+    `folder` is the map folder, whose `shapes/` holds the meshes. `web_url` is the page to open when the choice is WEB.
+    With neither a file nor a viewer it does nothing.
+
+    Raises:
+        ViewerError: the file cannot be written, or the viewer that was asked for cannot be had.
+    """
+
+    def __init__(self, config: RerunConfig, folder: Path, rrd: Path | None, viewer: ViewerChoice) -> None:
+        from hickory_stream.sinks.rerun_scene import RerunScene
+
+        self._config = config
+        self._scene = RerunScene(config, folder / "shapes")
+        self._recording_id = str(uuid.uuid4())
+        self._file: Any = None
+        self._feed: Any = None
+        self._last: Moment | None = None
+        self._viewer = start_viewer(viewer, bind=config.bind, server_memory_limit=config.server_memory_limit)
+        if rrd is not None:
+            from hickory_stream.sinks.rerun_file import RrdFile
+
+            self._file = RrdFile(rrd, recording_id=self._recording_id, cap_mb=config.rrd_cap_mb)
+
+    @property
+    def web_url(self) -> str | None:
+        """The page that shows the run in a browser, where there is one."""
+        return None if self._viewer is None else self._viewer.web_url
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """How many entries the live viewer did not get in time, by weight (`heavy`, `light`)."""
+        return {"heavy": 0, "light": 0} if self._feed is None else dict(self._feed.dropped)
+
+    def show(self, report: FrameReport) -> None:
+        """Log one report; never waits for a viewer."""
+        from hickory_stream.sinks.rerun_items import moment_of
+
+        if self._file is None and self._viewer is None:
+            return
+        if self._last is None:
+            self._begin(report)
+        self._last = moment_of(report)
+        self._log(self._last, self._scene.items(report))
+
+    def close(self) -> None:
+        """Finish the file, and give the viewer a moment; a window stays open, a web server that we started ends."""
+        if self._last is not None:
+            self._log(self._last, self._scene.finish())
+        if self._file is not None:
+            if (bounds := self._scene.bounds()) is not None:
+                self._file.send_blueprint(self._scene.blueprint(bounds))
+            self._file.close()
+        if self._feed is not None:
+            self._feed.close(_CLOSE_TIMEOUT_S)
+        if self._viewer is not None and self._viewer.process is not None and not self._viewer.outlives_us:
+            self._viewer.process.kill()
+            self._viewer.process.wait(_CLOSE_TIMEOUT_S)
+
+    def _begin(self, report: FrameReport) -> None:
+        """Arrange the views for the part of the world that the first keyframe shows."""
+        bounds = None if report.frame is None else _visible_bounds(report.frame)
+        blueprint = self._scene.blueprint(bounds)
+        if self._file is not None:
+            self._file.send_blueprint(blueprint)
+        if self._viewer is not None:
+            from hickory_stream.sinks.rerun_live import LiveFeed
+
+            self._feed = LiveFeed(
+                url=self._viewer.url,
+                recording_id=self._recording_id,
+                capacity=self._config.live_queue_length,
+                blueprint=blueprint,
+            )
+
+    def _log(self, moment: Moment, items: list[LogItem]) -> None:
+        if self._file is not None:
+            self._file.write(moment, items)
+        if self._feed is not None:
+            self._feed.put(moment, items)
+
+
+def _visible_bounds(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return the corners of what a frame sees, without the outermost tenths; None when it sees nothing."""
+    points = backproject(frame.depth_m, frame.camera)[::8, ::8].reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) == 0:
+        return None
+    low, high = np.percentile(apply(frame.world_from_camera, points), [10, 90], axis=0)
+    return low, high

@@ -1,0 +1,9 @@
+"""Sources: recorded logs and image folders as posed RGB-D frames.
+
+`open_source(uri)` is the way in; a source is whatever fulfils `hickory_stream.ports.Source`.
+"""
+
+from players.opening import open_source
+from players.options import SourceOptions
+
+__all__ = ["SourceOptions", "open_source"]

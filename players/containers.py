@@ -1,0 +1,126 @@
+"""What all recorded logs have in common: topics, raw messages in the order of the file, and their types.
+
+A message type is compiled from the definition that the log holds, or from ROS 2's own where it holds none; a definition
+that cannot be parsed makes its topic unreadable, not the log.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+    from pathlib import Path
+
+DefinitionFormat = Literal["msg", "idl", "none"]
+Wire = Literal["cdr", "ros1", "other"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Topic:
+    """A topic of a log; `type_name` is package/msg/Name for ROS 1 and ROS 2, `num_messages` None where not known."""
+
+    name: str
+    type_name: str
+    num_messages: int | None
+    wire: Wire
+    definition_format: DefinitionFormat
+    definition: str
+
+
+@dataclass(frozen=True, slots=True)
+class LogMessage:
+    """A message as it lies in the log; `log_ns` is when it was received, which says little about when it was true."""
+
+    topic: str
+    log_ns: int
+    data: Any
+
+
+class UnreadableMessageError(Exception):
+    """One message cannot be deserialised; counted by whoever reads it, never shown to the user."""
+
+
+class Log(Protocol):
+    """A container of messages."""
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+        ...
+
+    @property
+    def kind(self) -> str:
+        """What it is, in words."""
+        ...
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files of the log, in order."""
+        ...
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """The topics, sorted by name."""
+        ...
+
+    def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
+        """Yield the messages of some topics, from the beginning, reading each chunk of the file once."""
+        ...
+
+
+def normalized_type(name: str) -> str:
+    """Return a message type as package/msg/Name; ROS 1 leaves out the middle."""
+    package, _, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if rest and "/" not in rest else name
+
+
+def merged_topics(topics: Iterable[Topic]) -> tuple[Topic, ...]:
+    """Return one topic per name, sorted; several channels or connections of a topic are several publishers of it."""
+    by_name: dict[str, Topic] = {}
+    for topic in topics:
+        known = by_name.get(topic.name)
+        if known is None:
+            by_name[topic.name] = topic
+        elif topic.num_messages is not None and known.num_messages is not None:
+            by_name[topic.name] = replace(known, num_messages=known.num_messages + topic.num_messages)
+    return tuple(by_name[name] for name in sorted(by_name))
+
+
+def deserialize(topic: Topic, data: Any) -> Any:
+    """Return the message of raw bytes; arrays in it are read-only views of them.
+
+    Raises:
+        UnreadableMessageError: the type cannot be compiled, or the bytes do not fit it.
+    """
+    from rosbags.serde import SerdeError
+    from rosbags.typesys import TypesysError
+
+    try:
+        store = _typestore(topic.type_name, topic.definition_format, topic.definition)
+        if topic.wire == "cdr":
+            return store.deserialize_cdr(data, topic.type_name)
+        if topic.wire == "ros1":
+            return store.deserialize_ros1(data, topic.type_name)
+    # Generated code meets torn bytes with whatever its operations raise.
+    except (SerdeError, TypesysError, struct.error, LookupError, ValueError, AssertionError) as error:
+        raise UnreadableMessageError(f"{topic.name}: {error!r}") from error
+    raise UnreadableMessageError(f"{topic.name}: messages are neither CDR nor ROS 1")
+
+
+@lru_cache(maxsize=64)
+def _typestore(type_name: str, definition_format: DefinitionFormat, definition: str) -> Any:
+    """Return a store that knows one type and all that it consists of."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    if definition_format == "none" or not definition.strip():
+        return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.EMPTY)
+    if definition_format == "msg":
+        store.register(get_types_from_msg(definition, type_name))
+    else:
+        store.register(get_types_from_idl(definition))
+    return store

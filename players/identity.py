@@ -1,0 +1,28 @@
+"""What tells two logs apart: cheap to compute, and the same wherever the log lies."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+_SAMPLE_BYTES = 1 << 20
+
+
+def files_identity(files: Sequence[Path], sampled: Sequence[Path] | None = None) -> str:
+    """Return the sha256 over name and size of all files, and the first and last MiB of the `sampled` ones (or of all).
+
+    Folders are not part of a name, so that a log that was moved stays the same.
+    """
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.name}\0{file.stat().st_size}\0".encode())
+    for file in files if sampled is None else sampled:
+        with file.open("rb") as stream:
+            digest.update(stream.read(_SAMPLE_BYTES))
+            stream.seek(max(_SAMPLE_BYTES, file.stat().st_size - _SAMPLE_BYTES))
+            digest.update(stream.read(_SAMPLE_BYTES))
+    return digest.hexdigest()

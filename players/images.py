@@ -1,0 +1,132 @@
+"""Images as messages: what their headers say without decoding, and their decoding when it is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import RecordingError
+from players.decode import (
+    COLOR_ENCODINGS,
+    DEPTH_ENCODINGS,
+    color_of_pixels,
+    compressed_size,
+    decode_color,
+    decode_depth_png,
+    depth_of_pixels,
+    png_part,
+    raw_pixels,
+)
+from players.messages import COMPRESSED_IMAGE, frame_name, header_stamp_ns
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from players.containers import Topic
+
+_UNITS_PER_M = 1000.0
+"""Integer depth is millimetres (REP 118)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LogImage:
+    """An image message; `size` is (width, height) as its header says, None where the header is torn."""
+
+    topic: str
+    stamp_ns: int
+    frame: str
+    size: tuple[int, int] | None
+    is_compressed: bool
+    message: Any
+
+    def __str__(self) -> str:
+        return f"{self.topic} at {self.stamp_ns / 1e9:.3f} s"
+
+    @property
+    def encoding(self) -> str:
+        """The encoding of raw pixels, or the format of a compressed image, as the message says."""
+        return str(self.message.format if self.is_compressed else self.message.encoding)
+
+    def data(self) -> bytes:
+        """Return the compressed bytes."""
+        return np.asarray(self.message.data, dtype=np.uint8).tobytes()
+
+
+def image_of(topic: Topic, message: Any) -> LogImage:
+    """Return the image of a message of an image topic."""
+    is_compressed = topic.type_name == COMPRESSED_IMAGE
+    return LogImage(
+        topic=topic.name,
+        stamp_ns=header_stamp_ns(message),
+        frame=frame_name(message.header.frame_id),
+        size=_compressed_size(message) if is_compressed else _raw_size(message),
+        is_compressed=is_compressed,
+        message=message,
+    )
+
+
+def check_color_encoding(image: LogImage) -> None:
+    """Refuse colour that cannot be decoded; compressed colour is told by its bytes, whatever its format says.
+
+    Raises:
+        RecordingError: the encoding is not known.
+    """
+    if not image.is_compressed and image.encoding not in COLOR_ENCODINGS:
+        raise RecordingError(
+            f"{image.topic} is encoded as {image.encoding!r}; colour must be one of {', '.join(COLOR_ENCODINGS)}, "
+            "or a CompressedImage of JPEG or PNG; name another topic with --color-topic"
+        )
+
+
+def check_depth_encoding(image: LogImage) -> None:
+    """Refuse depth that cannot be decoded, or that would be decoded to wrong distances.
+
+    Raises:
+        RecordingError: the encoding is not known.
+    """
+    if image.is_compressed:
+        is_known = not image.encoding.startswith("32FC1") and "rvl" not in image.encoding.lower()
+    else:
+        is_known = image.encoding in DEPTH_ENCODINGS
+    if not is_known:
+        raise RecordingError(
+            f"{image.topic} is encoded as {image.encoding!r}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
+            "or a CompressedImage of 16-bit PNG; name another topic with --depth-topic"
+        )
+
+
+def color_of(image: LogImage) -> NDArray[np.uint8]:
+    """Return the pixels (H, W, 3) uint8 RGB.
+
+    Raises:
+        RecordingError: the image is empty, torn, or of an encoding that is not known.
+    """
+    if image.is_compressed:
+        return decode_color(image.data(), str(image))
+    check_color_encoding(image)
+    return color_of_pixels(raw_pixels(image.message, str(image)), image.encoding)
+
+
+def depth_of(image: LogImage) -> NDArray[np.float32]:
+    """Return the depth (H, W) float32 in metres, NaN = no return.
+
+    Raises:
+        RecordingError: the image is empty, torn, or of an encoding that is not known.
+    """
+    check_depth_encoding(image)
+    if image.is_compressed:
+        return decode_depth_png(png_part(image.data(), str(image)), _UNITS_PER_M, str(image))
+    return depth_of_pixels(raw_pixels(image.message, str(image)))
+
+
+def _raw_size(message: Any) -> tuple[int, int]:
+    return int(message.width), int(message.height)
+
+
+def _compressed_size(message: Any) -> tuple[int, int] | None:
+    """Return the size of a JPEG or PNG, also behind the header of `compressedDepth`."""
+    # A JPEG's size stands behind its tables and whatever a camera wrote into its comments.
+    head = np.asarray(message.data[: 1 << 16], dtype=np.uint8).tobytes()
+    return compressed_size(head) or compressed_size(head[12:])

@@ -1,0 +1,129 @@
+"""Pairs of colour and depth by their stamps: one to one, within a tolerance, while the log streams by.
+
+The oldest waiting item decides: it joins the nearest item of the other stream, unless that one has a nearer partner of
+its own. Two items that are each other's nearest are therefore always paired, in whatever order they arrive, as long as
+a stream is at most `HORIZON_NS` behind the other and `DISORDER_NS` out of order in itself.
+"""
+
+from __future__ import annotations
+
+from bisect import insort
+from dataclasses import dataclass, field
+from itertools import pairwise
+from statistics import median
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+Stream = Literal["color", "depth"]
+
+HORIZON_NS = 1_000_000_000
+"""How long an item waits for a stream that has fallen silent: it bounds what is held in memory."""
+
+DISORDER_NS = 100_000_000
+"""How late an item may be within its own stream."""
+
+FALLBACK_TOLERANCE_NS = 50_000_000
+"""The tolerance where a stream is too short to have a period."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped:
+    """An image of either stream; `item` is what the caller wants back."""
+
+    stream: Stream
+    stamp_ns: int
+    item: Any = field(compare=False)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pair:
+    """A colour and a depth image that belong together; the stamp is the colour's."""
+
+    stamp_ns: int
+    depth_stamp_ns: int
+    color: Any
+    depth: Any
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Leftover:
+    """An image without a partner; `is_late` when it came after its neighbours had been decided."""
+
+    stream: Stream
+    stamp_ns: int
+    item: Any
+    is_late: bool = False
+
+
+def default_tolerance_ns(color_stamps_ns: Sequence[int], depth_stamps_ns: Sequence[int]) -> int:
+    """Return half the period of the slower stream; a period is the median step between stamps."""
+    periods = [_period_ns(color_stamps_ns), _period_ns(depth_stamps_ns)]
+    known = [period for period in periods if period is not None]
+    return max(known) // 2 if known else FALLBACK_TOLERANCE_NS
+
+
+def pair_nearest(images: Iterable[Stamped], tolerance_ns: int) -> Iterator[Pair | Leftover]:
+    """Yield every image exactly once, in a pair or as a leftover; pairs come in the order of their colour stamps."""
+    waiting: dict[Stream, list[Stamped]] = {"color": [], "depth": []}
+    newest_ns: dict[Stream, int] = {}
+    passed_ns: dict[str, int] = {}
+    horizon_ns = max(HORIZON_NS, 4 * tolerance_ns)
+    for image in images:
+        if image.stamp_ns < passed_ns.get(image.stream, image.stamp_ns):
+            yield Leftover(stream=image.stream, stamp_ns=image.stamp_ns, item=image.item, is_late=True)
+            continue
+        insort(waiting[image.stream], image, key=_stamp)
+        newest_ns[image.stream] = max(image.stamp_ns, newest_ns.get(image.stream, image.stamp_ns))
+        settled_ns = max(newest_ns.values()) - horizon_ns
+        if len(newest_ns) == 2:
+            # A partner is at most one tolerance away, and a rival for that partner one more.
+            settled_ns = max(settled_ns, min(newest_ns.values()) - 2 * tolerance_ns - DISORDER_NS)
+        while (oldest := _oldest(waiting)) is not None and oldest.stamp_ns < settled_ns:
+            match = _decide(oldest, waiting, tolerance_ns)
+            ends_ns = {"color": oldest.stamp_ns, "depth": oldest.stamp_ns}
+            if isinstance(match, Pair):
+                ends_ns = {"color": match.stamp_ns, "depth": match.depth_stamp_ns}
+            passed_ns = {stream: max(end_ns, passed_ns.get(stream, end_ns)) for stream, end_ns in ends_ns.items()}
+            yield match
+    while (oldest := _oldest(waiting)) is not None:
+        yield _decide(oldest, waiting, tolerance_ns)
+
+
+def _stamp(image: Stamped) -> int:
+    return image.stamp_ns
+
+
+def _oldest(waiting: dict[Stream, list[Stamped]]) -> Stamped | None:
+    """Return the first image in waiting; colour first among equals."""
+    heads = [images[0] for images in waiting.values() if images]
+    return min(heads, key=_stamp) if heads else None
+
+
+def _decide(oldest: Stamped, waiting: dict[Stream, list[Stamped]], tolerance_ns: int) -> Pair | Leftover:
+    """Take the oldest image out, with its partner when it has one."""
+    own = waiting[oldest.stream]
+    others = waiting["depth" if oldest.stream == "color" else "color"]
+    own.pop(0)
+    if others and _is_partner(oldest, others[0], own, tolerance_ns):
+        partner = others.pop(0)
+        color, depth = (oldest, partner) if oldest.stream == "color" else (partner, oldest)
+        return Pair(stamp_ns=color.stamp_ns, depth_stamp_ns=depth.stamp_ns, color=color.item, depth=depth.item)
+    return Leftover(stream=oldest.stream, stamp_ns=oldest.stamp_ns, item=oldest.item)
+
+
+def _is_partner(oldest: Stamped, other: Stamped, rivals: list[Stamped], tolerance_ns: int) -> bool:
+    """Return whether `other` is near enough, and nearer to the oldest image than to any that follows it."""
+    distance_ns = other.stamp_ns - oldest.stamp_ns
+    return distance_ns <= tolerance_ns and all(
+        abs(rival.stamp_ns - other.stamp_ns) >= distance_ns
+        for rival in rivals
+        if rival.stamp_ns - other.stamp_ns < distance_ns
+    )
+
+
+def _period_ns(stamps_ns: Sequence[int]) -> int | None:
+    ordered = sorted(set(stamps_ns))
+    steps = [after - before for before, after in pairwise(ordered)]
+    return int(median(steps)) if steps else None

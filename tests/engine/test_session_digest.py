@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.map_codec import decode_snapshot, encode_snapshot
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.records import MapSnapshot, Phase, TrackedObject
+from tests.engine.snapshot_fixtures import make_snapshot
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+OUTSIDE = {("shape", "revision"), ("shape", "mesh_name")}
+
+
+def variants(record: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield every record that differs from `record` in one leaf, with the path to it."""
+    for field in fields(record):
+        value, here = getattr(record, field.name), (*path, field.name)
+        if field.name in ("views", "best_view"):
+            continue
+        if is_dataclass(value):
+            for leaf, changed in variants(value, here):
+                yield leaf, replace(record, **{field.name: changed})
+        else:
+            yield here, replace(record, **{field.name: nudged(value)})
+
+
+def nudged(value: Any) -> Any:
+    """Return a neighbour of a value: the next float, the next number, another text."""
+    match value:
+        case Phase():
+            return Phase.DORMANT
+        case str():
+            return value + "x"
+        case int():
+            return value + 1
+        case float():
+            return np.nextafter(value, np.inf).item()
+        case tuple():
+            return (*value[:-1], value[-1] + 1)
+        case np.ndarray():
+            changed = value.copy()
+            last = changed.reshape(-1)[-1:]
+            last[:] = np.nextafter(last, np.inf, dtype=last.dtype) if value.dtype.kind == "f" else last ^ 1
+            return changed
+    raise AssertionError(type(value))
+
+
+SNAPSHOT = make_snapshot()
+VARIANTS = dict(variants(SNAPSHOT.objects[0]))
+VIEW_VARIANTS = dict(variants(SNAPSHOT.objects[0].views[0]))
+
+
+def with_first(tracked: TrackedObject) -> MapSnapshot:
+    return replace(SNAPSHOT, objects=(tracked, *SNAPSHOT.objects[1:]))
+
+
+@pytest.mark.parametrize("path", VARIANTS, ids=".".join)
+def test_the_digest_changes_with_the_last_bit_of_everything_in_an_object(path: tuple[str, ...]) -> None:
+    changed = map_digest(with_first(VARIANTS[path]))
+    assert (changed == map_digest(SNAPSHOT)) == (path in OUTSIDE)
+
+
+@pytest.mark.parametrize("path", VIEW_VARIANTS, ids=".".join)
+def test_the_digest_changes_with_everything_in_a_view(path: tuple[str, ...]) -> None:
+    first = SNAPSHOT.objects[0]
+    changed = replace(first, views=(VIEW_VARIANTS[path], *first.views[1:]))
+    assert map_digest(with_first(changed)) != map_digest(SNAPSHOT)
+
+
+def test_the_digest_knows_which_view_is_the_best_and_what_is_absent() -> None:
+    first = SNAPSHOT.objects[0]
+    others = [
+        replace(first, best_view=first.views[0]),
+        replace(first, best_view=None),
+        replace(first, views=first.views[1:]),
+        replace(first, shape=None),
+        replace(first, feature=None),
+    ]
+    digests = {map_digest(with_first(tracked)) for tracked in (first, *others)}
+    assert len(digests) == 6
+    assert map_digest(replace(SNAPSHOT, objects=SNAPSHOT.objects[1:])) not in digests
+
+
+def test_the_digest_does_not_depend_on_the_order_or_on_when_the_snapshot_was_taken() -> None:
+    later = replace(SNAPSHOT, revision=99, stamp_ns=1, objects=SNAPSHOT.objects[::-1])
+    assert map_digest(later) == map_digest(SNAPSHOT)
+
+
+finite = st.floats(allow_nan=False, width=64)
+finite32 = st.floats(allow_nan=False, width=32)
+
+
+@given(
+    matrix=st.lists(finite, min_size=16, max_size=16),
+    half=st.lists(st.floats(min_value=1e-300, max_value=1e300), min_size=3, max_size=3),
+    points=st.lists(st.tuples(finite32, finite32, finite32), max_size=5),
+    feature=st.none() | st.lists(finite32, max_size=5),
+    primitive=st.lists(finite, min_size=5, max_size=5),
+    stamp=st.integers(min_value=-(2**63), max_value=2**63 - 1),
+)
+def test_every_finite_or_infinite_number_survives_writing_and_reading(
+    matrix: list[float],
+    half: list[float],
+    points: list[tuple[float, float, float]],
+    feature: list[float] | None,
+    primitive: list[float],
+    stamp: int,
+) -> None:
+    pose = np.reshape(matrix, (4, 4))
+    first = SNAPSHOT.objects[0]
+    assert first.shape is not None
+    quadrics = Superquadrics(exponents=[primitive[:2]], semi_axes_m=[primitive[2:]], world_from_local=pose[None])
+    tracked = replace(
+        first,
+        points_world=np.array(points, dtype=np.float32).reshape(-1, 3),
+        colors=np.zeros((len(points), 3), dtype=np.uint8),
+        box=OrientedBox(world_from_box=pose, half_extents_m=half),
+        feature=None if feature is None else np.array(feature, dtype=np.float32),
+        shape=replace(first.shape, fitted=quadrics, inflated=quadrics),
+        last_seen_ns=stamp,
+    )
+    snapshot = with_first(tracked)
+    document, files = encode_snapshot(snapshot)
+    assert map_digest(decode_snapshot(document, files.__getitem__)) == map_digest(snapshot)
+
+
+def test_a_shape_without_primitives_survives() -> None:
+    first = SNAPSHOT.objects[0]
+    assert first.shape is not None
+    none = Superquadrics(exponents=np.empty((0, 2)), semi_axes_m=np.empty((0, 3)), world_from_local=np.empty((0, 4, 4)))
+    snapshot = with_first(
+        replace(first, shape=replace(first.shape, fitted=none, inflated=none, seen_share=np.empty(0)))
+    )
+    document, files = encode_snapshot(snapshot)
+    assert map_digest(decode_snapshot(document, files.__getitem__)) == map_digest(snapshot)

@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.match import match_boxes, score_map
+from hickory_stream.evaluation.truth import Truth, TruthObject
+from hickory_stream.geometry.boxes import OrientedBox, box_iou
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.mesh import Mesh, write_glb
+from hickory_stream.records import MapSnapshot, Phase, TrackedObject
+from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, placed
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SIDES = (0.5, 0.4, 0.6)
+
+
+def unit_box(x: float) -> OrientedBox:
+    return OrientedBox(world_from_box=placed(x, 0.0, 0.0), half_extents_m=[0.5, 0.5, 0.5])
+
+
+def true_object(folder: Path, object_id: int, x: float, seen: float = 0.9) -> TruthObject:
+    (folder / "meshes").mkdir(exist_ok=True)
+    write_glb(box_mesh(SIDES, (90, 90, 90)), folder / f"meshes/{object_id}.glb")
+    return TruthObject(
+        id=object_id,
+        kind="box",
+        mesh=f"meshes/{object_id}.glb",
+        world_from_object=placed(x, 0.0, 0.3),
+        seen_fraction=seen,
+        frames=(0,),
+    )
+
+
+def truth_of(folder: Path, *objects: TruthObject) -> Truth:
+    camera = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=1.5, cy=1.0)
+    return Truth(folder=folder, camera=camera, objects=objects, structure=(), frames=())
+
+
+def found(object_id: int, x: float, keep: slice = slice(None)) -> TrackedObject:
+    """Return an object whose layer 1 lies on a true object at `x`, or on the part of it that `keep` chooses along x."""
+    tracked = make_object(object_id, box_mesh(SIDES, (90, 90, 90)), placed(x, 0.0, 0.3))
+    order = np.argsort(tracked.points_world[:, 0])[keep]
+    return replace(tracked, points_world=tracked.points_world[order], colors=tracked.colors[order])
+
+
+def snapshot_of(*objects: TrackedObject) -> MapSnapshot:
+    return MapSnapshot(revision=1, stamp_ns=0, submaps=(), objects=objects)
+
+
+# ---- boxes ----------------------------------------------------------------------------------------------------------
+
+
+def test_matching_is_optimal_over_all_pairs_rather_than_greedy() -> None:
+    # 0 overlaps both truths; taking its best pair first would leave truth 1 without any.
+    matches = match_boxes([unit_box(0.0), unit_box(0.4)], [unit_box(0.15), unit_box(-0.3)])
+    assert [(match.truth_index, match.map_index) for match in matches] == [(0, 1), (1, 0)]
+    assert matches[0].iou == pytest.approx(0.7 / 1.3)
+
+
+@given(
+    truth=st.lists(st.floats(0, 2), max_size=3),
+    objects=st.lists(st.floats(0, 2), max_size=3),
+    min_iou=st.sampled_from([0.25, 0.5]),
+)
+def test_the_sum_of_ious_is_that_of_the_best_of_all_assignments(
+    truth: list[float], objects: list[float], min_iou: float
+) -> None:
+    truth_boxes, map_boxes = [unit_box(x) for x in truth], [unit_box(x) for x in objects]
+    matches = match_boxes(truth_boxes, map_boxes, min_iou)
+    assert len({match.map_index for match in matches}) == len({match.truth_index for match in matches}) == len(matches)
+    assert all(match.iou >= min_iou for match in matches)
+
+    def value(i: int, j: int) -> float:
+        iou = box_iou(truth_boxes[i], map_boxes[j]) if j < len(map_boxes) else 0.0
+        return iou if iou >= min_iou else 0.0
+
+    places = range(len(map_boxes) + len(truth_boxes))
+    best = max(sum(value(i, j) for i, j in enumerate(order)) for order in permutations(places, len(truth_boxes)))
+    assert sum(match.iou for match in matches) == pytest.approx(best)
+
+
+# ---- maps -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_perfect_map_scores_one_everywhere(tmp_path: Path) -> None:
+    truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 1.0))
+    score = score_map(snapshot_of(found(7, 0.0), found(8, 1.0)), {}, truth)
+    assert (score.recall_25, score.recall_50, score.precision_25, score.precision_50) == (1.0, 1.0, 1.0, 1.0)
+    assert score.tracks_per_object == 1.0
+    assert [(row.truth_id, row.map_id, row.track_ids) for row in score.truth] == [(1, 7, (7,)), (2, 8, (8,))]
+
+
+def test_an_empty_map_scores_zero(tmp_path: Path) -> None:
+    score = score_map(snapshot_of(), {}, truth_of(tmp_path, true_object(tmp_path, 1, 0.0)))
+    assert (score.recall_25, score.precision_25, score.tracks_per_object, score.num_truth) == (0.0, 0.0, 0.0, 1)
+
+
+def test_an_object_in_two_pieces_counts_two_tracks_and_one_match(tmp_path: Path) -> None:
+    truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 1.0))
+    snapshot = snapshot_of(found(3, 0.0), found(4, 0.0, slice(300)), found(5, 1.0))
+    score = score_map(snapshot, {}, truth)
+    assert score.truth[0].track_ids == (3, 4)
+    assert score.tracks_per_object == 1.5
+    assert score.precision_25 == pytest.approx(2 / 3)
+
+
+def test_truth_that_was_hardly_seen_is_ignored_on_both_sides(tmp_path: Path) -> None:
+    seen, hidden = true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 1.0, seen=0.29)
+    truth = truth_of(tmp_path, seen, hidden)
+    for objects in ([found(3, 0.0)], [found(3, 0.0), found(4, 1.0)], [found(3, 0.0), found(4, 1.0, slice(200))]):
+        score = score_map(snapshot_of(*objects), {}, truth)
+        assert (score.num_truth, score.recall_25, score.precision_25) == (1, 1.0, 1.0)
+        assert not score.truth[1].counts
+
+
+def test_an_object_on_nothing_is_stray_and_a_tentative_one_is_none_yet(tmp_path: Path) -> None:
+    truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0))
+    wrong = replace(found(5, 7.0), phase=Phase.DORMANT)
+    early = replace(found(6, 9.0), phase=Phase.TENTATIVE)
+    score = score_map(snapshot_of(found(3, 0.0), wrong, early), {}, truth)
+    assert score.stray_ids == (5,)
+    assert (score.num_objects, score.precision_25) == (2, 0.5)
+
+
+def test_the_box_is_that_of_the_mesh_where_there_is_one(tmp_path: Path) -> None:
+    truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0))
+    mesh: Mesh = box_mesh(SIDES, (90, 90, 90))
+    half = found(3, 0.0, slice(400))
+    assert score_map(snapshot_of(half), {}, truth).recall_50 == 1.0  # its box is still the whole one
+    shape = make_shape(mesh, placed(0.0, 0.0, 0.9), (0.25, 0.2, 0.3), revision=1)
+    score = score_map(snapshot_of(replace(half, shape=shape)), {3: mesh}, truth)
+    assert (score.recall_25, score.truth[0].map_id, score.truth[0].track_ids) == (0.0, None, (3,))
+
+
+def test_truth_of_which_nothing_was_seen_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no object of which 30% was seen"):
+        score_map(snapshot_of(), {}, truth_of(tmp_path, true_object(tmp_path, 1, 0.0, seen=0.1)))

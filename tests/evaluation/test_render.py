@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.engine.session import SavedMap, create_map_folder, open_map
+from hickory_stream.evaluation.raycast import Scene, Surface
+from hickory_stream.evaluation.render import render_map
+from hickory_stream.evaluation.viewpoint import from_above, from_corner
+from hickory_stream.geometry.voxels import keys_of_cells
+from tests.engine.snapshot_fixtures import make_snapshot
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SIZE = (640, 300)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> SavedMap:
+    path: Path = tmp_path_factory.mktemp("render") / "m"
+    folder = create_map_folder(path, config={}, source={"uri": "desk.mcap"})
+    folder.save(make_snapshot(folder))
+    folder.finish(finished_cleanly=True)
+    return open_map(path)
+
+
+def square(z: float, owner: int, color: tuple[int, int, int] = (255, 0, 0)) -> Surface:
+    vertices = np.array([[-1, -1, z], [1, -1, z], [1, 1, z], [-1, 1, z]])
+    return Surface(
+        vertices=vertices, faces=[[0, 1, 2], [0, 2, 3]], colors=np.tile(np.uint8(color), (4, 1)), owner=owner
+    )
+
+
+# ---- rays -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_ray_meets_the_nearest_surface_and_the_normal_looks_back() -> None:
+    scene = Scene([square(0.0, 3), square(1.0, 5, (0, 255, 0))])
+    down = np.array([[0.0, 0.0, -1.0]] * 2)
+    hits = scene.cast(np.array([[0.2, 0.1, 3.0], [5.0, 0.0, 3.0]]), down)
+    assert hits.distance_m == pytest.approx([2.0, np.inf])
+    assert hits.owners.tolist() == [5, -1]
+    assert np.allclose(hits.normals[0], (0, 0, 1))
+    assert np.allclose(hits.colors[0], (0, 1, 0))
+    assert scene.is_occluded(np.array([[0.0, 0.0, 3.0]] * 2), down, 2.5).tolist() == [True, True]
+    assert scene.is_occluded(np.array([[0.0, 0.0, 3.0]]), down[:1], 1.5).tolist() == [False]
+
+
+def test_the_nearest_surface_is_found_with_its_owner() -> None:
+    distance_m, owners = Scene([square(0.0, 3), square(1.0, 5)]).nearest(np.array([[0, 0, 0.25], [3.0, 0, 1.0]]))
+    assert np.allclose(distance_m, [0.25, 2.0])
+    assert owners.tolist() == [3, 5]
+
+
+def test_a_scene_without_surfaces_meets_nothing() -> None:
+    ray = np.array([[0.0, 0.0, 1.0]])
+    empty = Scene([])
+    assert empty.cast(ray, ray).owners.tolist() == [-1]
+    assert not empty.is_occluded(ray, ray, 1.0).any()
+    assert np.isinf(empty.nearest(ray)[0]).all()
+
+
+coordinate = st.floats(-3, 3)
+
+
+@given(
+    points=st.lists(st.tuples(coordinate, coordinate, coordinate), min_size=1, max_size=20),
+    azimuth=st.floats(0, 6.3),
+    elevation=st.floats(0.2, 1.3),
+)
+def test_every_viewpoint_has_all_points_in_the_frame_and_its_rays_lead_to_them(
+    points: list[tuple[float, float, float]], azimuth: float, elevation: float
+) -> None:
+    world = np.array(points)
+    for viewpoint in (from_above(world, 320, 200, 20), from_corner(world, azimuth, elevation, 320, 200, 20)):
+        pixels = viewpoint.project(world)
+        assert (pixels >= 20 - 1e-3).all()
+        assert (pixels <= np.array([300, 180]) + 1e-3).all()
+        origins, directions = viewpoint.rays(pixels)
+        offsets = world - origins
+        along = np.einsum("nc,nc->n", offsets, directions)
+        assert (along > 0).all()
+        assert np.abs(offsets - along[:, None] * directions).max() < 1e-3
+
+
+# ---- pictures -------------------------------------------------------------------------------------------------------
+
+
+def is_like(image: np.ndarray, color: tuple[int, int, int]) -> int:
+    """Return how many pixels have the hue of a colour: lighting scales it."""
+    pixels = image.reshape(-1, 3).astype(float)
+    cosine = pixels @ np.array(color) / np.maximum(np.linalg.norm(pixels, axis=1), 1) / np.linalg.norm(color)
+    return int((cosine > 0.995).sum())
+
+
+def test_a_mesh_appears_in_its_colour_from_above_and_from_the_corner(saved: SavedMap) -> None:
+    image = render_map(saved, {2}, SIZE)
+    assert image.shape == (300, 640, 3)
+    assert image.dtype == np.uint8
+    wood, blue = (150, 110, 70), (60, 90, 180)
+    for half in (image[:, :200], image[:, 330:]):
+        assert is_like(half, wood) > 300
+        assert is_like(half, blue) > 50
+
+
+def test_the_same_map_gives_the_same_picture(saved: SavedMap) -> None:
+    assert np.array_equal(render_map(saved, {2, 4}, SIZE), render_map(saved, {2, 4}, SIZE))
+
+
+@pytest.mark.parametrize("layers", [{1}, {2}, {3}, {4}, {1, 2, 3, 4}])
+def test_every_layer_shows_and_differs_from_a_map_without_objects(saved: SavedMap, layers: set[int]) -> None:
+    empty = replace(saved, snapshot=replace(saved.snapshot, objects=()))
+    image, bare = render_map(saved, layers, SIZE), render_map(empty, layers, SIZE)
+    assert (np.abs(image[60:].astype(int) - bare[60:]).max(axis=2) > 40).sum() > 1500
+
+
+def test_tentative_tracks_are_not_drawn(saved: SavedMap) -> None:
+    without = replace(saved, snapshot=replace(saved.snapshot, objects=saved.snapshot.objects[:2]))
+    assert np.array_equal(render_map(saved, {1}, SIZE), render_map(without, {1}, SIZE))
+
+
+def test_a_wall_between_the_eye_and_the_objects_does_not_hide_them(saved: SavedMap) -> None:
+    submap = saved.snapshot.submaps[0]
+    space = submap.observed_space
+    # A closed room around the objects, observed from the inside only.
+    cells = np.stack(np.meshgrid(*[np.arange(-30, 30)] * 2, np.arange(0, 50), indexing="ij"), axis=-1).reshape(-1, 3)
+    is_wall = (cells[:, :2] == -30).any(axis=1) | (cells[:, :2] == 29).any(axis=1) | (cells[:, 2] == 0)
+    walled = replace(
+        space, structure=np.sort(keys_of_cells(cells[is_wall])), free=np.sort(keys_of_cells(cells[~is_wall]))
+    )
+    room = replace(saved.snapshot, submaps=(replace(submap, observed_space=walled),))
+    open_air = replace(saved.snapshot, submaps=())
+    blue = (60, 90, 180)
+    in_room = is_like(render_map(replace(saved, snapshot=room), {2}, SIZE)[:, 330:], blue)
+    outside = is_like(render_map(replace(saved, snapshot=open_air), {2}, SIZE)[:, 330:], blue)
+    assert in_room > 0.9 * outside > 0
+
+
+@pytest.mark.parametrize(("layers", "size"), [(set(), SIZE), ({5}, SIZE), ({2}, (100, 100))])
+def test_layers_and_sizes_out_of_range_are_refused(saved: SavedMap, layers: set[int], size: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="found"):
+        render_map(saved, layers, size)

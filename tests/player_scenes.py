@@ -1,0 +1,419 @@
+"""One small synthetic scene, written in every format that the players read.
+
+The scene is a room with a floor, a wall, a box and a ball, cast analytically: colour and depth are exact for any
+camera, so that what a player yields can be compared with what a camera at that place would have seen.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.rigid import (
+    from_rotation_translation,
+    invert,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    yaw_rotation,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+CAMERA = Camera(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
+START_NS = 1_700_000_000_123_456_789
+PERIOD_NS = 100_000_000
+NUM_FRAMES = 6
+
+OPTICAL_FROM_FLU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+BODY_FROM_CAMERA = from_rotation_translation(OPTICAL_FROM_FLU.T, np.array([0.10, 0.06, 0.30]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneFrame:
+    """A frame with its truth: `rgb` (H, W, 3), `depth_mm` (H, W) uint16 with 0 = no return."""
+
+    stamp_ns: int
+    world_from_camera: NDArray[np.float64]
+    rgb: NDArray[np.uint8]
+    depth_mm: NDArray[np.uint16]
+
+    @property
+    def depth_m(self) -> NDArray[np.float32]:
+        depth = self.depth_mm.astype(np.float32) * np.float32(0.001)
+        depth[self.depth_mm == 0] = np.nan
+        return depth
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """A message for a log: a type, a topic, and the stamp under which it is recorded."""
+
+    topic: str
+    stamp_ns: int
+    message: Any
+
+
+def pose_at(stamp_ns: int) -> NDArray[np.float64]:
+    """Return world_from_camera of a camera that walks along x and turns slowly; z is up in the world."""
+    s = (stamp_ns - START_NS) / 1e9
+    world_from_body = from_rotation_translation(yaw_rotation(0.3 * s), np.array([0.2 * s, 0.1 * s, 0.9]))
+    return world_from_body @ BODY_FROM_CAMERA
+
+
+def cast(camera: Camera, world_from_camera: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Return colour (H, W, 3) and depth (H, W) along the optical axis; depth is infinite where nothing is hit."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+    rays = rays @ world_from_camera[:3, :3].T
+    eye = world_from_camera[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        hits = [_plane(eye, rays, 2, 0.0), _plane(eye, rays, 0, 4.0), _ball(eye, rays), _box(eye, rays)]
+    depth = np.min(hits, axis=0)
+    surface = np.argmin(hits, axis=0)
+    points = eye + rays * np.where(np.isfinite(depth), depth, 0.0)[..., None]
+    waves = 128 + 60 * np.sin(4.0 * points + surface[..., None] * np.array([1.0, 2.0, 3.0]))
+    return np.where(np.isfinite(depth)[..., None], waves, 30).astype(np.uint8), depth
+
+
+def make_scene(camera: Camera = CAMERA, num_frames: int = NUM_FRAMES) -> list[SceneFrame]:
+    """Return the frames; depth ends at 3.5 m, as a depth camera's does."""
+    frames = []
+    for i in range(num_frames):
+        stamp_ns = START_NS + i * PERIOD_NS
+        rgb, depth = cast(camera, pose_at(stamp_ns))
+        depth_mm = np.round(np.where(depth < 3.5, depth, 0.0) * 1000.0).astype(np.uint16)
+        frames.append(SceneFrame(stamp_ns=stamp_ns, world_from_camera=pose_at(stamp_ns), rgb=rgb, depth_mm=depth_mm))
+    return frames
+
+
+# ---- folders --------------------------------------------------------------------------------------------------------
+
+
+def write_seven_scenes(folder: Path, frames: list[SceneFrame], camera: Camera = CAMERA) -> Path:
+    """Write a registered 7-Scenes folder whose world is tilted by 30 degrees about x."""
+    folder.mkdir(parents=True)
+    log_from_world = np.eye(4)
+    log_from_world[:3, :3] = rotation_from_quaternion(np.sin(np.pi / 12), 0.0, 0.0, np.cos(np.pi / 12))
+    np.savetxt(folder / "camera-intrinsics.txt", camera.K)
+    np.savetxt(folder / "gravity-direction.txt", -log_from_world[:3, 2])
+    for i, frame in enumerate(frames):
+        stem = folder / f"frame-{3 * i:06d}"
+        write_png(stem.with_suffix(".color.png"), frame.rgb[..., ::-1])
+        write_png(stem.with_suffix(".depth.png"), frame.depth_mm)
+        np.savetxt(stem.with_suffix(".pose.txt"), log_from_world @ frame.world_from_camera)
+    return folder
+
+
+def write_tum(folder: Path, frames: list[SceneFrame], camera: Camera = CAMERA) -> Path:
+    """Write a TUM RGB-D folder; depth is stamped 7 ms later, poses lie between the images."""
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    np.savetxt(folder / "camera-intrinsics.txt", camera.K)
+    rgb, depth, poses = ["# timestamp filename"], ["# timestamp filename"], ["# timestamp tx ty tz qx qy qz qw"]
+    for frame in frames:
+        stem = seconds(frame.stamp_ns)
+        write_png(folder / "rgb" / f"{stem}.png", frame.rgb[..., ::-1])
+        write_png(folder / "depth" / f"{stem}.png", frame.depth_mm * 5)
+        rgb.append(f"{stem} rgb/{stem}.png")
+        depth.append(f"{seconds(frame.stamp_ns + 7_000_000)} depth/{stem}.png")
+    poses += [
+        f"{seconds(stamp_ns)} {' '.join(f'{number:.9f}' for number in pose_row(pose_at(stamp_ns)))}"
+        for stamp_ns in range(frames[0].stamp_ns - 20_000_000, frames[-1].stamp_ns + 40_000_000, 25_000_000)
+    ]
+    for name, lines in (("rgb", rgb), ("depth", depth), ("groundtruth", poses)):
+        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def write_posed_folder(folder: Path, frames: list[SceneFrame], camera: Camera = CAMERA) -> Path:
+    """Write `rgb/ depth/ cam_params.json camera_poses.txt`."""
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    parameters = {
+        "w": camera.width,
+        "h": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+    }
+    (folder / "cam_params.json").write_text(json.dumps({"camera": {**parameters, "scale": 1000.0}}))
+    np.savetxt(folder / "camera_poses.txt", [frame.world_from_camera.ravel() for frame in frames])
+    for i, frame in enumerate(frames):
+        write_png(folder / "rgb" / f"frame{i:06d}.png", frame.rgb[..., ::-1])
+        write_png(folder / "depth" / f"depth{i:06d}.png", frame.depth_mm)
+    return folder
+
+
+# ---- logs -----------------------------------------------------------------------------------------------------------
+
+
+class Messages:
+    """Builds ROS messages of one version: `ros` is 1 or 2."""
+
+    def __init__(self, ros: int) -> None:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self.ros = ros
+        self.store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
+        if ros == 1:
+            tf_message = "geometry_msgs/TransformStamped[] transforms"
+            self.store.register(get_types_from_msg(tf_message, "tf2_msgs/msg/TFMessage"))
+
+    def make(self, type_name: str, **fields: Any) -> Any:
+        return self.store.types[type_name](**fields)
+
+    def header(self, stamp_ns: int, frame: str) -> Any:
+        stamp = self.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+        sequence = {"seq": 0} if self.ros == 1 else {}
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **sequence)
+
+    def image(self, stamp_ns: int, frame: str, encoding: str, pixels: NDArray[Any], padding: int = 0) -> Any:
+        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
+        data = np.pad(rows, ((0, 0), (0, padding)))
+        return self.make(
+            "sensor_msgs/msg/Image",
+            header=self.header(stamp_ns, frame),
+            height=pixels.shape[0],
+            width=pixels.shape[1],
+            encoding=encoding,
+            is_bigendian=int(pixels.dtype.byteorder == ">"),
+            step=data.shape[1],
+            data=data.ravel(),
+        )
+
+    def compressed(self, stamp_ns: int, frame: str, image_format: str, data: bytes) -> Any:
+        return self.make(
+            "sensor_msgs/msg/CompressedImage",
+            header=self.header(stamp_ns, frame),
+            format=image_format,
+            data=np.frombuffer(data, dtype=np.uint8),
+        )
+
+    def camera_info(self, stamp_ns: int, frame: str, camera: Camera, distortion: Iterable[float] = (0.0,) * 5) -> Any:
+        region = self.make(
+            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        matrices = {
+            "d": np.array(list(distortion)),
+            "k": camera.K.ravel(),
+            "r": np.eye(3).ravel(),
+            "p": np.hstack([camera.K, np.zeros((3, 1))]).ravel(),
+        }
+        return self.make(
+            "sensor_msgs/msg/CameraInfo",
+            header=self.header(stamp_ns, frame),
+            height=camera.height,
+            width=camera.width,
+            distortion_model="plumb_bob",
+            binning_x=0,
+            binning_y=0,
+            roi=region,
+            **{name.upper() if self.ros == 1 else name: value for name, value in matrices.items()},
+        )
+
+    def pose(self, a_from_b: NDArray[np.float64]) -> Any:
+        x, y, z, qx, qy, qz, qw = pose_row(a_from_b)
+        position = self.make("geometry_msgs/msg/Point", x=x, y=y, z=z)
+        return self.make(
+            "geometry_msgs/msg/Pose",
+            position=position,
+            orientation=self.make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
+        )
+
+    def pose_stamped(self, stamp_ns: int, parent: str, a_from_b: NDArray[np.float64]) -> Any:
+        header = self.header(stamp_ns, parent)
+        return self.make("geometry_msgs/msg/PoseStamped", header=header, pose=self.pose(a_from_b))
+
+    def odometry(self, stamp_ns: int, parent: str, child: str, parent_from_child: NDArray[np.float64]) -> Any:
+        zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+        pose = self.pose(parent_from_child)
+        return self.make(
+            "nav_msgs/msg/Odometry",
+            header=self.header(stamp_ns, parent),
+            child_frame_id=child,
+            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+        )
+
+    def tf(self, stamp_ns: int, *links: tuple[str, str, NDArray[np.float64]]) -> Any:
+        transforms = []
+        for parent, child, parent_from_child in links:
+            pose = self.pose(parent_from_child)
+            translation = self.make(
+                "geometry_msgs/msg/Vector3", x=pose.position.x, y=pose.position.y, z=pose.position.z
+            )
+            transforms.append(
+                self.make(
+                    "geometry_msgs/msg/TransformStamped",
+                    header=self.header(stamp_ns, parent),
+                    child_frame_id=child,
+                    transform=self.make(
+                        "geometry_msgs/msg/Transform", translation=translation, rotation=pose.orientation
+                    ),
+                )
+            )
+        return self.make("tf2_msgs/msg/TFMessage", transforms=transforms)
+
+
+RAW_COLOR = "/cam/color/image_rect"
+PNG_COLOR = "/cam/color/image_rect/compressed"
+RAW_DEPTH = "/cam/aligned_depth/image_rect"
+PNG_DEPTH = "/cam/aligned_depth/image_rect/compressedDepth"
+OPTICAL = "cam_optical"
+
+
+def raw_images(m: Messages, frame: SceneFrame) -> list[Message]:
+    """Return bgra8 colour with padded rows and 32FC1 depth in metres with NaN."""
+    bgra = np.dstack([frame.rgb[..., ::-1], np.full(frame.depth_mm.shape, 255, dtype=np.uint8)])
+    return [
+        Message(topic=RAW_COLOR, stamp_ns=frame.stamp_ns, message=m.image(frame.stamp_ns, OPTICAL, "bgra8", bgra, 12)),
+        Message(
+            topic=RAW_DEPTH, stamp_ns=frame.stamp_ns, message=m.image(frame.stamp_ns, OPTICAL, "32FC1", frame.depth_m)
+        ),
+    ]
+
+
+def png_images(m: Messages, frame: SceneFrame) -> list[Message]:
+    """Return PNG colour and compressedDepth in millimetres, stamped 9 ms later."""
+    color = m.compressed(frame.stamp_ns, OPTICAL, "bgra8; png compressed bgr8", png_bytes(frame.rgb[..., ::-1]))
+    late_ns = frame.stamp_ns + 9_000_000
+    packed = bytes(12) + png_bytes(frame.depth_mm)
+    depth = m.compressed(late_ns, OPTICAL, "16UC1; compressedDepth png", packed)
+    return [
+        Message(topic=PNG_COLOR, stamp_ns=frame.stamp_ns, message=color),
+        Message(topic=PNG_DEPTH, stamp_ns=late_ns, message=depth),
+    ]
+
+
+def scene_messages(
+    m: Messages,
+    frames: list[SceneFrame],
+    images: Callable[[Messages, SceneFrame], list[Message]],
+    *,
+    with_odometry: bool = True,
+) -> list[Message]:
+    """Return all messages of a log in the order of time: images, calibration, and poses by odometry or by TF alone."""
+    statics = m.tf(0, ("base_link", "cam_link", np.eye(4)), ("cam_link", OPTICAL, BODY_FROM_CAMERA))
+    messages = [Message(topic="/tf_static", stamp_ns=START_NS - 200_000_000, message=statics)]
+    for frame in frames:
+        messages += images(m, frame)
+        for folder in ("color", "aligned_depth"):
+            info = m.camera_info(frame.stamp_ns, OPTICAL, CAMERA)
+            messages.append(Message(topic=f"/cam/{folder}/camera_info", stamp_ns=frame.stamp_ns, message=info))
+    for stamp_ns in range(frames[0].stamp_ns - 30_000_000, frames[-1].stamp_ns + 40_000_000, 20_000_000):
+        world_from_body = pose_at(stamp_ns) @ invert(BODY_FROM_CAMERA)
+        if with_odometry:
+            message = m.odometry(stamp_ns, "odom", "base_link", world_from_body)
+            messages.append(Message(topic="/odom", stamp_ns=stamp_ns, message=message))
+        else:
+            message = m.tf(stamp_ns, ("odom", "base_link", world_from_body))
+            messages.append(Message(topic="/tf", stamp_ns=stamp_ns, message=message))
+    return sorted(messages, key=lambda message: message.stamp_ns)
+
+
+def write_ros1(path: Path, m: Messages, messages: list[Message]) -> Path:
+    """Write a ROS 1 bag, recorded two minutes late by the clock of the recorder."""
+    from rosbags.rosbag1 import Writer
+
+    with Writer(path) as writer:
+        connections: dict[str, Any] = {}
+        for entry in messages:
+            name = entry.message.__msgtype__
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(entry.topic, name, typestore=m.store)
+            data = m.store.serialize_ros1(entry.message, name)
+            writer.write(connections[entry.topic], entry.stamp_ns + 120_000_000_000, data)
+    return path
+
+
+def write_ros2(path: Path, m: Messages, messages: list[Message], storage: str = "sqlite3") -> Path:
+    """Write a ROS 2 bag folder with `storage` sqlite3 or mcap."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        connections: dict[str, Any] = {}
+        for entry in messages:
+            name = entry.message.__msgtype__
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(entry.topic, name, typestore=m.store)
+            writer.write(connections[entry.topic], entry.stamp_ns, m.store.serialize_cdr(entry.message, name))
+    return path
+
+
+def write_mcap(path: Path, m: Messages, messages: list[Message], **settings: Any) -> Path:
+    """Write a bare MCAP file; `settings` go to the writer of the `mcap` package."""
+    from mcap.writer import Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream, **settings)
+        writer.start(profile="ros2")
+        channels: dict[str, int] = {}
+        for entry in messages:
+            name = entry.message.__msgtype__
+            if entry.topic not in channels:
+                definition = m.store.generate_msgdef(name, ros_version=2)[0]
+                schema = writer.register_schema(name, "ros2msg", definition.encode())
+                channels[entry.topic] = writer.register_channel(entry.topic, "cdr", schema)
+            data = bytes(m.store.serialize_cdr(entry.message, name))
+            writer.add_message(channels[entry.topic], entry.stamp_ns, data, entry.stamp_ns)
+        writer.finish()
+    return path
+
+
+# ---- small things ---------------------------------------------------------------------------------------------------
+
+
+def pose_row(a_from_b: NDArray[np.float64]) -> list[float]:
+    """Return tx ty tz qx qy qz qw."""
+    return [*a_from_b[:3, 3].tolist(), *quaternion_from_rotation(a_from_b[:3, :3]).tolist()]
+
+
+def seconds(stamp_ns: int) -> str:
+    """Return a stamp in seconds with all its digits."""
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}"
+
+
+def png_bytes(image: NDArray[Any]) -> bytes:
+    """Return an image (BGR or one channel) as a PNG."""
+    return bytes(cv2.imencode(".png", np.ascontiguousarray(image))[1])
+
+
+def jpeg_bytes(image: NDArray[Any]) -> bytes:
+    """Return an image (BGR) as a JPEG."""
+    return bytes(cv2.imencode(".jpg", np.ascontiguousarray(image))[1])
+
+
+def write_png(path: Path, image: NDArray[Any]) -> None:
+    """Write an image (BGR or one channel)."""
+    path.write_bytes(png_bytes(image))
+
+
+def _plane(eye: NDArray[Any], rays: NDArray[Any], axis: int, at: float) -> NDArray[Any]:
+    t = (at - eye[axis]) / rays[..., axis]
+    return np.where(t > 0, t, np.inf)
+
+
+def _ball(eye: NDArray[Any], rays: NDArray[Any]) -> NDArray[Any]:
+    to_eye = eye - np.array([2.0, 0.5, 0.6])
+    a, b = (rays**2).sum(-1), rays @ to_eye
+    root = b**2 - a * (to_eye @ to_eye - 0.3**2)
+    return np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
+
+
+def _box(eye: NDArray[Any], rays: NDArray[Any]) -> NDArray[Any]:
+    low, high = np.array([1.6, -0.7, 0.0]), np.array([2.2, -0.1, 0.8])
+    near, far = (low - eye) / rays, (high - eye) / rays
+    entry, leave = np.minimum(near, far).max(-1), np.maximum(near, far).min(-1)
+    return np.where((entry < leave) & (entry > 0), entry, np.inf)

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import player_scenes as scenes
+import pytest
+
+from hickory_stream.errors import InputError, RecordingError
+from players import SourceOptions, open_source
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _mcap(path: Path) -> Path:
+    m = scenes.Messages(ros=2)
+    return scenes.write_mcap(path, m, scenes.scene_messages(m, scenes.make_scene(), scenes.png_images))
+
+
+def test_a_path_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"no such file or folder: .*desk\.mcap"):
+        open_source(tmp_path / "desk.mcap")
+
+
+def test_an_empty_file_is_told(tmp_path: Path) -> None:
+    (tmp_path / "desk.mcap").touch()
+    with pytest.raises(RecordingError, match=r"desk\.mcap is empty; expected an MCAP file"):
+        open_source(tmp_path / "desk.mcap")
+
+
+def test_a_file_of_another_kind_is_told_with_its_first_bytes(tmp_path: Path) -> None:
+    (tmp_path / "desk.mcap").write_bytes(b"%PDF-1.4 and so on")
+    with pytest.raises(RecordingError, match=r"of no known kind \(it begins with 25 50 44 46"):
+        open_source(tmp_path / "desk.mcap")
+
+
+def test_a_folder_without_a_known_layout_is_told_with_what_it_holds(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(RecordingError, match=r"no log that is known; found notes\.txt; expected"):
+        open_source(tmp_path)
+
+
+def test_an_empty_folder_is_told(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="found nothing"):
+        open_source(tmp_path)
+
+
+def test_a_folder_with_one_log_in_it_is_that_log(tmp_path: Path) -> None:
+    _mcap(tmp_path / "a.mcap")
+    assert open_source(tmp_path).info.uri == str(tmp_path / "a.mcap")
+
+
+def test_a_folder_with_several_logs_asks_for_one(tmp_path: Path) -> None:
+    _mcap(tmp_path / "a.mcap")
+    _mcap(tmp_path / "b.mcap")
+    with pytest.raises(RecordingError, match=r"holds 2 logs without a metadata\.yaml; name one of: a\.mcap, b\.mcap"):
+        open_source(tmp_path)
+
+
+def test_the_kind_is_told_by_the_bytes_and_not_by_the_extension(tmp_path: Path) -> None:
+    assert open_source(_mcap(tmp_path / "recording.bag")).info.kind == "MCAP"
+
+
+def test_a_uri_may_be_text(tmp_path: Path) -> None:
+    assert open_source(str(_mcap(tmp_path / "a.mcap"))).info.num_frames == scenes.NUM_FRAMES
+
+
+@pytest.mark.parametrize("share", [0.001, 0.1, 0.5, 0.9, 0.999])
+def test_a_log_that_was_cut_off_is_told(tmp_path: Path, share: float) -> None:
+    log = _mcap(tmp_path / "a.mcap")
+    log.write_bytes(log.read_bytes()[: max(20, int(share * log.stat().st_size))])
+    with pytest.raises(RecordingError, match=r"a\.mcap is cut off"):
+        open_source(log)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.95])
+def test_a_bag_that_was_cut_off_is_told(tmp_path: Path, share: float) -> None:
+    m = scenes.Messages(ros=1)
+    bag = scenes.write_ros1(tmp_path / "a.bag", m, scenes.scene_messages(m, scenes.make_scene(), scenes.raw_images))
+    bag.write_bytes(bag.read_bytes()[: int(share * bag.stat().st_size)])
+    with pytest.raises(RecordingError, match=r"a\.bag cannot be read as a ROS 1 bag"):
+        open_source(bag)
+
+
+def test_importing_the_players_does_not_import_what_only_some_of_them_need() -> None:
+    heavy = "{'rosbags', 'mcap', 'cv2', 'numba'} & set(sys.modules)"
+    code = f"import sys, players; sys.exit(str({heavy}) if {heavy} else 0)"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=15)
+
+
+BAGS = ROOT / "../shared/data/bags"
+
+
+def _real_logs() -> list[Path]:
+    suffixes = (".bag", ".mcap", ".db3")
+    return sorted(p for p in BAGS.rglob("*") if p.suffix in suffixes or (p / "metadata.yaml").is_file())
+
+
+@pytest.mark.skipif(not BAGS.is_dir(), reason=f"needs real logs in {BAGS.name} beside the checkout")
+def test_every_real_log_without_images_is_refused_with_what_it_holds_and_the_options() -> None:
+    logs = _real_logs()
+    assert len(logs) > 50
+    for log in logs:
+        with pytest.raises(InputError, match=r"no images|holds no messages|cannot be read as") as refusal:
+            open_source(log, SourceOptions())
+        assert log.name in str(refusal.value)

@@ -1,0 +1,277 @@
+"""Objects with a known shape, and what cameras see of them: the ground truth of the tests of layers 2 to 4."""
+
+import ctypes
+from functools import cache
+from typing import Any
+
+import libusb_package
+import numpy as np
+import trimesh
+
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.camera import Camera, backproject
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
+from hickory_stream.ports import Crop, ShapeInputs
+
+
+def _box(size: tuple[float, float, float], middle: tuple[float, float, float]) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box(size)
+    mesh.apply_translation(middle)
+    return mesh
+
+
+def _upright(mesh: trimesh.Trimesh, bottom: float) -> trimesh.Trimesh:
+    mesh.apply_translation([0, 0, bottom - mesh.bounds[0, 2]])
+    return mesh
+
+
+def _torus(major: float, minor: float) -> trimesh.Trimesh:
+    return trimesh.creation.torus(major, minor, major_sections=48, minor_sections=24)
+
+
+def _handle(x: float, z: float) -> trimesh.Trimesh:
+    """Return an upright torus; the half on the near side of x is hidden in the mug."""
+    handle = _torus(0.032, 0.007)
+    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    handle.apply_translation([x, 0, z])
+    return handle
+
+
+def _organic() -> trimesh.Trimesh:
+    """Return the smooth blend of three ellipsoids, from their summed Gaussian fields."""
+    from skimage.measure import marching_cubes
+
+    axis = np.linspace(-0.4, 0.4, 81)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    field = np.zeros_like(x)
+    for center, radii in (
+        ((0, 0, -0.1), (0.2, 0.16, 0.14)),
+        ((0.08, 0, 0.1), (0.1, 0.1, 0.13)),
+        ((-0.16, 0.05, 0), (0.1, 0.08, 0.08)),
+    ):
+        squared = sum(((c - m) / r) ** 2 for c, m, r in zip((x, y, z), center, radii, strict=True))
+        field += np.exp(-squared)
+    vertices, faces, _, _ = marching_cubes(field, np.exp(-1.0), spacing=(0.01,) * 3, gradient_direction="ascent")
+    return trimesh.Trimesh(vertices - 0.4, faces)
+
+
+@cache
+def test_mesh(name: str) -> trimesh.Trimesh:
+    """Return one of the thirteen meshes, standing on z = 0; those of several parts overlap, as modelled objects do."""
+    cylinder, creation = trimesh.creation.cylinder, trimesh.creation
+    legs = [(x, y) for x in (-1, 1) for y in (-1, 1)]
+    makers: dict[str, Any] = {
+        "box": lambda: creation.box((0.5, 0.35, 0.3)),
+        "cylinder": lambda: cylinder(radius=0.15, height=0.45, sections=48),
+        "sphere": lambda: creation.icosphere(subdivisions=4, radius=0.15),
+        "capsule": lambda: creation.capsule(height=0.3, radius=0.1, count=(32, 32)),
+        "torus": lambda: _torus(0.2, 0.06),
+        "ellipsoid": lambda: creation.icosphere(subdivisions=4).apply_scale((0.3, 0.2, 0.12)),
+        "bottle": lambda: trimesh.util.concatenate(
+            [
+                cylinder(radius=0.04, segment=[[0, 0, 0], [0, 0, 0.16]], sections=48),
+                creation.cone(radius=0.04, height=0.08, sections=48).apply_translation([0, 0, 0.16]),
+                cylinder(radius=0.014, segment=[[0, 0, 0.16], [0, 0, 0.26]], sections=48),
+            ]
+        ),
+        "mug": lambda: trimesh.util.concatenate(
+            [cylinder(radius=0.04, segment=[[0, 0, 0], [0, 0, 0.1]], sections=48), _handle(0.036, 0.05)]
+        ),
+        "chair": lambda: trimesh.util.concatenate(
+            [_box((0.04, 0.04, 0.45), (0.2 * x, 0.2 * y, 0.225)) for x, y in legs]
+            + [_box((0.45, 0.45, 0.04), (0, 0, 0.45)), _box((0.04, 0.45, 0.45), (-0.205, 0, 0.68))]
+        ),
+        "table": lambda: trimesh.util.concatenate(
+            [_box((0.05, 0.05, 0.71), (0.54 * x, 0.34 * y, 0.355)) for x, y in legs]
+            + [_box((1.2, 0.8, 0.04), (0, 0, 0.73))]
+        ),
+        "shelf": lambda: trimesh.util.concatenate(
+            [_box((0.6, 0.3, 0.03), (0, 0, 0.015)), _box((0.6, 0.03, 0.4), (0, -0.135, 0.2))]
+        ),
+        "monitor": lambda: trimesh.util.concatenate(
+            [
+                _box((0.55, 0.04, 0.33), (0, 0, 0.32)),
+                _box((0.06, 0.04, 0.2), (0, 0, 0.1)),
+                _box((0.24, 0.18, 0.02), (0, 0, 0.01)),
+            ]
+        ),
+        "organic": _organic,
+    }
+    return _upright(makers[name](), 0.0)
+
+
+test_mesh.__test__ = False  # type: ignore[attr-defined]
+
+MESH_NAMES = (
+    "box",
+    "cylinder",
+    "sphere",
+    "capsule",
+    "torus",
+    "ellipsoid",
+    "bottle",
+    "mug",
+    "chair",
+    "table",
+    "shelf",
+    "monitor",
+    "organic",
+)
+
+
+def as_mesh(shape: trimesh.Trimesh) -> Mesh:
+    count = len(shape.vertices)
+    return Mesh(
+        vertices=shape.vertices,
+        faces=shape.faces,
+        colors=np.full((count, 3), 128, np.uint8),
+        is_seen=np.ones(count, bool),
+    )
+
+
+def open3d_module() -> Any:
+    ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    import open3d
+
+    return open3d
+
+
+def looking_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return world_from_camera of a level camera at `eye`: x right, y down, z towards the target."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = eye
+    return pose
+
+
+def ray_scene(meshes: list[trimesh.Trimesh]) -> Any:
+    o3d = open3d_module()
+    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+    for mesh in meshes:
+        scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
+    return scene
+
+
+def cast_view(scene: Any, camera: Camera, world_from_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the depth along the axis (inf where nothing is hit) and the index of the mesh hit."""
+    o3d = open3d_module()
+    pixels = backproject(np.ones((camera.height, camera.width), np.float32), camera)
+    directions = pixels @ world_from_camera[:3, :3].T.astype(np.float32)
+    origins = np.broadcast_to(world_from_camera[:3, 3].astype(np.float32), directions.shape)
+    answer = scene.cast_rays(o3d.core.Tensor(np.ascontiguousarray(np.concatenate([origins, directions], axis=-1))))
+    return answer["t_hit"].numpy(), answer["geometry_ids"].numpy()
+
+
+def shape_inputs(
+    shape: trimesh.Trimesh,
+    num_views: int,
+    *,
+    azimuths_rad: tuple[float, float] = (0.3, 0.3 + 2 * np.pi),
+    noise: float = 0.01,
+    elevation_rad: float = 0.5,
+    seed: int = 0,
+    margin_px: int = 12,
+) -> ShapeInputs:
+    """Return what `num_views` cameras around an object on a floor see of it; depth noise is `noise` times the depth."""
+    rng = np.random.default_rng(seed)
+    camera = Camera(width=640, height=480, fx=525, fy=525, cx=319.5, cy=239.5)
+    middle, size = shape.bounds.mean(axis=0), float(np.linalg.norm(np.ptp(shape.bounds, axis=0)))
+    floor = trimesh.creation.box((20, 20, 0.2)).apply_translation([0, 0, -0.1])
+    scene = ray_scene([shape, floor])
+    crops, points, colors = [], [], []
+    for i in range(num_views):
+        azimuth = azimuths_rad[0] + (azimuths_rad[1] - azimuths_rad[0]) * i / num_views
+        distance = max(1.6 * size, 0.5)
+        tilt = elevation_rad + 0.15 * np.cos(2.1 * i)
+        eye = middle + distance * np.array(
+            [np.cos(azimuth) * np.cos(tilt), np.sin(azimuth) * np.cos(tilt), np.sin(tilt)]
+        )
+        pose = looking_at(eye, middle)
+        depth, hit = cast_view(scene, camera, pose)
+        mask = hit == 0
+        depth = np.where(np.isfinite(depth), depth * (1 + noise * rng.standard_normal(depth.shape)), np.nan)
+        depth[rng.random(depth.shape) < 0.05] = np.nan
+        rows, columns = np.nonzero(mask)
+        x0, x1 = max(columns.min() - margin_px, 0), min(columns.max() + 1 + margin_px, camera.width)
+        y0, y1 = max(rows.min() - margin_px, 0), min(rows.max() + 1 + margin_px, camera.height)
+        rgb = np.full((*depth.shape, 3), 90, np.uint8)
+        rgb[mask] = (200, 120, 40)
+        crop = Crop(
+            rgb=rgb[y0:y1, x0:x1],
+            depth_m=depth[y0:y1, x0:x1].astype(np.float32),
+            mask=mask[y0:y1, x0:x1],
+            camera=camera.cropped(x0, y0, x1, y1),
+            world_from_camera=pose,
+        )
+        crops.append(crop)
+        inside = crop.mask & np.isfinite(crop.depth_m)
+        points.append(apply(pose, backproject(crop.depth_m, crop.camera)[inside]))
+        colors.append(crop.rgb[inside])
+    fused, rgb_points = fused_points(np.concatenate(points), np.concatenate(colors), 0.01)
+    return ShapeInputs(
+        crops=tuple(crops),
+        points_world=fused,
+        colors=rgb_points,
+        box=gravity_aligned_box(fused, 0.01),
+        support_z_m=0.0,
+    )
+
+
+def fused_points(points: np.ndarray, colors: np.ndarray, voxel_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return one point per voxel that at least three points fell into, as the tracks keep them."""
+    keys, first, counts = np.unique(keys_of_points(points, voxel_m), return_index=True, return_counts=True)
+    kept = counts >= min(3, counts.max())
+    return centers_of_keys(keys[kept], voxel_m), colors[first[kept]]
+
+
+def occupancy_iou(shape: trimesh.Trimesh, vertices_world: np.ndarray, faces: np.ndarray, cells: int = 64) -> float:
+    """Return the IoU of the solids on a grid over both (inside by ray parity, part by part)."""
+    low = np.minimum(shape.bounds[0], vertices_world.min(axis=0))
+    high = np.maximum(shape.bounds[1], vertices_world.max(axis=0))
+    step = (high - low).max() / cells
+    axes = [np.arange(a - step / 2, b + step, step, dtype=np.float32) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    truth = solid_of_parts(shape, grid)
+    other = inside(trimesh.Trimesh(vertices_world, faces, process=False), grid)
+    return float((truth & other).sum() / (truth | other).sum())
+
+
+def solid_of_parts(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    solid = np.zeros(points.shape[:-1], bool)
+    parts = shape.split(only_watertight=True)
+    for part in parts if len(parts) else [shape]:
+        solid |= inside(part, points)
+    return solid
+
+
+def inside(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    o3d = open3d_module()
+    scene = ray_scene([shape])
+    return scene.compute_occupancy(o3d.core.Tensor(np.ascontiguousarray(points, np.float32)), nsamples=3).numpy() > 0.5
+
+
+def shaded(
+    meshes: list[tuple[np.ndarray, np.ndarray, np.ndarray]], world_from_camera: np.ndarray, camera: Camera
+) -> np.ndarray:
+    """Return an (H, W, 3) picture of (vertices, faces, face colours), lit from the camera."""
+    scene = ray_scene([trimesh.Trimesh(v, f, process=False) for v, f, _ in meshes])
+    o3d = open3d_module()
+    pixels = backproject(np.ones((camera.height, camera.width), np.float32), camera)
+    directions = pixels @ world_from_camera[:3, :3].T.astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    origins = np.broadcast_to(world_from_camera[:3, 3].astype(np.float32), directions.shape)
+    answer = scene.cast_rays(o3d.core.Tensor(np.ascontiguousarray(np.concatenate([origins, directions], axis=-1))))
+    normals, ids = answer["primitive_normals"].numpy(), answer["geometry_ids"].numpy()
+    faces = answer["primitive_ids"].numpy()
+    facing = -(normals * directions).sum(axis=-1)
+    picture = np.full((*ids.shape, 3), 255.0)
+    for i, (_, _, face_colors) in enumerate(meshes):
+        here = ids == i
+        light = np.where(facing[here] > 0, 0.35 + 0.65 * facing[here], 0.1)
+        picture[here] = face_colors[faces[here]] * light[:, None]
+    return picture.clip(0, 255).astype(np.uint8)

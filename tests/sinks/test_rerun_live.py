@@ -1,0 +1,227 @@
+"""A missing, slow, late or dead viewer never slows or stops the mapping."""
+
+import os
+import socket
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+import rerun as rr
+from report_fixtures import reports
+from rerun.chunk import RrdReader
+
+from hickory_stream.sinks.rerun_items import LogItem, Moment, Span, Weight
+from hickory_stream.sinks.rerun_live import LiveQueue
+from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink, parse_viewer
+from hickory_stream.sinks.rerun_viewer import free_port, host_and_port, start_viewer, viewer_binary, viewer_environment
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+
+
+@pytest.fixture
+def quiet_home(tmp_path, monkeypatch):
+    """A home folder for viewers in which usage statistics are off."""
+    home = tmp_path / "home"
+    home.mkdir()
+    for name in ("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME"):
+        monkeypatch.setenv(name, str(home))
+    subprocess.run([viewer_binary(), "analytics", "disable"], check=True, capture_output=True)
+    return home
+
+
+@pytest.fixture
+def silent_server():
+    """A server that accepts and never reads."""
+    server = socket.create_server(("127.0.0.1", 0))
+    accepted = []
+
+    def accept():
+        while True:
+            try:
+                accepted.append(server.accept()[0])
+            except OSError:
+                return
+
+    threading.Thread(target=accept, daemon=True).start()
+    yield server.getsockname()[1]
+    server.close()
+    for connection in accepted:
+        connection.close()
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+
+
+# The process of its own proves as well that the interpreter ends: Rerun's exit handler waits for stalled viewers.
+RUN = textwrap.dedent(
+    """
+    import sys
+    from pathlib import Path
+    sys.path.insert(0, sys.argv[1])
+    from report_fixtures import reports
+    from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink, parse_viewer
+    folder = Path(sys.argv[2])
+    config = RerunConfig(live_queue_length=16)
+    sink = RerunSink(config, folder, folder / "run.rrd", parse_viewer(f"connect={sys.argv[3]}"))
+    for report in reports(48, folder, width=64):
+        sink.show(report)
+    sink.close()
+    print(sink.dropped["heavy"])
+    """
+)
+
+
+def run_against(port, folder):
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, str(HERE), str(folder), f"127.0.0.1:{port}"],
+        capture_output=True,
+        text=True,
+        timeout=15,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    frames = {
+        frame
+        for chunk in RrdReader(folder / "run.rrd").stream()
+        if chunk.entity_path == "/world/camera" and not chunk.is_static
+        for frame in chunk.to_record_batch().column("frame").to_pylist()
+    }
+    return int(done.stdout.split()[-1]), frames
+
+
+def test_a_viewer_that_never_reads_costs_drops_and_not_the_file_nor_the_end_of_the_process(tmp_path, silent_server):
+    dropped, frames = run_against(silent_server, tmp_path)
+    assert dropped > 0
+    assert frames == set(range(48))
+
+
+def test_nobody_at_the_address_costs_drops_and_not_the_file_nor_the_end_of_the_process(tmp_path):
+    dropped, frames = run_against(free_port(0), tmp_path)
+    assert dropped > 0
+    assert frames == set(range(48))
+
+
+class Receiver:
+    """A real Rerun server that saves what it gets."""
+
+    def __init__(self, port, path):
+        command = [viewer_binary(), "--save", str(path), "--bind", "127.0.0.1", "--port", str(port)]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=viewer_environment()
+        )
+        self.path = path
+
+    def entities(self):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the file is read while it grows: it has no footer yet
+            try:
+                return {chunk.entity_path for chunk in RrdReader(self.path).stream()}
+            except (OSError, ValueError, RuntimeError):
+                return set()
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+
+
+def test_a_viewer_that_comes_late_gets_the_objects_of_before_and_one_that_comes_back_gets_them_again(
+    tmp_path, quiet_home
+):
+    port = free_port(0)
+    sink = RerunSink(RerunConfig(live_queue_length=8), tmp_path, None, parse_viewer(f"connect=127.0.0.1:{port}"))
+    run = reports(24, tmp_path, width=160)
+    for _ in range(20):
+        sink.show(next(run))
+    first, second = None, None
+    wanted = {f"/world/layer{layer}/1" for layer in (2, 3, 4)} | {"/world/layer1/1/points", "/world/camera"}
+    try:
+        first = Receiver(port, tmp_path / "first.rrd")
+        wait_for(lambda: wanted <= first.entities(), "the late viewer did not get the objects")
+        first.kill()
+        second = Receiver(port, tmp_path / "second.rrd")
+
+        def shown_again():
+            # Only writing tells that a connection was lost.
+            if (report := next(run, None)) is not None:
+                sink.show(report)
+            return wanted <= second.entities()
+
+        wait_for(shown_again, "the viewer that came back did not get the objects")
+    finally:
+        sink.close()
+        for receiver in (first, second):
+            if receiver is not None:
+                receiver.kill()
+
+
+def test_the_web_viewer_listens_on_loopback_only_and_ends_with_the_sink(tmp_path, quiet_home):
+    import psutil
+
+    sink = RerunSink(RerunConfig(), tmp_path, None, parse_viewer("web"))
+    process = psutil.Process(sink._viewer.process.pid)
+    ports = {host_and_port(sink.web_url)[1], host_and_port(sink._viewer.url)[1]}
+
+    def listening():
+        return [c.laddr for c in process.net_connections(kind="tcp") if c.status == psutil.CONN_LISTEN]
+
+    try:
+        wait_for(lambda: ports <= {address.port for address in listening()}, "the server did not come up")
+        assert {address.ip for address in listening()} == {"127.0.0.1"}
+    finally:
+        sink.close()
+    assert not process.is_running()
+
+
+def item(path, weight=Weight.LIGHT, span=Span.LASTING, is_clear=False):
+    return LogItem(path=path, archetypes=(rr.Clear(recursive=True),), weight=weight, span=span, is_clear=is_clear)
+
+
+def moment(frame):
+    return Moment(stamp_ns=frame, frame=frame, keyframe=None)
+
+
+def drained(queue):
+    entries = []
+    while (entry := queue.take(0.0)) is not None:
+        entries.append([(entry.moment.frame, i.path) for i in entry.items])
+    return entries
+
+
+def test_a_full_queue_drops_its_oldest_heavy_entry_and_keeps_the_light_ones():
+    queue = LiveQueue(capacity=3)
+    for frame in range(3):
+        queue.put(moment(frame), [item("light", span=Span.MOMENT), item("image", Weight.HEAVY, Span.MOMENT)])
+    assert [paths for entry in drained(queue) for paths in entry] == [(0, "light"), (1, "light"), (2, "light")]
+    assert queue.dropped() == {"light": 0, "heavy": 3}
+
+
+def test_a_lasting_item_that_was_dropped_comes_when_the_queue_is_empty_and_only_in_its_last_form():
+    queue = LiveQueue(capacity=2)
+    queue.put(moment(0), [item("cloud", Weight.HEAVY)])
+    queue.put(moment(1), [item("cloud", Weight.HEAVY)])
+    queue.put(moment(2), [])
+    queue.put(moment(3), [])
+    assert [(f, p) for entry in drained(queue) for f, p in entry] == [(1, "cloud")]
+
+
+def test_a_cleared_entity_does_not_come_back():
+    queue = LiveQueue(capacity=10)
+    queue.put(moment(0), [item("layer/1/points", Weight.HEAVY), item("layer/12", Weight.HEAVY)])
+    queue.put(moment(1), [item("layer/1", is_clear=True)])
+    drained(queue)
+    queue.start_over()
+    assert [(f, p) for entry in drained(queue) for f, p in entry] == [(1, "layer/1"), (0, "layer/12")]
+
+
+def test_starting_the_viewer_none_starts_nothing():
+    assert start_viewer(parse_viewer("none"), bind="127.0.0.1", server_memory_limit="1MB") is None

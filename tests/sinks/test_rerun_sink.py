@@ -1,0 +1,208 @@
+"""What the Rerun sink writes to a file, read back with Rerun's own reader."""
+
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import rerun as rr
+from report_fixtures import KEYFRAME_EVERY, PERIOD_NS, SHAPE_FRAME, START_NS, reports
+from rerun.chunk import RrdReader
+
+from hickory_stream.errors import ConfigError, ViewerError
+from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink, ViewerChoice, ViewerKind
+
+NO_VIEWER = ViewerChoice(kind=ViewerKind.NONE)
+NUM_FRAMES, MERGE_AT = 24, 16
+
+
+def play(tmp_path, config=None, num_frames=NUM_FRAMES, width=160, change=None):
+    path = tmp_path / "run.rrd"
+    sink = RerunSink(config or RerunConfig(), tmp_path, path, NO_VIEWER)
+    for report in reports(num_frames, tmp_path, width=width, merge_at=MERGE_AT):
+        sink.show(report if change is None else change(report))
+    sink.close()
+    return path
+
+
+def rows_of(path):
+    """Return the rows of each entity as dicts of column name to value, without the static ones."""
+    rows = {}
+    for chunk in RrdReader(path).stream():
+        if not chunk.is_static:
+            batch = chunk.to_record_batch()
+            stamps = batch.column("log_time").cast(pa.int64())
+            batch = batch.set_column(batch.schema.get_field_index("log_time"), "log_time", stamps)
+            rows.setdefault(chunk.entity_path, []).extend(batch.to_pylist())
+    # Rows with and without a keyframe lie in different chunks.
+    return {path: sorted(found, key=lambda row: row["frame"]) for path, found in rows.items()}
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory):
+    return rows_of(play(tmp_path_factory.mktemp("rerun")))
+
+
+def test_every_frame_has_its_camera_and_its_colour(rows):
+    assert [row["frame"] for row in rows["/world/camera"]] == list(range(NUM_FRAMES))
+    assert len(rows["/world/camera/color"]) == NUM_FRAMES
+
+
+def test_only_keyframes_have_depth_masks_and_boxes(rows):
+    num_keyframes = NUM_FRAMES // KEYFRAME_EVERY
+    for name in ("depth", "masks", "boxes"):
+        assert [row["keyframe"] for row in rows[f"/world/camera/{name}"]] == list(range(num_keyframes))
+
+
+def test_the_three_timelines_hold_the_exact_stamps_and_nothing_of_the_wall_clock(rows):
+    for row in rows["/world/camera"]:
+        assert row["log_time"] == START_NS + row["frame"] * PERIOD_NS
+    timelines = {name for chunk in rows.values() for row in chunk for name in row if ":" not in name}
+    assert timelines - {"rerun.controls.RowId"} == {"log_time", "frame", "keyframe"}
+
+
+def test_the_colour_is_the_bytes_of_the_log(tmp_path, rows):
+    logged = bytes(rows["/world/camera/color"][3]["EncodedImage:blob"][0])
+    assert logged == list(reports(4, tmp_path, width=160))[3].color_bytes
+
+
+def test_every_object_has_its_four_layers(rows):
+    for object_id in (1, 4, 7):
+        assert f"/world/layer1/{object_id}/points" in rows
+        assert f"/world/layer1/{object_id}/box" in rows
+        for layer in (2, 3, 4):
+            assert [row["frame"] for row in rows[f"/world/layer{layer}/{object_id}"]] == [SHAPE_FRAME]
+
+
+def test_a_mesh_lies_on_the_box_that_it_was_made_of(tmp_path, rows):
+    box = next(iter(reports(1, tmp_path, width=160))).snapshot.objects[0].box
+    vertices = np.array(rows["/world/layer2/1"][0]["Mesh3D:vertex_positions"])
+    np.testing.assert_allclose(vertices, box.corners_world(), atol=1e-5)
+
+
+def test_a_cloud_is_logged_again_only_when_it_grew_and_at_last_as_it_is_at_the_end(tmp_path, rows):
+    *_, last = (r for r in reports(NUM_FRAMES, tmp_path, width=160) if r.snapshot is not None)
+    clouds = rows["/world/layer1/1/points"]
+    # 24 frames at 15 Hz are 1.6 s: the first cloud, one a second later, one at the end.
+    assert len(clouds) <= 3
+    assert len(clouds[-1]["Points3D:positions"]) == len(last.snapshot.objects[0].points_world)
+
+
+def test_a_large_cloud_is_thinned_to_its_limit(tmp_path):
+    rows = rows_of(play(tmp_path, RerunConfig(max_points_per_object=50), num_frames=5))
+    assert all(len(row["Points3D:positions"]) == 50 for row in rows["/world/layer1/1/points"])
+
+
+def test_an_object_that_is_gone_is_cleared_in_all_layers(rows):
+    for layer in (1, 2, 3, 4):
+        cleared = [row for row in rows[f"/world/layer{layer}/2"] if row.get("Clear:is_recursive")]
+        assert [row["frame"] for row in cleared] == [MERGE_AT]
+    assert not any(row.get("Clear:is_recursive") for row in rows["/world/layer2/1"])
+
+
+def test_every_object_has_a_thumbnail_from_the_frame_of_its_best_view(tmp_path, rows):
+    *_, last = (r for r in reports(NUM_FRAMES, tmp_path, width=160, merge_at=MERGE_AT) if r.snapshot is not None)
+    for seen in last.snapshot.objects:
+        assert rows[f"/views/{seen.id}/image"][-1]["frame"] == seen.best_view.frame_index
+
+
+def test_every_decision_is_a_line_of_text_under_its_kind(tmp_path, rows):
+    expected = Counter(d.kind for r in reports(NUM_FRAMES, tmp_path, width=160) for d in r.decisions)
+    assert {kind: len(rows[f"/decisions/{kind}"]) for kind in expected} == expected
+    assert rows["/decisions/reject"][0]["TextLog:text"][0].startswith("reject: mask (3, 5, 9, 12)")
+
+
+def test_every_metric_and_the_objects_per_phase_are_plotted(tmp_path, rows):
+    first = next(iter(reports(1, tmp_path, width=160)))
+    for name, value in first.metrics:
+        assert rows[f"/plots/{name}"][0]["Scalars:scalars"] == [pytest.approx(value)]
+    assert rows["/plots/objects/tentative"][0]["Scalars:scalars"] == [1.0]
+
+
+def test_the_trajectory_grows_linearly_in_the_file_and_keeps_every_place(tmp_path):
+    rows = rows_of(play(tmp_path, num_frames=200, width=32))
+    pieces = {path: r for path, r in rows.items() if path.startswith("/world/trajectory/")}
+    assert len(pieces) == 4
+    # The pieces overlap by one point, so that the line has no gaps.
+    assert sum(len(r[-1]["LineStrips3D:strips"][0]) for r in pieces.values()) == 200 + 3
+    assert max(len(row["LineStrips3D:strips"][0]) for r in pieces.values() for row in r) == 64
+
+
+def test_the_arrangement_is_stored_in_the_file(tmp_path):
+    assert len(RrdReader(play(tmp_path, num_frames=2)).blueprints()) >= 1
+
+
+def test_a_file_at_its_cap_gets_no_heavy_data_but_all_the_light_one_and_says_so_once(tmp_path, caplog):
+    rows = rows_of(play(tmp_path, RerunConfig(rrd_cap_mb=0.001), num_frames=40))
+    assert len(rows["/world/camera"]) == 40
+    assert len(rows["/plots/time/segment"]) == 40 // KEYFRAME_EVERY
+    assert len(rows.get("/world/camera/color", [])) < 40
+    assert [r.levelname for r in caplog.records if "cap" in r.message] == ["WARNING"]
+
+
+def test_every_nth_colour_frame_is_kept_and_every_keyframe(tmp_path):
+    rows = rows_of(play(tmp_path, RerunConfig(color_every=3), num_frames=9))
+    assert [row["frame"] for row in rows["/world/camera/color"]] == [0, 3, 4, 6, 8]
+
+
+def test_keyframes_of_a_log_without_compressed_colour_are_encoded(tmp_path):
+    rows = rows_of(play(tmp_path, num_frames=8, change=lambda report: replace(report, color_bytes=None)))
+    assert [row["frame"] for row in rows["/world/camera/color"]] == [0, 4]
+
+
+def test_a_missing_mesh_is_a_warning_and_the_other_layers_are_shown(tmp_path, caplog):
+    def lose_mesh(report):
+        (tmp_path / "shapes" / "3.glb").unlink(missing_ok=True)
+        return report
+
+    rows = rows_of(play(tmp_path, num_frames=SHAPE_FRAME + 1, change=lose_mesh))
+    assert "/world/layer2/3" not in rows
+    assert "/world/layer3/3" in rows
+    assert "3.glb" in caplog.text
+
+
+def test_a_frame_that_sees_nothing_can_be_shown(tmp_path):
+    def blind(report):
+        nothing = replace(report.frame, depth_m=np.full_like(report.frame.depth_m, np.nan))
+        return replace(report, frame=nothing, observations=(), object_ids=(), snapshot=None, decisions=())
+
+    rows = rows_of(play(tmp_path, num_frames=1, change=blind))
+    assert len(rows["/world/camera/masks"]) == 1
+
+
+def test_a_sink_without_file_and_viewer_does_nothing(tmp_path):
+    sink = RerunSink(RerunConfig(), tmp_path, None, NO_VIEWER)
+    for report in reports(2, tmp_path / "map"):
+        sink.show(report)
+    sink.close()
+    assert [p.name for p in tmp_path.iterdir()] == ["map"]
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_anything_runs(tmp_path):
+    with pytest.raises(ViewerError, match="missing"):
+        RerunSink(RerunConfig(), tmp_path, tmp_path / "missing" / "run.rrd", NO_VIEWER)
+
+
+@pytest.mark.parametrize("field", [{"color_every": 0}, {"jpeg_quality": 101}, {"rrd_cap_mb": 0.0}])
+def test_a_configuration_out_of_range_is_refused(field):
+    with pytest.raises(ConfigError, match=next(iter(field))):
+        RerunConfig(**field)
+
+
+def test_importing_the_sink_does_not_import_rerun():
+    code = "import sys, hickory_stream.sinks.rerun_sink; print('rerun' in sys.modules, 'cv2' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False"]
+
+
+def test_the_time_of_one_stream_is_not_left_behind_for_another(tmp_path):
+    play(tmp_path, num_frames=1)
+    other = rr.RecordingStream("other", recording_id="other", send_properties=False)
+    other.save(tmp_path / "other.rrd")
+    other.log("a", rr.Scalars(1.0))
+    other.disconnect()
+    timelines = {name for chunk in RrdReader(tmp_path / "other.rrd").stream() for name in chunk.timeline_names}
+    assert "frame" not in timelines
