@@ -14,6 +14,7 @@ Style = Literal["bar", "lines", "json", "none"]
 
 _LINE_EVERY_S = 5.0
 _BAR_EVERY_S = 0.1
+_EVENT_EVERY_S = 0.5
 _WIDTH = 30
 
 
@@ -29,7 +30,7 @@ class ProgressPrinter:
     def __call__(self, progress: Progress) -> None:
         """Take note of where the run is."""
         now_s = time.monotonic()
-        every_s = _BAR_EVERY_S if self._style == "bar" else _LINE_EVERY_S
+        every_s = {"bar": _BAR_EVERY_S, "json": _EVENT_EVERY_S}.get(self._style, _LINE_EVERY_S)
         if self._style == "none" or (now_s - self._printed_s < every_s and progress.phase == self._phase):
             return
         self._printed_s, self._phase = now_s, progress.phase

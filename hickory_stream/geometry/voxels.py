@@ -57,3 +57,14 @@ def dilate(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 def overlap_share(smaller: NDArray[np.int64], larger_dilated: NDArray[np.int64]) -> float:
     """Return the share of `smaller`'s voxels that lie in `larger_dilated` (sorted); 0.0 when there are none."""
     return float(contains(larger_dilated, smaller).mean()) if len(smaller) else 0.0
+
+
+def in_company(points: NDArray[Any], cell_m: float = 0.04, min_points: int = 4) -> NDArray[np.bool_]:
+    """Return for each of (N, 3) points whether its cell holds at least `min_points`; all of them where few cells do.
+
+    What a box is put around: stray points have no company, whereas quantiles cut off a table's legs, which are a small
+    share of its points.
+    """
+    _, inverse, counts = np.unique(keys_of_points(points, cell_m), return_inverse=True, return_counts=True)
+    dense = counts[inverse] >= min_points
+    return dense if dense.mean() > 0.7 else np.ones(len(points), dtype=bool)

@@ -14,6 +14,7 @@ import numpy as np
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.cloud import share_near
+from hickory_stream.mapping.track import bounds_of, may_touch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -61,9 +62,12 @@ def associate(
     """
     ious = {
         observation.index: {
-            track_id: iou for track_id, track in sorted(tracks.items()) if (iou := box_iou(observation.box, track.box)) > 0
+            track_id: iou
+            for track_id, track in sorted(tracks.items())
+            if may_touch(bounds, track.bounds) and (iou := box_iou(observation.box, track.box)) > 0
         }
         for observation in observations
+        for bounds in [bounds_of(observation.points_world)]
     }
     ranked = sorted(
         (-iou, track_id, index) for index, row in ious.items() for track_id, iou in row.items() if iou >= config.min_iou

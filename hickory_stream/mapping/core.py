@@ -29,12 +29,12 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate
-from hickory_stream.mapping.cloud import cloud_of, solid, without
+from hickory_stream.mapping.cloud import cloud_of, without
 from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, next_phase
 from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge
 from hickory_stream.mapping.observed_space import add, as_record, empty_space
 from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
-from hickory_stream.mapping.track import ShapeState, Track, TrackConfig, as_object, box_of, grown
+from hickory_stream.mapping.track import ShapeState, Track, TrackConfig, as_object, bounds_of, box_of, grown, may_touch
 from hickory_stream.mapping.views import ViewConfig, better, covers_better, score, score_bound, sector_of
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
@@ -196,7 +196,9 @@ class MapperCore:
                 last_seen_ns=event.stamp_ns,
                 seen_clock_ns=self._clock_ns,
                 cloud=seen,
+                solid=seen,
                 box=box_of(seen.points, self._config.track),
+                bounds=bounds_of(seen.points),
             )
             self._decide("create", track_id, f"mask {observation.box_px}: new; candidates by IoU: {others}")
             return track_id
@@ -214,26 +216,21 @@ class MapperCore:
 
     def _neighbors(self, track: Track, observation: Observation) -> list[Track]:
         """Return the other confirmed tracks whose boxes reach into an observation's."""
-        low, high = observation.points_world.min(axis=0) - 0.02, observation.points_world.max(axis=0) + 0.02
-        near = []
-        for other_id in sorted(self._tracks):
-            other = self._tracks[other_id]
-            corners = other.box.corners_world()
-            if other_id != track.id and other.sightings >= 2:
-                if (corners.min(axis=0) <= high).all() and (corners.max(axis=0) >= low).all():
-                    near.append(other)
-        return near
+        bounds = bounds_of(observation.points_world)
+        return [
+            other
+            for _, other in sorted(self._tracks.items())
+            if other.id != track.id and other.sightings >= 2 and may_touch(bounds, other.bounds)
+        ]
 
     def _vote(self, event: FrameObserved, matches: list[Match], homes: list[int | None]) -> None:
         """Count the pairs of tracks that this keyframe sees apart: two whole observations with boxes that meet."""
         whole = [(m, home) for m, home in zip(matches, homes, strict=True) if home is not None and not m.is_part]
         apart = []
+        bounds = {m.observation_index: bounds_of(event.observations[m.observation_index].points_world) for m, _ in whole}
         for k, (match_a, a) in enumerate(whole):
-            box_a = event.observations[match_a.observation_index].box.grown(0.05)
             for match_b, b in whole[k + 1 :]:
-                box_b = event.observations[match_b.observation_index].box.grown(0.05)
-                reach = np.linalg.norm(box_a.half_extents_m) + np.linalg.norm(box_b.half_extents_m)
-                if np.linalg.norm(box_a.center - box_b.center) < reach:
+                if may_touch(bounds[match_a.observation_index], bounds[match_b.observation_index], 0.05):
                     apart.append((a, b))
         self._votes = self._votes.plus(apart, apart=1)
 
@@ -343,7 +340,7 @@ class MapperCore:
             self._tracks, num_open, self._clock_ns, is_final=is_final, config=config
         ):
             track = self._tracks[track_id]
-            core = solid(track.cloud, track.sightings)
+            core = track.solid
             views = sorted(track.views, key=lambda view: (view is not track.best_view, view.frame_index, view.box_px))
             ticket = self._next_ticket
             self._next_ticket += 1

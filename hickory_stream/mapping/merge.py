@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
-from hickory_stream.mapping.cloud import fuse, is_near, share_near, solid
-from hickory_stream.mapping.track import Track, TrackConfig, box_of
+from hickory_stream.mapping.cloud import fuse, is_near, share_near
+from hickory_stream.mapping.track import Track, TrackConfig, may_touch, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class MergeConfig:
     """
 
     duplicate_share: float = 0.5
-    sure_share: float = 0.8
+    sure_share: float = 0.7
     covers_share: float = 0.3
     min_votes: int = 3
 
@@ -96,11 +96,9 @@ def foreign_points(
         on_other = is_near(cloud.keys, other.cloud)
         if not on_other.any():
             continue
-        if on_own is None:
-            on_own = is_near(cloud.keys, own.cloud)
-        only_other = on_other & ~on_own
-        foreign |= only_other
-        if only_other.sum() >= config.covers_share * min(len(solid(other.cloud, other.sightings).keys), len(cloud.keys)):
+        on_own = is_near(cloud.keys, own.cloud) if on_own is None else on_own
+        foreign |= on_other & ~on_own
+        if on_other.sum() >= config.covers_share * min(len(other.solid.keys), len(cloud.keys)):
             covered.append(other.id)
     return foreign, covered
 
@@ -130,14 +128,11 @@ def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: View
             coverage[sector] = mine
     theirs = replace(gone.best_view, object_id=kept.id) if gone.best_view is not None else None
     return replace(
-        kept,
+        with_cloud(kept, cloud, sightings, track_config),
         phase=kept.phase if kept.sightings >= gone.sightings else gone.phase,
-        sightings=sightings,
         first_seen_ns=min(kept.first_seen_ns, gone.first_seen_ns),
         last_seen_ns=max(kept.last_seen_ns, gone.last_seen_ns),
         seen_clock_ns=max(kept.seen_clock_ns, gone.seen_clock_ns),
-        cloud=cloud,
-        box=box_of(solid(cloud, sightings).points, track_config),
         coverage=tuple(sorted(coverage.items())),
         best_view=better(kept.best_view, theirs),
         shape=kept.shape or gone.shape,
@@ -148,12 +143,12 @@ def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: View
 
 def _why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | None:
     # Touching pieces have boxes that meet: a few centimetres of slack let them.
-    if intersection_volume_m3(a.box.grown(0.03), b.box.grown(0.03)) <= 0.0:
+    if not may_touch(a.bounds, b.bounds) or intersection_volume_m3(a.box.grown(0.03), b.box.grown(0.03)) <= 0.0:
         return None
     votes = book.of(a.id, b.id)
     if votes.together >= config.min_votes and votes.together > votes.apart:
         return f"seen as one in {votes.together} keyframes, apart in {votes.apart}"
-    cloud_a, cloud_b = solid(a.cloud, a.sightings), solid(b.cloud, b.sightings)
+    cloud_a, cloud_b = a.solid, b.solid
     small, large = (cloud_a, cloud_b) if len(cloud_a.keys) <= len(cloud_b.keys) else (cloud_b, cloud_a)
     share = share_near(small.keys, large)
     limit = config.sure_share if votes.apart > votes.together else config.duplicate_share

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.mapping.cloud import solid
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ def gain_of(track: Track) -> float:
         return 10.0
     names = {view.name for view in track.views}
     new_views = len(names - set(state.asked_views)) / max(len(names), 1)
-    growth = len(solid(track.cloud, track.sightings).keys) / max(state.asked_points, 1) - 1.0
+    growth = len(track.solid.keys) / max(state.asked_points, 1) - 1.0
     return new_views + min(max(growth, 0.0), 1.0)
 
 

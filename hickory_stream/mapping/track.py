@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
-from hickory_stream.mapping.cloud import Cloud, fuse, solid
+from hickory_stream.geometry.voxels import in_company
+from hickory_stream.mapping.cloud import Cloud, fuse, solid_part
 from hickory_stream.records import Phase, TrackedObject, View
 
 if TYPE_CHECKING:
@@ -22,12 +23,10 @@ class TrackConfig:
     """How a track keeps its points and its box.
 
     Attributes:
-        voxel_m: the lattice of layer 1.
-        box_quantile: share of the points beyond each end of each axis that the box leaves out as noise.
+        voxel_m: the lattice of layer 1; half extents of a box are at least this.
     """
 
     voxel_m: float = 0.01
-    box_quantile: float = 0.004
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,7 +44,9 @@ class ShapeState:
 class Track:
     """One object as the core holds it.
 
-    `seen_clock_ns` is the core's own clock, which runs on through a jump of the stamps. `coverage` holds kept views by
+    `seen_clock_ns` is the core's own clock, which runs on through a jump of the stamps. `solid` is the part of the cloud that is
+    surely surface, of which the box and the `bounds` (2, 3) are made: the
+    least and greatest coordinates of the cloud, for a first look at whether two things can touch. `coverage` holds kept views by
     the sector they look from. `seen_through` counts keyframes that looked through the
     place where the object should be.
     """
@@ -57,7 +58,9 @@ class Track:
     last_seen_ns: int
     seen_clock_ns: int
     cloud: Cloud
+    solid: Cloud
     box: OrientedBox
+    bounds: NDArray[np.float32]
     coverage: tuple[tuple[int, View], ...] = ()
     best_view: View | None = None
     shape: ObjectShape | None = None
@@ -76,20 +79,40 @@ class Track:
 
 def grown(track: Track, seen: Cloud, sightings: int, config: TrackConfig) -> Track:
     """Return the track with a cloud fused into its own, `sightings` in all, and the box that follows."""
-    cloud = fuse(track.cloud, seen)
-    return replace(track, cloud=cloud, sightings=sightings, box=box_of(solid(cloud, sightings).points, config))
+    return with_cloud(track, fuse(track.cloud, seen), sightings, config)
+
+
+def with_cloud(track: Track, cloud: Cloud, sightings: int, config: TrackConfig) -> Track:
+    """Return the track with another cloud, and the box and bounds that follow."""
+    sure = solid_part(cloud, sightings)
+    return replace(
+        track,
+        cloud=cloud,
+        solid=sure,
+        sightings=sightings,
+        box=box_of(sure.points, config),
+        bounds=bounds_of(sure.points),
+    )
+
+
+def bounds_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (2, 3) the least and greatest coordinates of (N, 3) points."""
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def may_touch(a: NDArray[np.float32], b: NDArray[np.float32], slack_m: float = 0.03) -> bool:
+    """Return whether two bounds come within `slack_m` of each other."""
+    return bool((a[0] <= b[1] + slack_m).all() and (b[0] <= a[1] + slack_m).all())
 
 
 def box_of(points: NDArray[np.float32], config: TrackConfig) -> OrientedBox:
-    """Return the gravity-aligned box of a cloud without its outermost points."""
-    low, high = np.quantile(points, [config.box_quantile, 1 - config.box_quantile], axis=0)
-    inside = ((points >= low) & (points <= high)).all(axis=1)
-    return gravity_aligned_box(points[inside] if inside.any() else points, config.voxel_m)
+    """Return the gravity-aligned box of a cloud without its stray points."""
+    return gravity_aligned_box(points[in_company(points)], config.voxel_m)
 
 
 def as_object(track: Track) -> TrackedObject:
     """Return the public record of a track."""
-    core = solid(track.cloud, track.sightings)
+    core = track.solid
     return TrackedObject(
         id=track.id,
         phase=track.phase,

@@ -11,7 +11,7 @@ import numpy as np
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.geometry.voxels import in_company, keys_of_points
 from hickory_stream.records import Observation, RejectedMask
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ class ObserveConfig:
         min_neighbors: a point is kept if its 27 cells of three voxels hold at least this many points.
         min_points: observations with fewer points are rejected.
         max_box_m: a box with a longer side is no object.
-        box_quantile: the box leaves this share of the points out at each end of each axis, as noise.
     """
 
     min_depth_m: float = 0.2
@@ -41,7 +40,6 @@ class ObserveConfig:
     min_neighbors: int = 4
     min_points: int = 30
     max_box_m: float = 3.0
-    box_quantile: float = 0.005
 
 
 def observe(
@@ -63,7 +61,7 @@ def observe(
                 mask=mask,
                 points_world=points,
                 colors=colors,
-                box=gravity_aligned_box(_core_points(points, config.box_quantile), config.voxel_m),
+                box=gravity_aligned_box(points[in_company(points)], config.voxel_m),
                 r_area=float(mask.sum()) / mask_area_of(frame.camera),
                 r_depth=valid_share,
                 is_cut=_touches_border(box_px, frame.camera),
@@ -110,7 +108,7 @@ def _lift(
     points, colors = points[dense], colors[dense]
     if len(points) < config.min_points:
         return f"{len(points)} points after filtering, fewer than {config.min_points}"
-    size = np.ptp(_core_points(points, config.box_quantile), axis=0)
+    size = np.ptp(points[in_company(points)], axis=0)
     if float(size.max()) > config.max_box_m:
         return f"{float(size.max()):.1f} m long: no object"
     return points, colors, float(reliable.sum() / mask.sum())
@@ -140,13 +138,6 @@ def _is_dense(points: NDArray[np.float32], counts: NDArray[np.int64], config: Ob
     """Return which voxels have company: the coarse cell of three voxels around them holds enough points."""
     _, inverse = np.unique(keys_of_points(points, 3 * config.voxel_m), return_inverse=True)
     return np.asarray(np.bincount(inverse, weights=counts)[inverse] >= config.min_neighbors)
-
-
-def _core_points(points: NDArray[np.float32], quantile: float) -> NDArray[np.float32]:
-    """Return the points without the outermost share at either end of each axis."""
-    low, high = np.quantile(points, [quantile, 1 - quantile], axis=0)
-    inside = ((points >= low) & (points <= high)).all(axis=1)
-    return points[inside] if inside.any() else points
 
 
 def _touches_border(box_px: tuple[int, int, int, int], camera: Camera) -> bool:

@@ -31,7 +31,7 @@ class CompletionConfig:
     """
 
     min_hit_share: float = 0.3
-    max_free_ratio: float = 0.45
+    max_free_ratio: float = 1.7
     max_support_gap_m: float = 0.06
     min_piece_share: float = 0.02
 
@@ -61,13 +61,19 @@ def solid_of(
     Unseen voxels are filled within `fillable` only; `support_index` is the lowest layer above the support, `max_gap` in
     voxels.
     """
+    states = states.copy()
+    states[:, :, : support_index or 0] = UNKNOWN
     hits, frees = look_around(states)
     enclosed = np.zeros(states.shape, dtype=bool)
-    enclosed[fillable] = ((hits >= config.min_hit_share) & (frees <= config.max_free_ratio * hits))[fillable]
+    # The more of the box was seen free, the less of what was not seen is likely to be solid.
+    max_free_ratio = config.max_free_ratio * float((states[fillable] != FREE).mean())
+    enclosed[fillable] = ((hits >= config.min_hit_share) & (frees <= max_free_ratio * hits))[fillable]
+    enclosed[:, :, : support_index or 0] = False
     solid = (states == SOLID) | ((states == UNKNOWN) & enclosed)
     solid = _without_hair(solid, states)
     if support_index is not None:
-        solid = _down_to_support(solid, states, support_index, max_gap)
+        # A column under a stray voxel must not become a spike on the floor.
+        solid = _without_hair(_down_to_support(solid, states, support_index, max_gap), states)
     return _large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), config.min_piece_share)
 
 

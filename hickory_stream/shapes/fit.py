@@ -37,6 +37,7 @@ class FitConfig:
     object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space outside the object.
     `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains are
     measured on up to `gain_samples` cells. Then every primitive is fitted again beside the others, `num_rounds` times.
+    Parts that reach more than `protruding_cells` beyond all primitives get up to `max_protruding` of their own.
     """
 
     cells: int = 64
@@ -52,6 +53,8 @@ class FitConfig:
     fine_iterations: int = 20
     gain_samples: int = 20_000
     num_rounds: int = 1
+    max_protruding: int = 4
+    protruding_cells: float = 3.0
 
 
 def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
@@ -89,8 +92,8 @@ def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]
         rows.append(best)
         field.consume(best)
     for _ in range(config.num_rounds):
-        rows = refitted(field, rows, config)
-    return pruned(field, rows, config)
+        rows = merged(field, refitted(field, rows, config), config)
+    return with_protruding(field, pruned(field, rows, config), config)
 
 
 def best_candidate(field: FitField, config: FitConfig) -> NDArray[np.float64] | None:
@@ -114,6 +117,61 @@ def refitted(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig
     return rows
 
 
+def merged(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
+    """Return the primitives, pairs replaced by one where that loses less than another primitive must gain."""
+    rows = list(rows)
+    i = 0
+    while i < len(rows):
+        for j in range(i + 1, len(rows)):
+            one = _merged_pair(field, rows, (i, j), config)
+            if one is not None:
+                rows[i] = one
+                del rows[j]
+                break
+        else:
+            i += 1
+    return rows
+
+
+def _merged_pair(
+    field: FitField, rows: list[NDArray[np.float64]], pair: tuple[int, int], config: FitConfig
+) -> NDArray[np.float64] | None:
+    i, j = pair
+    if not _touch(rows[i], rows[j]):
+        return None
+    field.cover_with([row for n, row in enumerate(rows) if n not in pair])
+    starts = [_enclosing(rows[i], rows[j]), _enclosing(rows[j], rows[i])]
+    fits = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in starts]
+    one = _best_by_gain(field, fits, 1, config.gain_samples)[0]
+    gain_of_one = field.gain(one, config.gain_samples)
+    gain_of_two = field.gain(rows[i], config.gain_samples)
+    field.consume(rows[i])
+    gain_of_two += field.gain(rows[j], config.gain_samples)
+    return one if gain_of_one >= gain_of_two - config.min_gain * field.volume else None
+
+
+def with_protruding(
+    field: FitField, rows: list[NDArray[np.float64]], config: FitConfig
+) -> list[NDArray[np.float64]]:
+    """Return the primitives and more for small parts that stick out far, such as a handle.
+
+    They add little volume, but without them layer 4 would have to grow a large primitive around them.
+    """
+    rows = list(rows)
+    field.cover_with(rows)
+    for _ in range(config.max_protruding):
+        cells = field.protruding_part(config.protruding_cells)
+        if cells is None:
+            break
+        fits = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in _component_starts(cells)]
+        best = _best_by_gain(field, fits, 1, config.gain_samples)[0]
+        if field.gain(best, config.gain_samples) <= 0:
+            break
+        rows.append(best)
+        field.consume(best)
+    return rows
+
+
 def pruned(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
     """Return the primitives without those that gain too little beside the others, the least useful dropped first."""
     rows = list(rows)
@@ -130,14 +188,16 @@ def pruned(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) 
 
 
 def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
-    """Return starts over the largest component of what is left, and over boxes grown from its deepest cells."""
+    """Return starts over the largest components of what is left, and over boxes grown from its deepest cells."""
     left = field.left
     labels, count = ndimage.label(left)
     if count == 0:
         return []
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    starts = _component_starts(np.argwhere(labels == int(np.argmax(sizes))))
+    starts = []
+    for label in np.argsort(-sizes, kind="stable")[: min(count, num_seeds)]:
+        starts += _component_starts(np.argwhere(labels == label))
     solid = field.solid
     depth = ndimage.distance_transform_cdt(left, "chessboard")
     for _ in range(num_seeds):
@@ -179,6 +239,27 @@ def _box_starts(box: NDArray[np.int64]) -> list[NDArray[np.float64]]:
     half = (box[1] - box[0] + 1) / 2.0
     center = box.mean(axis=0)
     return [row_of((0.4, 0.6), half @ order, center, order.copy()) for order in _ORDERS]
+
+
+def _touch(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    """Return whether the boxes of two primitives, along the grid, come within a cell of each other."""
+    reach = _reach(a, np.eye(3)) + _reach(b, np.eye(3)) + 1.0
+    return bool((np.abs(a[5:8] - b[5:8]) <= reach).all())
+
+
+def _enclosing(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a start with the orientation and exponents of `a` around the boxes of both."""
+    axes = a[8:17].reshape(3, 3)
+    center_a, center_b = a[5:8] @ axes, b[5:8] @ axes
+    reach_a, reach_b = np.exp(a[2:5]), _reach(b, axes)
+    low = np.minimum(center_a - reach_a, center_b - reach_b)
+    high = np.maximum(center_a + reach_a, center_b + reach_b)
+    return row_of((a[0], a[1]), (high - low) / 2, axes @ ((low + high) / 2), axes)
+
+
+def _reach(row: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the half extents of a primitive's box along the columns of `axes`."""
+    return np.asarray(np.abs(axes.T @ row[8:17].reshape(3, 3)) @ np.exp(row[2:5]))
 
 
 def _superquadrics(rows: list[NDArray[np.float64]], grid: DistanceGrid) -> Superquadrics:

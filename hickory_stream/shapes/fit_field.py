@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
+from scipy import ndimage
 
 from hickory_stream.shapes.quadric_lm import tangent_distance, refined
 
@@ -38,6 +39,16 @@ class FitField:
     def left(self) -> NDArray[np.bool_]:
         """The cells inside the object that no primitive explains."""
         return (self._distance < 0) & (self._object - self._covered > 0.5)
+
+    def protruding_part(self, min_reach: float) -> NDArray[np.int64] | None:
+        """Return the (N, 3) cells of the part that reaches farthest from what is explained; None below `min_reach`."""
+        unexplained = self._covered < 0.5
+        reach = np.where(self._distance < 0, ndimage.distance_transform_edt(unexplained), 0.0)
+        farthest = np.unravel_index(int(np.argmax(reach)), reach.shape)
+        if reach[farthest] < min_reach:
+            return None
+        labels, _ = ndimage.label((self._distance < 0) & (reach > 1.0))
+        return np.argwhere(labels == labels[farthest])
 
     def cover_with(self, rows: list[NDArray[np.float64]]) -> None:
         """Let exactly these primitives explain the object."""

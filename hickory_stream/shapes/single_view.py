@@ -96,8 +96,9 @@ def with_mirrored(crop: Crop, points: NDArray[np.float64], config: SingleViewCon
     seen = points
     median_z = float(np.median(apply(view.camera_from_world, points)[:, 2]))
     tolerance = max(3 * config.volume.noise_per_m * median_z**2, 2 * config.volume.min_voxel_m)
-    for _ in range(2):
-        reflection = mirror_plane(seen, [view], tolerance, config.symmetry)
+    # Some first plane is always better than a back that is open; a second one must show.
+    for min_score in (-config.symmetry.growth_penalty - 0.2, config.symmetry.min_second_score):
+        reflection = mirror_plane(seen, [view], tolerance, min_score, config.symmetry)
         if reflection is None:
             break
         views += [

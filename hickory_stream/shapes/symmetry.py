@@ -32,17 +32,18 @@ class SymmetryConfig:
     num_yaws: int = 36
     num_offsets: int = 9
     max_contradiction: float = 0.1
-    growth_penalty: float = 0.5
+    growth_penalty: float = 0.6
+    min_second_score: float = 0.25
     contradiction_penalty: float = 4.0
     max_points: int = 800
 
 
 def mirror_plane(
-    points_world: NDArray[np.float64], views: list[DepthView], tolerance_m: float, config: SymmetryConfig
+    points_world: NDArray[np.float64], views: list[DepthView], tolerance_m: float, min_score: float, config: SymmetryConfig
 ) -> NDArray[np.float64] | None:
-    """Return world_from_mirrored (4, 4), a reflection about the best vertical plane; None where all are contradicted."""
+    """Return world_from_mirrored (4, 4), a reflection about the best vertical plane; None where none is plausible."""
     points = points_world[:: max(len(points_world) // config.max_points, 1)]
-    best, best_score = None, -np.inf
+    best, best_score = None, min_score
     for yaw in np.pi * np.arange(config.num_yaws) / config.num_yaws:
         normal = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         along = points @ normal
@@ -97,6 +98,8 @@ def _against(points, depth, mask, intrinsics, tolerance):  # type: ignore[no-unt
             continue
         column, row = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))
         if row < 0 or column < 0 or row >= depth.shape[0] or column >= depth.shape[1]:
+            # The crop holds the whole mask: beside it there is no object.
+            out[n] = 2
             continue
         ahead = depth[row, column] - z
         if ahead > tolerance:

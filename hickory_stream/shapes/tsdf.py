@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
+from scipy import ndimage
 
 from hickory_stream.geometry.rigid import apply
 
@@ -19,9 +20,10 @@ if TYPE_CHECKING:
 
     from hickory_stream.geometry.camera import Camera
 
-# Behind a surface the evidence fades out over this many voxels: a plate two voxels thick keeps both of its sides.
-BAND_BEHIND_VOXELS = 2.0
+# Behind a surface the evidence fades out over this many voxels: a plate that thin keeps both of its sides.
+BAND_BEHIND_VOXELS = 1.5
 BAND_BEFORE_VOXELS = 3.0
+SMOOTHING_VOXELS = 0.6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -90,7 +92,10 @@ def integrate(grid: VoxelGrid, views: list[DepthView], noise_per_m: float) -> Ev
             total, near, free, camera_from_grid, grid.voxel_m,
             depth, cosine, carve, view.mask, inner, intrinsics, noise_per_m, view.trust,
         )  # fmt: skip
-    return Evidence(distance=total / np.maximum(near, 1e-9), near=near, free=free)
+    # Averaging over a voxel's neighbours takes the noise of few views out; it moves no plane and no plate's middle.
+    spread = ndimage.gaussian_filter(near, SMOOTHING_VOXELS)
+    distance = ndimage.gaussian_filter(total, SMOOTHING_VOXELS) / np.maximum(spread, np.float32(1e-9))
+    return Evidence(distance=distance, near=near, free=free)
 
 
 def smoothed_depth(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], noise_per_m: float) -> NDArray[np.float32]:
@@ -211,11 +216,12 @@ def _integrate(  # type: ignore[no-untyped-def] # pragma: no cover
                     continue
                 slope = cosine[row, column]
                 distance = along * slope
-                behind = max(BAND_BEHIND_VOXELS * voxel, 1.5 * sigma * slope)
+                behind = max(BAND_BEHIND_VOXELS * voxel, sigma * slope)
                 if along > before and distance > voxel:
                     if inner[row, column] and carve[row, column] - z > before:
                         free[i, j, k] += weight
                 elif distance > -behind:
-                    fade = 1.0 if distance >= 0.0 else 1.0 + distance / behind
+                    # Equal on both sides, or else averaging would move the surface inwards.
+                    fade = max(1.0 - abs(distance) / behind, 0.02)
                     total[i, j, k] += weight * fade * min(distance / voxel, 3.0)
                     near[i, j, k] += weight * fade

@@ -1,0 +1,37 @@
+"""`tools/bench NAME`: run one benchmark, print its table, write its records."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import pkgutil
+import sys
+from pathlib import Path
+
+import tools.benchmarks
+from tools.benchmarks.figures import Options, print_table, write_json
+
+_HELPERS = {"__main__", "figures", "processes"}
+
+
+def main() -> int:
+    """Parse the arguments and run."""
+    names = sorted({module.name for module in pkgutil.iter_modules(tools.benchmarks.__path__)} - _HELPERS)
+    parser = argparse.ArgumentParser(prog="tools/bench", description="Measure, print a table, write JSON.")
+    parser.add_argument("name", choices=names)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write a list of {name, value, unit, better}")
+    parser.add_argument("--seed", type=int, default=0, help="vary what is random about the measurement")
+    parser.add_argument("--quick", action="store_true", help="a smaller sample, in under 50 s")
+    arguments = parser.parse_args()
+    module = importlib.import_module(f"tools.benchmarks.{arguments.name}")
+    if arguments.quick:
+        print("quick: a smaller sample")
+    figures = module.measure(Options(seed=arguments.seed, quick=arguments.quick))
+    print_table(figures)
+    if arguments.json is not None:
+        write_json(figures, arguments.json)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

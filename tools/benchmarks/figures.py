@@ -1,0 +1,46 @@
+"""A measured figure, and how figures are printed and written."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Figure:
+    """One measured number; a figure that could not be measured is absent, never NaN."""
+
+    name: str
+    value: float
+    unit: str
+    better: Literal["higher", "lower"]
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.value):
+            raise ValueError(f"{self.name} is {self.value}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Options:
+    """What a benchmark may be told: `quick` asks for a smaller sample in under 50 s."""
+
+    seed: int
+    quick: bool
+
+
+def print_table(figures: list[Figure]) -> None:
+    """Print the figures as a table."""
+    width = max((len(figure.name) for figure in figures), default=4)
+    for figure in figures:
+        print(f"{figure.name:<{width}}  {figure.value:>12.4g} {figure.unit:<8} ({figure.better} is better)")
+
+
+def write_json(figures: list[Figure], path: Path) -> None:
+    """Write the figures as a list of records."""
+    path.write_text(json.dumps([dataclasses.asdict(figure) for figure in figures], indent=1) + "\n")
