@@ -1,7 +1,7 @@
 """The command line. Imports what a command needs only when it runs, so that `--help` answers at once.
 
-Exit status: 0 done; 1 an internal failure; 2 something outside is not as it must be; 130 stopped by a signal (the map is
-saved).
+Exit status: 0 done; 1 an internal failure; 2 something outside is not as it must be; 130 stopped by a signal (the map
+is saved).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Sink
+    from hickory_stream.progress import Style
     from hickory_stream.settings import Settings
 
 _STOPPED = 130
@@ -40,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _STOPPED
     except BrokenPipeError:
         return 0
-    except Exception as error:  # noqa: BLE001 -- the last place: one line for people, the trace for --debug
+    except Exception as error:
         if options.debug:
             raise
         _fail(f"internal failure, {type(error).__name__}: {error}; run with --debug to see where", options)
@@ -80,7 +81,7 @@ def _play(options: argparse.Namespace) -> int:
         ),
     )
     out = options.out or Path(f"{Path(options.source).resolve().stem}.map")
-    style = "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
+    style: Style = "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
     if not options.json:
         sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
@@ -244,7 +245,9 @@ def _parser() -> argparse.ArgumentParser:
     common.add_argument("--debug", action="store_true", help="log more, and show the trace of an internal failure")
     configured = argparse.ArgumentParser(add_help=False)
     configured.add_argument("--config", type=Path, metavar="TOML", help="configuration file; see `config dump`")
-    configured.add_argument("--set", action="append", metavar="SECTION.KEY=VALUE", help="override one value; repeatable")
+    configured.add_argument(
+        "--set", action="append", metavar="SECTION.KEY=VALUE", help="override one value; repeatable"
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_play(commands.add_parser("play", parents=[common, configured], help="map a recorded log"))
     _add_inspect(commands.add_parser("inspect", parents=[common], help="show what a map holds"))
@@ -267,7 +270,9 @@ def _add_play(play: argparse.ArgumentParser) -> None:
     play.add_argument("--overwrite", action="store_true", help="replace the map that is there")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
-    play.add_argument("--workers", type=int, metavar="N", help="child processes that build shapes; do not change the map")
+    play.add_argument(
+        "--workers", type=int, metavar="N", help="child processes that build shapes; do not change the map"
+    )
     play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     play.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
     topics = play.add_argument_group("streams of a log; all are discovered if not named")

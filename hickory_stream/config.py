@@ -11,14 +11,16 @@ import difflib
 import tomllib
 import types
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.mapping.core import MappingConfig
 from hickory_stream.mapping.keyframes import KeyframeConfig
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.shapes.build import ShapeConfig
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 T = TypeVar("T")
 

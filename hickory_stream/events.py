@@ -134,6 +134,10 @@ class RequestShape:
     support_z_m: float | None
     due_ns: int
 
+    def __post_init__(self) -> None:
+        freeze(self, "points_world", "f4", (None, 3))
+        freeze(self, "colors", "u1", (len(self.points_world), 3))
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CancelShape:

@@ -20,7 +20,15 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import Containment, Frame, FrameReport, ObservedSpace, RawFrame, Segmentation, SourceInfo
+    from hickory_stream.records import (
+        Containment,
+        Frame,
+        FrameReport,
+        ObservedSpace,
+        RawFrame,
+        Segmentation,
+        SourceInfo,
+    )
 
 
 class Source(Protocol):
@@ -142,7 +150,10 @@ class Reconstructor(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BuiltShape:
-    """Layers 2 to 4 as one job makes them; superquadrics in the world. `timings_s` are for people, not for the map."""
+    """Layers 2 to 4 as one job makes them; superquadrics in the world; `seen_share` (N,) as in `ObjectShape`.
+
+    `timings_s` are for people, not for the map.
+    """
 
     reconstruction: Reconstruction
     fitted: Superquadrics
@@ -150,6 +161,9 @@ class BuiltShape:
     seen_share: NDArray[np.float64]
     containment: Containment
     timings_s: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        freeze(self, "seen_share", "f8", (len(self.fitted),))
 
 
 class Sink(Protocol):

@@ -119,9 +119,10 @@ class Segmentation:
 class Observation:
     """One object in one keyframe, lifted to 3D; it has no feature yet.
 
-    `index` numbers the observations of the frame from 0. `box_px` = (x0, y0, x1, y1), ends exclusive; `mask` (h, w) bool
-    within it. `points_world` (N, 3) float32 and `colors` (N, 3) uint8, after depth filtering. `r_area` and `r_depth` are
-    the cheap factors of S (Eq. for S in the paper), in 0..1. `is_cut`: the mask touches the border of the image.
+    `index` numbers the observations of the frame from 0. `box_px` = (x0, y0, x1, y1), ends exclusive; `mask` (h, w)
+    bool within it. `points_world` (N, 3) float32 and `colors` (N, 3) uint8, after depth filtering. `r_area` and
+    `r_depth` are the cheap factors of S (Eq. for S in the paper), in 0..1. `is_cut`: the mask touches the border of the
+    image.
     """
 
     index: int
@@ -143,7 +144,7 @@ class Observation:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceObservation:
-    """What one keyframe says of space: sorted voxel keys seen free, and on structure; the floor's height if it shows."""
+    """What one keyframe says of space: sorted voxel keys seen free and on structure; the floor's height if it shows."""
 
     free_keys: NDArray[np.int64]
     structure_keys: NDArray[np.int64]
@@ -182,8 +183,9 @@ class Phase(StrEnum):
 class View:
     """One kept view of an object; its pixels live in the file `name` of the map folder's `views/`.
 
-    `score` is what the chosen strategy gives it (S by default); it, `variance` and `feature` (D,) are None for a view that
-    was kept for its direction alone, whose features were never worth computing. `is_cut`: it touches the image's border.
+    `score` is what the chosen strategy gives it (S by default); it, `variance` and `feature` (D,) are None for a view
+    that was kept for its direction alone, whose features were never worth computing. `is_cut`: it touches the image's
+    border.
     """
 
     object_id: int
@@ -213,7 +215,7 @@ class View:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Containment:
-    """How layer 4 covers the object, measured on its surface and its layer-1 points: the worst G and the share outside."""
+    """How layer 4 covers the object, measured on its surface and layer-1 points: the worst G, how many are outside."""
 
     num_checked: int
     num_outside: int
@@ -248,8 +250,8 @@ class ObjectShape:
 class TrackedObject:
     """One object of the map: its layer 1, its views, and layers 2 to 4 once they were built.
 
-    `points_world` (N, 3) float32, one per occupied voxel of the fixed lattice, with `colors` (N, 3) uint8; `feature` (D,)
-    is the mean over its kept views, unit norm, or None; `views` is sorted by frame; `best_view` is among them;
+    `points_world` (N, 3) float32, one per occupied voxel of the fixed lattice, with `colors` (N, 3) uint8; `feature`
+    (D,) is the mean over its kept views, unit norm, or None; `views` is sorted by frame; `best_view` is among them;
     `merged_ids` are the tracks that were found to be this one.
     """
 
@@ -321,7 +323,8 @@ class MapSnapshot:
 class Decision:
     """One decision and its reason, for people who ask why.
 
-    `kind` is one of associate, create, merge, phase, view, shape, reject, drop; `text` names the candidates and numbers.
+    `kind` is one of associate, create, merge, phase, view, shape, reject, drop; `text` names the candidates and
+    numbers.
     """
 
     kind: str

@@ -1,5 +1,7 @@
 """Shared settings: hypothesis without deadlines (the first call of a numba kernel compiles it), places of real data."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,24 @@ settings.register_profile("default", deadline=None, max_examples=50, derandomize
 settings.load_profile("default")
 
 ROOT = Path(__file__).resolve().parent.parent
+
+COARSE_SHAPES = """\
+[mapper.shapes.fused.volume]
+cells = 16
+[mapper.shapes.fit]
+cells = 16
+num_seeds = 1
+num_candidates = 1
+max_primitives = 1
+coarse_samples = 100
+coarse_iterations = 3
+fine_samples = 300
+fine_iterations = 4
+gain_samples = 1000
+[mapper.shapes.inflate]
+num_samples = 500
+num_checks = 300
+"""
 
 
 @pytest.fixture(scope="session")
@@ -27,3 +47,40 @@ def redkitchen() -> Path:
     if not folder.is_dir():
         pytest.skip(f"needs the 7-Scenes frames in {folder.name} beside the checkout")
     return folder
+
+
+@pytest.fixture(scope="session")
+def short_log(demo_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first four seconds of the demo: 24 frames."""
+    return copy_log(demo_log, tmp_path_factory.mktemp("logs") / "short.mcap", seconds=4.0)
+
+
+@pytest.fixture(scope="session")
+def coarse_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A configuration file with which a shape takes a tenth of a second instead of one."""
+    path = tmp_path_factory.mktemp("config") / "coarse.toml"
+    path.write_text(COARSE_SHAPES)
+    return path
+
+
+def copy_log(source: Path, target: Path, *, seconds: float) -> Path:
+    """Write the beginning of an MCAP file to another one."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    with source.open("rb") as read, target.open("wb") as written:
+        reader, writer = make_reader(read), Writer(written)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        end_ns = summary.statistics.message_start_time + int(seconds * 1e9)
+        writer.start(profile="ros2")
+        channels: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages(ending_before=end_ns):
+            assert schema is not None
+            if channel.id not in channels:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    return target

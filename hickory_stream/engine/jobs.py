@@ -17,7 +17,6 @@ import json
 import os
 import shutil
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +24,7 @@ import numpy as np
 from hickory_stream.config import from_dict
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics
+from hickory_stream.engine.session import GLB_ERRORS
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
@@ -34,6 +34,7 @@ from hickory_stream.shapes.build import ShapeConfig
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from hickory_stream.events import RequestShape
 
@@ -131,7 +132,7 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
             seen_share=result["seen_share"],
             containment=Containment(**result["containment"]),
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except GLB_ERRORS as error:
         raise WorkerError(f"job {ticket}: no readable answer in {folder}: {error}") from error
     shutil.rmtree(folder, ignore_errors=True)
     return ShapeAnswer(shape=shape, reason="", timings_s=result["timings_s"])

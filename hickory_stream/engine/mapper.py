@@ -1,4 +1,7 @@
-"""The mapper as a Python object: `async with Mapper(config) as mapper: async for snapshot in mapper.run(source): ...`."""
+"""The mapper as a Python object.
+
+`async with Mapper(config) as mapper: async for snapshot in mapper.run(source): ...`
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import asyncio
 import dataclasses
 import shutil
 import tempfile
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot
-
 
 
 class Mapper:
@@ -104,7 +105,7 @@ class Mapper:
             newest.put_nowait(snapshot)
 
         task = asyncio.create_task(self._play(source, folder, sinks, rate, loops, publish, progress), name="run")
-        task.add_done_callback(lambda _: newest.full() or newest.put_nowait(None))
+        task.add_done_callback(lambda _: None if newest.full() else newest.put_nowait(None))
         try:
             while not (task.done() and newest.empty()):
                 snapshot = await newest.get()
@@ -126,7 +127,11 @@ class Mapper:
         publish: Callable[[MapSnapshot], None],
         progress: Callable[[Progress], None],
     ) -> None:
-        made = sinks(folder) if sinks is not None else [(_Saver(folder), True)]
+        try:
+            made = sinks(folder) if sinks is not None else [(_Saver(folder), True)]
+        except Exception:
+            shutil.rmtree(folder.path, ignore_errors=True)
+            raise
         threads = [SinkThread(sink, is_essential=essential) for sink, essential in made]
         run = self._run = Run(
             config=self.config,
@@ -145,13 +150,15 @@ class Mapper:
             is_clean = run.is_complete
         finally:
             await self._close(folder, threads, run, source, is_clean)
-        if run.num_keyframes == 0:
-            raise RecordingError(_no_keyframe(source, run.counts))
+        reason = _why_empty(source, run)
+        if reason is not None:
+            await asyncio.to_thread(shutil.rmtree, folder.path, ignore_errors=True)
+            raise RecordingError(reason)
 
     async def _close(
         self, folder: MapFolder, threads: list[SinkThread], run: Run, source: Source, is_clean: bool
     ) -> None:
-        """Let the sinks finish, and write what is said about the run; an error of a sink comes after the others closed."""
+        """Let the sinks finish, and write what is said of the run; a sink's error comes after the others closed."""
         failed: BaseException | None = None
         for thread in threads:
             try:
@@ -200,6 +207,15 @@ def _finish(folder: MapFolder, ledger: Mapping[str, Any], timings: Mapping[str, 
     folder.finish(finished_cleanly=is_clean)
 
 
-def _no_keyframe(source: Source, counts: Counter[str]) -> str:
-    told = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items())) or "nothing"
-    return f"{source.info.uri} gave no usable frame ({told}); it must hold colour, depth and poses that overlap in time"
+def _why_empty(source: Source, run: Run) -> str | None:
+    """Return why a source that was played to its end can have given no map, None where it can have."""
+    uri, counts = source.info.uri, run.counts
+    if not run.is_complete:
+        return None
+    if run.num_keyframes == 0:
+        told = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items()))
+        needed = "it must hold colour, depth and poses that overlap in time"
+        return f"{uri} gave no usable frame ({told or 'nothing'}); {needed}"
+    if counts["keyframes_without_depth"] == run.num_keyframes:
+        return f"{uri} has no depth in any of {run.num_keyframes} keyframes; mapping needs depth in metres above 0"
+    return None

@@ -63,8 +63,8 @@ async def _play(
     snapshot: MapSnapshot | None = None
     async with Mapper(config, out=out, overwrite=overwrite) as mapper:
         with _Signals(mapper):
-            async for snapshot in mapper.run(source, sinks=sinks, rate=rate, loops=loops, progress=progress):
-                pass
+            async for newest in mapper.run(source, sinks=sinks, rate=rate, loops=loops, progress=progress):
+                snapshot = newest
         assert mapper.folder is not None
         manifest = mapper.folder.manifest
     return Played(snapshot=snapshot, finished_cleanly=manifest.finished_cleanly, digest=manifest.digest)

@@ -5,8 +5,8 @@
                       └<──answers, by due stamp
 
 `read` decides which frames are keyframes and decodes those ahead; `map` perceives a keyframe against the map as it is
-after the one before, lets the core decide, and carries its effects out. Whatever takes longer than a millisecond runs on
-a thread or in a child.
+after the one before, lets the core decide, and carries its effects out. Whatever takes longer than a millisecond runs
+on a thread or in a child.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections import Counter
-from collections.abc import Callable
+from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar, assert_never
@@ -38,6 +37,8 @@ from hickory_stream.events import (
     KeepView,
     Publish,
     RequestShape,
+    ShapeFailed,
+    ShapeReady,
     SourceEnded,
     TimeJumped,
 )
@@ -47,7 +48,7 @@ from hickory_stream.ports import Crop
 from hickory_stream.records import Frame, FrameReport, MapSnapshot, RawFrame
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.session import MapFolder
@@ -113,13 +114,14 @@ class Run:
         # One thread decodes ahead, one perceives and decides: what must come in order stays in order.
         self._reader = ThreadPoolExecutor(1, "read")
         self._thinker = ThreadPoolExecutor(1, "think")
-        self._is_stopped = False
+        self._stopped = asyncio.Event()
+        self._stopped_s = 0.0
         self._snapshot: MapSnapshot | None = None
         self._num_frames = 0
         self._num_keyframes = 0
         self._total: int | None = None
         self.counts: Counter[str] = Counter()
-        self.timings_s: Counter[str] = Counter()
+        self.timings_s: defaultdict[str, float] = defaultdict(float)
 
     @property
     def num_keyframes(self) -> int:
@@ -129,7 +131,7 @@ class Run:
     @property
     def is_complete(self) -> bool:
         """Whether the source was played to its end."""
-        return not self._is_stopped
+        return not self._stopped.is_set()
 
     def ledger(self, source: Source) -> dict[str, dict[str, int]]:
         """Return what became of every message, frame and job."""
@@ -148,8 +150,10 @@ class Run:
         return {**layers, **{f"{stage}_s": seconds for stage, seconds in sorted(self.timings_s.items())}}
 
     def stop(self) -> None:
-        """End the run after the frame at hand: no further frames, no further shapes."""
-        self._is_stopped = True
+        """End the run after the frame at hand: no further frames, and no shape that takes longer than the grace."""
+        if not self._stopped.is_set():
+            self._stopped_s = time.monotonic()
+            self._stopped.set()
 
     async def run(self, source: Source, *, rate: float | None, loops: int) -> None:
         """Play a source `loops` times.
@@ -179,7 +183,7 @@ class Run:
             for _ in range(loops):
                 frames = source.frames()
                 index = offset
-                while not self._is_stopped and (raw := await self._in(self._reader, next, frames, None)) is not None:
+                while self.is_complete and (raw := await self._in(self._reader, next, frames, None)) is not None:
                     index = offset + raw.index
                     jump = self._jump(last_ns, raw.stamp_ns)
                     last, last_ns = (None if jump else last), raw.stamp_ns
@@ -240,9 +244,7 @@ class Run:
         await self._commit_shapes(frame.stamp_ns)
         waited = time.perf_counter()
         prior = self._snapshot.submaps[0].observed_space if self._snapshot is not None else None
-        perceived = await self._in(
-            self._thinker, perceive, frame, prior, self._segmenter, self._config.perception
-        )
+        perceived = await self._in(self._thinker, perceive, frame, prior, self._segmenter, self._config.perception)
         if not np.isfinite(frame.depth_m).any():
             self.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
@@ -257,7 +259,8 @@ class Run:
         published = await self._handle(event, frame, perceived.observations)
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
-        self.timings_s.update(times)
+        for stage, seconds in times.items():
+            self.timings_s[stage] += seconds
         if published is not None:
             await self._show(self._report(raw, frame, perceived, published, times))
 
@@ -316,14 +319,16 @@ class Run:
 
         def write() -> None:
             for keep in keeps:
-                write_crop(self._folder.views, keep.view.name, crop_of(frame, observations[keep.observation_index], margin))
+                write_crop(
+                    self._folder.views, keep.view.name, crop_of(frame, observations[keep.observation_index], margin)
+                )
 
         await self._in(self._thinker, write)
 
     async def _commit_shapes(self, stamp_ns: int | None) -> None:
         """Tell the core of the shapes that are due at a stamp, None: of all that are open."""
         old = {o.id: o.shape for o in self._snapshot.objects} if self._snapshot is not None else {}
-        while (event := await self._shapes.next_due(stamp_ns)) is not None:
+        while (event := await self._next_shape(stamp_ns)) is not None:
             await self._handle(event)
             replaced = old.get(event.object_id)
             if replaced is not None:
@@ -331,13 +336,28 @@ class Run:
             if stamp_ns is None:
                 self._tell("shapes")
 
+    async def _next_shape(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
+        """Return the next shape that is due; None where none is, or where a stop has no patience left for it."""
+        due = asyncio.create_task(self._shapes.next_due(stamp_ns), name="next-shape")
+        stopped = asyncio.create_task(self._stopped.wait(), name="stopped")
+        try:
+            await asyncio.wait({due, stopped}, return_when=asyncio.FIRST_COMPLETED)
+            if not due.done():
+                left_s = self._stopped_s + self._config.run.grace_s - time.monotonic()
+                await asyncio.wait({due}, timeout=max(0.0, left_s))
+            return due.result() if due.done() else None
+        finally:
+            due.cancel()
+            stopped.cancel()
+            await asyncio.gather(due, stopped, return_exceptions=True)
+
     async def _end(self, last: RawFrame) -> None:
         """Ask for and wait for the last shapes, and show the finished map as one more keyframe."""
         decisions: tuple[Decision, ...] = ()
         if self.is_complete:
             published = await self._handle(SourceEnded(stamp_ns=last.stamp_ns))
             decisions = published.decisions if published is not None else ()
-            await self._commit_shapes(None)
+        await self._commit_shapes(None)
         self._snapshot = await self._in(self._thinker, self._core.snapshot)
         self._publish(self._snapshot)
         self._tell("saving")
@@ -420,5 +440,3 @@ def _plain_report(raw: RawFrame) -> FrameReport:
         world_from_camera=raw.world_from_camera,
         color_bytes=raw.color_bytes,
     )
-
-

@@ -56,7 +56,17 @@ _FILES = (_OBJECTS, _LEDGER, _TIMINGS, _JOURNAL)
 _FOLDERS = (POINTS, SPACE, "views", "shapes", "jobs")
 _EMPTY = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
 # What the GLB reader was seen to raise for files with bytes missing or changed.
-_GLB_ERRORS = (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, struct.error)
+GLB_ERRORS = (
+    OSError,
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    AttributeError,
+    AssertionError,
+    NotImplementedError,
+    struct.error,
+)
 
 
 def create_map_folder(
@@ -227,7 +237,7 @@ class SavedMap:
         path = self.mesh_path(shape)
         try:
             mesh = read_glb(path)
-        except _GLB_ERRORS as error:
+        except GLB_ERRORS as error:
             raise MapFolderError(f"cannot read the mesh {path}: {error}; play the log again") from error
         if sha256_of(mesh) != shape.mesh_sha256:
             raise MapFolderError(f"{path} is not the mesh that the map was saved with; play the log again")

@@ -1,13 +1,14 @@
 """Shape jobs of a playback: handed to the workers at once, committed by their due stamps.
 
-A result is committed at the first keyframe at or after its due stamp, in the order (due stamp, ticket), and the run waits
+A result is committed at the first keyframe at or after its due stamp, in the order (due stamp, ticket), and the run
+waits
 for one that is late: so that neither the number nor the speed of workers can change the map.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,7 @@ class ShapeQueue:
         self._workers = workers
         self._config = config
         self._open: dict[int, _Open] = {}
-        self.timings_s: Counter[str] = Counter()
+        self.timings_s: defaultdict[str, float] = defaultdict(float)
         self.counts: Counter[str] = Counter()
 
     @property
@@ -79,7 +80,8 @@ class ShapeQueue:
             except WorkerError as error:
                 reason = str(error)
             else:
-                self.timings_s.update(answer.timings_s)
+                for step, seconds in answer.timings_s.items():
+                    self.timings_s[step] += seconds
                 if answer.shape is not None:
                     self.counts["ready"] += 1
                     return ShapeReady(ticket=ticket, object_id=job.object_id, stamp_ns=stamp_ns, shape=answer.shape)

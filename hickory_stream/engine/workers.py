@@ -22,7 +22,7 @@ logger = logging.getLogger(__name__)
 _START_TIMEOUT_S = 60.0
 _ATTEMPTS = 2
 # One thread each: the workers share the machine, and sums that are split differently differ in their last bits.
-_ENVIRONMENT = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
 class LocalWorkers:
@@ -119,6 +119,9 @@ class _Child:
         except (WorkerError, TimeoutError) as error:
             await child.kill()
             raise WorkerError(f"a shape worker did not start: {error}") from error
+        except asyncio.CancelledError:
+            await child.kill()
+            raise
         return child
 
     async def run(self, folder: Path, timeout_s: float) -> str | None:

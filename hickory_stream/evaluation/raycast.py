@@ -5,14 +5,12 @@ Open3D's own offscreen renderer needs Vulkan and aborts without it; its Raycasti
 
 from __future__ import annotations
 
-import ctypes
-import sys
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.geometry.arrays import freeze
 
 if TYPE_CHECKING:
@@ -57,7 +55,7 @@ class Scene:
     """Surfaces to cast rays at."""
 
     def __init__(self, surfaces: Sequence[Surface]) -> None:
-        open3d = _open3d()
+        open3d = import_open3d()
         vertices, faces, colors, owners = _joined(surfaces)
         self._faces, self._owners = faces, owners
         self._colors = colors.astype(np.float32) / np.float32(255)
@@ -74,7 +72,7 @@ class Scene:
         if self._scene is None:
             nothing = np.full(count, np.inf, dtype=np.float32)
             return Hits(distance_m=nothing, normals=normals, colors=colors, owners=np.full(count, -1, dtype=np.int32))
-        answer = self._scene.cast_rays(_open3d().core.Tensor(_rays(origins, directions)))
+        answer = self._scene.cast_rays(import_open3d().core.Tensor(_rays(origins, directions)))
         distance = answer["t_hit"].numpy()
         owners = np.full(count, -1, dtype=np.int32)
         hit = np.isfinite(distance)
@@ -93,7 +91,7 @@ class Scene:
         """Return for each of (N, 3) rays whether it meets something within `reach_m`."""
         if self._scene is None:
             return np.zeros(len(origins), dtype=bool)
-        rays = _open3d().core.Tensor(_rays(origins, directions))
+        rays = import_open3d().core.Tensor(_rays(origins, directions))
         return np.asarray(self._scene.test_occlusions(rays, tnear=0.0, tfar=reach_m).numpy())
 
     def nearest(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -101,21 +99,9 @@ class Scene:
         if self._scene is None:
             return np.full(len(points), np.inf, dtype=np.float32), np.full(len(points), -1, dtype=np.int32)
         query = np.ascontiguousarray(points, dtype=np.float32)
-        answer = self._scene.compute_closest_points(_open3d().core.Tensor(query))
+        answer = self._scene.compute_closest_points(import_open3d().core.Tensor(query))
         distance_m = np.linalg.norm(answer["points"].numpy() - query, axis=1)
         return distance_m, self._owners[answer["primitive_ids"].numpy()]
-
-
-@cache
-def _open3d() -> Any:
-    """Import Open3D, with the libusb that its wheel expects of the system but does not need for this."""
-    if sys.platform == "linux":
-        import libusb_package
-
-        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-    import open3d
-
-    return open3d
 
 
 def _rays(origins: NDArray[Any], directions: NDArray[Any]) -> NDArray[np.float32]:

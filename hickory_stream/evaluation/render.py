@@ -14,12 +14,12 @@ from hickory_stream.evaluation.raycast import Scene
 from hickory_stream.evaluation.render_parts import (
     floor_cells,
     mesh_surface,
-    object_color,
     point_surface,
     superquadric_surfaces,
 )
 from hickory_stream.evaluation.render_view import Floor, Model, draw_view
 from hickory_stream.evaluation.viewpoint import Viewpoint, from_above, from_corner
+from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def _title(saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[in
 def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject]) -> NDArray[np.uint8]:
     """Return the (H, W, 3) picture from one viewpoint, with labels."""
     drawn = draw_view(model, viewpoint)
-    draw_labels(drawn, _label_places(viewpoint, objects), [(str(t.id), object_color(t.id)) for t in objects])
+    draw_labels(drawn, _label_places(viewpoint, objects), [(str(t.id), color_of_id(t.id)) for t in objects])
     return drawn
 
 

@@ -6,13 +6,13 @@ So the near walls of a room are not there when one looks in over them.
 
 from __future__ import annotations
 
-import colorsys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.evaluation.raycast import Surface
+from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import display_mesh
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells
@@ -29,19 +29,10 @@ WALL_COLOR = (214, 218, 226)
 # Structure below this is drawn as the floor; above the other it would be the ceiling.
 _FLOOR_REACH_M, _CUT_M = 0.15, 2.0
 _MIN_WALL_M = 0.6
-_GOLDEN_RATIO = 0.6180339887498949
-_SATURATIONS = (0.72, 0.5, 0.88)
 _STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
 _QUAD = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 _QUAD_FACES = np.array([[0, 1, 2], [0, 2, 3]])
-
-
-def object_color(object_id: int) -> tuple[int, int, int]:
-    """Return the (r, g, b) colour of an object, the same as in the viewer: hues step by the golden ratio."""
-    hue = (0.07 + object_id * _GOLDEN_RATIO) % 1.0
-    r, g, b = colorsys.hsv_to_rgb(hue, _SATURATIONS[object_id % len(_SATURATIONS)], 0.96)
-    return round(255 * r), round(255 * g), round(255 * b)
 
 
 def point_surface(tracked: TrackedObject, viewpoint: Viewpoint) -> Surface:
@@ -69,7 +60,7 @@ def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Sur
     surfaces = []
     for i in range(len(primitives)):
         vertices, faces = display_mesh(primitives, i, segments=40)
-        color = np.array(object_color(object_id)) * (1.0, 0.86, 0.93)[i % 3]
+        color = np.array(color_of_id(object_id)) * (1.0, 0.86, 0.93)[i % 3]
         colors = np.tile(color.astype(np.uint8), (len(vertices), 1))
         surfaces.append(Surface(vertices=vertices, faces=faces, colors=colors, owner=object_id))
     return surfaces

@@ -17,9 +17,9 @@ def frozen_array(values: Any, dtype: DTypeLike, shape: tuple[int | None, ...], n
     so that nobody keeps a writable reference.
 
     Raises:
-        ValueError: the shape does not fit.
+        ValueError: the shape does not fit, or `dtype` cannot hold the values; losing digits of a float is no reason.
     """
-    array = np.asarray(values, dtype=dtype)
+    array = _converted(values, dtype, name)
     if array.ndim != len(shape) or any(
         want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
     ):
@@ -36,3 +36,19 @@ def freeze(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None,
     """Replace an array field of a frozen dataclass by its checked read-only form (for `__post_init__`)."""
     label = f"{type(record).__name__}.{name}"
     object.__setattr__(record, name, frozen_array(getattr(record, name), dtype, shape, label))
+
+
+def _converted(values: Any, dtype: DTypeLike, name: str) -> NDArray[Any]:
+    given = np.asarray(values)
+    if np.can_cast(given.dtype, dtype, "same_kind"):
+        return np.asarray(given, dtype=dtype)
+    # Lists of Python numbers and foreign integer types are welcome as long as no value changes.
+    refusal = f"{name} has values of {given.dtype} that {np.dtype(dtype)} cannot hold; convert them first"
+    try:
+        with np.errstate(invalid="ignore"):
+            array = given.astype(dtype)
+    except (ValueError, TypeError) as error:
+        raise ValueError(refusal) from error
+    if not np.array_equal(array, given):
+        raise ValueError(refusal)
+    return array

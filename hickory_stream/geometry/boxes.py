@@ -1,7 +1,8 @@
 """Oriented boxes: the gravity-aligned box of minimum area, and the exact intersection of any two.
 
 The intersection of two boxes is a convex polyhedron. Its boundary is what remains of the faces of each box inside the
-other, so that clipping twelve squares and summing their cones gives its volume exactly, without building the polyhedron.
+other, so that clipping twelve squares and summing their cones gives its volume exactly, without building the
+polyhedron.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
@@ -111,15 +111,33 @@ def intersection_volume_m3(a: OrientedBox, b: OrientedBox) -> float:
 
 
 def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the hull's corners in order; fewer than three distinct or collinear points are their own hull."""
-    if len(points) >= 3:
-        try:
-            return points[ConvexHull(points).vertices]
-        except QhullError:
-            pass  # collinear or coincident: the two ends along the longest direction are the hull
-    centered = points - points.mean(axis=0)
-    along = centered @ np.linalg.svd(centered, full_matrices=False)[2][0]
-    return points[[int(np.argmin(along)), int(np.argmax(along))]]
+    """Return the hull's corners in order, counter-clockwise; of collinear points the ends, of one the same twice."""
+    ordered = np.unique(points, axis=0) if len(points) < 64 else points[np.lexsort((points[:, 1], points[:, 0]))]
+    corners = _monotone_chain(ordered)
+    return corners if len(corners) > 1 else np.repeat(corners, 2, axis=0)
+
+
+@numba.njit(cache=True)
+def _monotone_chain(points):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the convex hull of points sorted by x, then y (Andrew's monotone chain)."""
+    count = len(points)
+    hull = np.empty((2 * count + 1, 2))
+    size = 0
+    for sweep in range(2):
+        start = size
+        for k in range(count):
+            p = points[k] if sweep == 0 else points[count - 1 - k]
+            while size - start >= 2:
+                a, b = hull[size - 2], hull[size - 1]
+                if (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) > 0.0:
+                    break
+                size -= 1
+            if size > start and hull[size - 1, 0] == p[0] and hull[size - 1, 1] == p[1]:
+                continue
+            hull[size] = p
+            size += 1
+        size -= 1  # the last point of a sweep is the first of the next
+    return hull[: max(size, 1)].copy()
 
 
 @numba.njit(cache=True)

@@ -29,7 +29,7 @@ class Camera:
             raise ValueError(f"focal lengths must be positive and finite, found fx {self.fx}, fy {self.fy}")
 
     @property
-    def K(self) -> NDArray[np.float64]:  # noqa: N802 -- the literature's symbol
+    def K(self) -> NDArray[np.float64]:
         """The (3, 3) intrinsic matrix."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 

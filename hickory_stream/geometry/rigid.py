@@ -1,6 +1,7 @@
 """Rigid transforms as (4, 4) float64 matrices, named `a_from_b`.
 
-Plain matrices rather than a class: they compose with `@`, stack into `(..., 4, 4)` and need no conversion at any border.
+Plain matrices rather than a class: they compose with `@`, stack into `(..., 4, 4)` and need no conversion at any
+border.
 """
 
 from __future__ import annotations
@@ -96,9 +97,7 @@ def interpolate(a_from_b0: NDArray[Any], a_from_b1: NDArray[Any], fraction: floa
 def rotation_angle_rad(rotation: NDArray[Any]) -> float:
     """Return the angle of a (3, 3) rotation, in 0..pi."""
     # atan2 of the two halves stays accurate near 0 and near pi, where arccos of the trace does not.
-    skew = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
+    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     return float(np.arctan2(np.linalg.norm(skew), np.trace(rotation) - 1.0))
 
 

@@ -1,7 +1,7 @@
 """Sparse voxels as sorted int64 keys on one lattice.
 
-All keys share one lattice, anchored at the world origin: two objects overlap in the same cells whichever was seen first.
-A key packs three 21-bit cell coordinates, so that sorting keys sorts cells and a set operation is a merge.
+All keys share one lattice, anchored at the world origin: two objects overlap in the same cells whichever was seen
+first. A key packs three 21-bit cell coordinates, so that sorting keys sorts cells and a set operation is a merge.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.cloud import share_near
-from hickory_stream.mapping.track import bounds_of, may_touch
+from hickory_stream.mapping.track import bounds_of, touching
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -60,29 +60,27 @@ def associate(
     By boxes: pairs in the order of falling IoU, ties by track id, then by observation. Then, for observations that are
     left: the track that they lie on most, by points.
     """
-    ious = {
-        observation.index: {
-            track_id: iou
-            for track_id, track in sorted(tracks.items())
-            if may_touch(bounds, track.bounds) and (iou := box_iou(observation.box, track.box)) > 0
-        }
-        for observation in observations
-        for bounds in [bounds_of(observation.points_world)]
-    }
+    ordered = [tracks[i] for i in sorted(tracks)]
+    ious: dict[int, dict[int, float]] = {}
+    for observation in observations:
+        near = touching(bounds_of(observation.points_world), ordered)
+        row = {track.id: box_iou(observation.box, track.box) for track in near}
+        ious[observation.index] = {track_id: iou for track_id, iou in row.items() if iou > 0}
     ranked = sorted(
         (-iou, track_id, index) for index, row in ious.items() for track_id, iou in row.items() if iou >= config.min_iou
     )
     by_observation: dict[int, int] = {}
     taken: set[int] = set()
-    for _, track_id, index in ranked:
-        if index not in by_observation and track_id not in taken:
-            by_observation[index] = track_id
-            taken.add(track_id)
+    for _, candidate_id, index in ranked:
+        if index not in by_observation and candidate_id not in taken:
+            by_observation[index] = candidate_id
+            taken.add(candidate_id)
     matches = []
     for observation in observations:
         row = ious[observation.index]
         candidates = tuple(sorted(row.items(), key=lambda pair: (-pair[1], pair[0]))[:4])
-        track_id, lies_on = by_observation.get(observation.index), 0.0
+        track_id: int | None = by_observation.get(observation.index)
+        lies_on = 0.0
         is_part = False
         if track_id is None and row:
             track_id, lies_on = _lies_on_most(observation, [tracks[i] for i in sorted(row)], voxel_m)
@@ -105,9 +103,7 @@ def associate(
     return matches
 
 
-def _lies_on_most(
-    observation: Observation, tracks: Sequence[Track], voxel_m: float
-) -> tuple[int | None, float]:
+def _lies_on_most(observation: Observation, tracks: Sequence[Track], voxel_m: float) -> tuple[int | None, float]:
     """Return the track that most of an observation's points lie on, and the share; ties go to the lower id."""
     keys = keys_of_points(observation.points_world, voxel_m)
     best_id, best_share = None, 0.0

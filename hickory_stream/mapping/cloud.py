@@ -1,7 +1,7 @@
 """The layer-1 cloud of a track: one mean point per voxel of the world's lattice, with the number of its sightings.
 
-The lattice is anchored at the world's origin, so that two clouds of one surface fall into the same cells whichever track
-saw it first, and a cloud is bounded by its surface, not by the number of frames.
+The lattice is anchored at the world's origin, so that two clouds of one surface fall into the same cells whichever
+track saw it first, and a cloud is bounded by its surface, not by the number of frames.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from hickory_stream.geometry.voxels import keys_of_points
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Cloud:
-    """Sorted voxel `keys` (N,), mean `points` (N, 3) and `colors` (N, 3) as float32, and `hits` (N,): frames per voxel."""
+    """Sorted voxel `keys` (N,), mean `points` and `colors` (N, 3) as float32, and `hits` (N,): frames per voxel."""
 
     keys: NDArray[np.int64]
     points: NDArray[np.float32]

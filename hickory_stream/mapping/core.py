@@ -34,7 +34,7 @@ from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, next_phase
 from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge
 from hickory_stream.mapping.observed_space import add, as_record, empty_space
 from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
-from hickory_stream.mapping.track import ShapeState, Track, TrackConfig, as_object, bounds_of, box_of, grown, may_touch
+from hickory_stream.mapping.track import ShapeState, Track, TrackConfig, as_object, bounds_of, box_of, grown, touching
 from hickory_stream.mapping.views import ViewConfig, better, covers_better, score, score_bound, sector_of
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
@@ -128,10 +128,14 @@ class MapperCore:
 
     def _frame_observed(self, event: FrameObserved) -> list[Effect]:
         if self._pending is not None:
-            raise ValueError(f"frame {event.frame_index} came while features of {self._pending.frame_index} are pending")
+            raise ValueError(
+                f"frame {event.frame_index} came while features of {self._pending.frame_index} are pending"
+            )
         self._revision += 1
         self._advance_clock(event.stamp_ns)
-        self._decisions += [Decision(kind="reject", object_id=None, text=f"mask {r.box_px}: {r.reason}") for r in event.rejected]
+        self._decisions += [
+            Decision(kind="reject", object_id=None, text=f"mask {r.box_px}: {r.reason}") for r in event.rejected
+        ]
 
         matches = associate(event.observations, self._tracks, self._config.track.voxel_m, self._config.associate)
         homes = [self._place(event, match) for match in matches]
@@ -216,23 +220,19 @@ class MapperCore:
 
     def _neighbors(self, track: Track, observation: Observation) -> list[Track]:
         """Return the other confirmed tracks whose boxes reach into an observation's."""
-        bounds = bounds_of(observation.points_world)
-        return [
-            other
-            for _, other in sorted(self._tracks.items())
-            if other.id != track.id and other.sightings >= 2 and may_touch(bounds, other.bounds)
-        ]
+        ordered = [self._tracks[i] for i in sorted(self._tracks)]
+        near = touching(bounds_of(observation.points_world), ordered)
+        return [other for other in near if other.id != track.id and other.sightings >= 2]
 
     def _vote(self, event: FrameObserved, matches: list[Match], homes: list[int | None]) -> None:
         """Count the pairs of tracks that this keyframe sees apart: two whole observations with boxes that meet."""
-        whole = [(m, home) for m, home in zip(matches, homes, strict=True) if home is not None and not m.is_part]
-        apart = []
-        bounds = {m.observation_index: bounds_of(event.observations[m.observation_index].points_world) for m, _ in whole}
-        for k, (match_a, a) in enumerate(whole):
-            for match_b, b in whole[k + 1 :]:
-                if may_touch(bounds[match_a.observation_index], bounds[match_b.observation_index], 0.05):
-                    apart.append((a, b))
-        self._votes = self._votes.plus(apart, apart=1)
+        whole = [(m.observation_index, home) for m, home in zip(matches, homes, strict=True) if home and not m.is_part]
+        low = np.array([event.observations[i].points_world.min(axis=0) for i, _ in whole]).reshape(-1, 3)
+        high = np.array([event.observations[i].points_world.max(axis=0) for i, _ in whole]).reshape(-1, 3)
+        slack_m = 0.05
+        meet = (low[:, None] <= high[None] + slack_m).all(axis=2) & (low[None] <= high[:, None] + slack_m).all(axis=2)
+        pairs = [(whole[i][1], whole[j][1]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)]
+        self._votes = self._votes.plus(pairs, apart=1)
 
     def _merge_tracks(self, changed: set[int]) -> list[Effect]:
         effects: list[Effect] = []
@@ -277,7 +277,7 @@ class MapperCore:
     def _propose_views(
         self, event: FrameObserved, matches: list[Match], homes: list[int | None]
     ) -> tuple[dict[int, View], list[Effect]]:
-        """Return the views whose bound beats the best view, by observation, and the keeping of views for their direction."""
+        """Return the views whose bound beats the best view, by observation, and what is kept for its direction."""
         candidates: dict[int, View] = {}
         keeps: list[Effect] = []
         for match, home in zip(matches, homes, strict=True):
@@ -308,9 +308,7 @@ class MapperCore:
             return None
         track = self._tracks[track_id]
         value = score(candidate, feature.variance, self._config.views)
-        view = replace(
-            candidate, object_id=track_id, score=value, variance=feature.variance, feature=feature.pooled
-        )
+        view = replace(candidate, object_id=track_id, score=value, variance=feature.variance, feature=feature.pooled)
         coverage = tuple((sector, view if kept.name == view.name else kept) for sector, kept in track.coverage)
         wins = better(track.best_view, view) is view
         before = "no view before" if track.best_view is None else f"best was {track.best_view.score or 0.0:.3f}"
@@ -336,9 +334,7 @@ class MapperCore:
         config = self._config.requests
         num_open = sum(track.shape_state.open_ticket is not None for track in self._tracks.values())
         effects: list[Effect] = []
-        for track_id in next_requests(
-            self._tracks, num_open, self._clock_ns, is_final=is_final, config=config
-        ):
+        for track_id in next_requests(self._tracks, num_open, self._clock_ns, is_final=is_final, config=config):
             track = self._tracks[track_id]
             core = track.solid
             views = sorted(track.views, key=lambda view: (view is not track.best_view, view.frame_index, view.box_px))
@@ -392,7 +388,7 @@ class MapperCore:
         return [*effects, Publish(snapshot=self.snapshot(), decisions=decisions, metrics=self._metrics())]
 
     def _final_id(self, track_id: int | None) -> int | None:
-        """Return the track that a track has become: itself, the one that it was merged into, or None if it was dropped."""
+        """Return what a track has become: itself, the one that it was merged into, or None if it was dropped."""
         if track_id is None or track_id in self._tracks:
             return track_id
         return next((i for i in sorted(self._tracks) if track_id in self._tracks[i].merged_ids), None)

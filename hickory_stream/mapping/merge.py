@@ -1,4 +1,4 @@
-"""Tracks that are one object: duplicates, whose points coincide, and pieces, which are seen as one more often than apart.
+"""Tracks that are one object: duplicates, whose points coincide, and pieces, which are seen as one more than apart.
 
 A segmenter is wrong now and then, in either direction. A single frame that sees two things as one must not weld them
 together for ever: points that lie on another track are not taken over, they are a vote.
@@ -13,7 +13,7 @@ import numpy as np
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
-from hickory_stream.mapping.track import Track, TrackConfig, may_touch, with_cloud
+from hickory_stream.mapping.track import Track, TrackConfig, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 
 if TYPE_CHECKING:
@@ -103,17 +103,17 @@ def foreign_points(
     return foreign, covered
 
 
-def find_pair(tracks: Mapping[int, Track], changed: Iterable[int], book: VoteBook, config: MergeConfig) -> tuple[int, int, str] | None:
+def find_pair(
+    tracks: Mapping[int, Track], changed: Iterable[int], book: VoteBook, config: MergeConfig
+) -> tuple[int, int, str] | None:
     """Return (kept id, gone id, reason) of the first pair of tracks that is one object, None if there is none."""
+    ordered = [tracks[i] for i in sorted(tracks)]
     for i in sorted(changed):
         if i not in tracks:
             continue
-        for j in sorted(tracks):
-            if j == i:
-                continue
-            reason = _why_one(tracks[i], tracks[j], book, config)
-            if reason is not None:
-                return min(i, j), max(i, j), reason
+        for other in touching(tracks[i].bounds, ordered):
+            if other.id != i and (reason := _why_one(tracks[i], other, book, config)) is not None:
+                return min(i, other.id), max(i, other.id), reason
     return None
 
 
@@ -143,7 +143,7 @@ def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: View
 
 def _why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | None:
     # Touching pieces have boxes that meet: a few centimetres of slack let them.
-    if not may_touch(a.bounds, b.bounds) or intersection_volume_m3(a.box.grown(0.03), b.box.grown(0.03)) <= 0.0:
+    if intersection_volume_m3(a.box.grown(0.03), b.box.grown(0.03)) <= 0.0:
         return None
     votes = book.of(a.id, b.id)
     if votes.together >= config.min_votes and votes.together > votes.apart:

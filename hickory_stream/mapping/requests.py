@@ -41,7 +41,7 @@ class RequestConfig:
 def next_requests(
     tracks: Mapping[int, Track], num_open: int, clock_ns: int, *, is_final: bool, config: RequestConfig
 ) -> list[int]:
-    """Return the ids of the objects to ask shapes for now, most urgent first; all that are due when the source ended."""
+    """Return the ids of the objects to ask shapes for now, most urgent first; all of them when the source ended."""
     urgency = [
         (-gain, track.id)
         for track in tracks.values()
@@ -52,7 +52,7 @@ def next_requests(
 
 
 def gain_of(track: Track) -> float:
-    """Return what a new shape would know more: the share of new views and of new surface; 10 and more for a first one."""
+    """Return what a new shape would know more: the share of new views and of new surface; 10 for a first one."""
     state = track.shape_state
     if track.shape is None and not state.asked_views:
         return 10.0
@@ -63,7 +63,7 @@ def gain_of(track: Track) -> float:
 
 
 def support_height_m(track: Track, others: Iterable[Track], floor_z_m: float | None) -> float | None:
-    """Return the height of the surface that an object stands on: another object's top, or the floor; None if unknown."""
+    """Return the height of what an object stands on: another object's top, or the floor; None if unknown."""
     bottom = float(track.box.center[2] - track.box.half_extents_m[2])
     footprint = track.box.grown(0.03)
     best: float | None = None
@@ -72,7 +72,11 @@ def support_height_m(track: Track, others: Iterable[Track], floor_z_m: float | N
             continue
         points = other.cloud.points
         near = points[(points[:, 2] > bottom - 0.10) & (points[:, 2] < bottom + 0.03)]
-        lifted = near + np.array([0, 0, footprint.center[2]], dtype=np.float32) - near * np.array([0, 0, 1], dtype=np.float32)
+        lifted = (
+            near
+            + np.array([0, 0, footprint.center[2]], dtype=np.float32)
+            - near * np.array([0, 0, 1], dtype=np.float32)
+        )
         under = near[footprint.contains(lifted)]
         if len(under) >= 10:
             height = float(np.quantile(under[:, 2], 0.8))

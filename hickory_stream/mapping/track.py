@@ -13,6 +13,8 @@ from hickory_stream.mapping.cloud import Cloud, fuse, solid_part
 from hickory_stream.records import Phase, TrackedObject, View
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from hickory_stream.records import ObjectShape
@@ -31,7 +33,7 @@ class TrackConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShapeState:
-    """Where the shape of a track stands: the ticket that is open, and what was known when the last one was asked for."""
+    """Where the shape of a track stands: the open ticket, and what was known when the last one was asked for."""
 
     open_ticket: int | None = None
     asked_clock_ns: int = 0
@@ -44,11 +46,10 @@ class ShapeState:
 class Track:
     """One object as the core holds it.
 
-    `seen_clock_ns` is the core's own clock, which runs on through a jump of the stamps. `solid` is the part of the cloud that is
-    surely surface, of which the box and the `bounds` (2, 3) are made: the
-    least and greatest coordinates of the cloud, for a first look at whether two things can touch. `coverage` holds kept views by
-    the sector they look from. `seen_through` counts keyframes that looked through the
-    place where the object should be.
+    `seen_clock_ns` is the core's own clock, which runs on through a jump of the stamps. `solid` is the part of the
+    cloud that is surely surface, of which the box and the `bounds` (2, 3) are made: the least and greatest coordinates
+    of the cloud, for a first look at whether two things can touch. `coverage` holds kept views by the sector they look
+    from. `seen_through` counts keyframes that looked through the place where the object should be.
     """
 
     id: int
@@ -100,9 +101,13 @@ def bounds_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
-def may_touch(a: NDArray[np.float32], b: NDArray[np.float32], slack_m: float = 0.03) -> bool:
-    """Return whether two bounds come within `slack_m` of each other."""
-    return bool((a[0] <= b[1] + slack_m).all() and (b[0] <= a[1] + slack_m).all())
+def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: float = 0.03) -> list[Track]:
+    """Return the tracks whose bounds come within `slack_m` of the given ones, in their order."""
+    if not tracks:
+        return []
+    theirs = np.stack([track.bounds for track in tracks])
+    near = ((bounds[0] <= theirs[:, 1] + slack_m) & (theirs[:, 0] <= bounds[1] + slack_m)).all(axis=1)
+    return [track for track, is_near in zip(tracks, near, strict=True) if is_near]
 
 
 def box_of(points: NDArray[np.float32], config: TrackConfig) -> OrientedBox:

@@ -1,10 +1,11 @@
 """Best views, lazily: S, its bound, the strategies that it is compared with, and the views kept for their direction.
 
-    S = ln(1 + sigma^2) * R_area^alpha * R_depth^beta                                            (paper, Eq. of the S-score)
+    S = ln(1 + sigma^2) * R_area^alpha * R_depth^beta                                            (paper, Eq. of the
+    S-score)
 
 Patch features have unit norm, so that sigma^2, the trace of their covariance, is at most 1 and
-S <= ln 2 * R_area^alpha * R_depth^beta. The features of a mask are computed only where that bound beats the object's best
-view.
+S <= ln 2 * R_area^alpha * R_depth^beta. The features of a mask are computed only where that bound beats the object's
+best view.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, assert_never
 
-import numpy as np
-
 if TYPE_CHECKING:
+    import numpy as np
+
     from hickory_stream.records import View
 
 Strategy = Literal["s_score", "initial", "max_area", "max_box", "max_volume"]
@@ -28,8 +29,8 @@ class ViewConfig:
     """How views are chosen.
 
     Attributes:
-        strategy: `s_score`, or one of the paper's four others: the initial view, the largest mask, the largest 2D box, the
-            largest 3D box.
+        strategy: `s_score`, or one of the paper's four others: the initial view, the largest mask, the largest 2D box,
+            the largest 3D box.
         alpha, beta: the exponents of S.
         better_by: a kept view of a direction is replaced by one that is better by this factor.
     """
@@ -46,7 +47,7 @@ def s_score(variance: float, r_area: float, r_depth: float, config: ViewConfig) 
 
 
 def score_bound(view: View, config: ViewConfig) -> float:
-    """Return the most that a view can score before its features are known; the score itself for the other strategies."""
+    """Return the most that a view can score, before its features are known; other strategies need no features."""
     if config.strategy == "s_score":
         return s_score(1.0, view.r_area, view.r_depth, config)
     return score(view, 0.0, config)
@@ -83,7 +84,7 @@ def better(a: View | None, b: View | None) -> View | None:
 def sector_of(view: View, center: np.ndarray[tuple[int], np.dtype[np.float64]]) -> int:
     """Return which of eight sectors around the object a view looks from."""
     dx, dy = view.world_from_camera[:2, 3] - center[:2]
-    return int(math.floor((math.atan2(dy, dx) + math.pi) / (2 * math.pi) * _SECTORS)) % _SECTORS
+    return math.floor((math.atan2(dy, dx) + math.pi) / (2 * math.pi) * _SECTORS) % _SECTORS
 
 
 def usefulness(view: View) -> float:

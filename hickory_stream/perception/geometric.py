@@ -15,6 +15,7 @@ import numpy as np
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.fragments import FragmentConfig, concave_creases, fragments_of, support_labels
 from hickory_stream.perception.join import JoinConfig, join_fragments
+from hickory_stream.perception.pieces import label_boxes
 from hickory_stream.perception.structure import (
     StructureConfig,
     floor_height_m,
@@ -71,7 +72,7 @@ class GeometricSegmenter:
         supports = support_labels(surface, heights, min_pixels=config.min_area_px)
         creases = concave_creases(surface, config.fragments)
         labels = fragments_of(surface, structure, supports, creases, config.fragments)
-        labels = join_fragments(surface, labels, supports, areas_m2, config.join)
+        labels = join_fragments(surface, labels, supports, areas_m2, structure, floor_z_m, config.join)
         labels, rejected = _usable(surface, labels, config)
         size = (frame.camera.width, frame.camera.height)
         return Segmentation(
@@ -102,7 +103,7 @@ def _usable(
     keep = np.zeros(count, dtype=np.int32)
     rejected: list[RejectedMask] = []
     kept = 0
-    boxes = _label_boxes(labels, count)
+    boxes = label_boxes(labels, count)
     for i in range(1, count):
         reason = _why_not(surface, labels, i, int(pixels[i]), float(hidden[i]), boxes[i], config)
         if reason is None:
@@ -133,19 +134,6 @@ def _why_not(
     if extent > config.max_extent_m:
         return f"{extent:.1f} m long: structure"
     return None
-
-
-def _label_boxes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
-    """Return (count, 4) x0, y0, x1, y1 of each label, ends exclusive."""
-    ys, xs = np.nonzero(labels)
-    names = labels[ys, xs]
-    boxes = np.zeros((count, 4), dtype=np.int64)
-    boxes[:, :2] = max(labels.shape)
-    np.minimum.at(boxes[:, 0], names, xs)
-    np.minimum.at(boxes[:, 1], names, ys)
-    np.maximum.at(boxes[:, 2], names, xs + 1)
-    np.maximum.at(boxes[:, 3], names, ys + 1)
-    return boxes
 
 
 def _hidden_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:

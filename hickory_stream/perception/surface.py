@@ -92,7 +92,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
 
 @numba.njit(cache=True)
 def _reduce_depth(depth, factor, height, width, nearest, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Take the median of the valid depths of each block: no depth is invented between two surfaces."""
+    """Take the lower median of the valid depths of each block: no depth is invented, and what is thin survives."""
     out = np.full((height, width), np.nan, dtype=np.float32)
     block = np.empty(factor * factor, dtype=np.float32)
     for y in range(height):
@@ -102,16 +102,23 @@ def _reduce_depth(depth, factor, height, width, nearest, farthest):  # type: ign
                 for dx in range(factor):
                     z = depth[y * factor + dy, x * factor + dx]
                     if nearest <= z <= farthest:
-                        block[count] = z
+                        i = count
+                        while i > 0 and block[i - 1] > z:
+                            block[i] = block[i - 1]
+                            i -= 1
+                        block[i] = z
                         count += 1
             if count > 0:
-                out[y, x] = np.sort(block[:count])[count // 2]
+                out[y, x] = block[(count - 1) // 2]
     return out
 
 
 @numba.njit(cache=True)
 def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Remove pixels that fewer than three of their eight neighbours agree with, to 4 % of the depth."""
+    """Remove pixels that fewer than three of their eight neighbours agree with, to 4 % of the depth.
+
+    Flying pixels lie between two surfaces; a pixel that nothing is before may be part of a thin thing, and two suffice.
+    """
     height, width = depth.shape
     out = depth.copy()
     for y in range(height):
@@ -119,13 +126,14 @@ def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no 
             z = depth[y, x]
             if np.isnan(z):
                 continue
-            agreeing = 0
-            for dy in range(-1, 2):
-                for dx in range(-1, 2):
-                    yy, xx = y + dy, x + dx
-                    if (dy or dx) and 0 <= yy < height and 0 <= xx < width and abs(depth[yy, xx] - z) < 0.04 * z:
+            agreeing, nearer = 0, 0
+            for yy in range(max(0, y - 1), min(height, y + 2)):
+                for xx in range(max(0, x - 1), min(width, x + 2)):
+                    if abs(depth[yy, xx] - z) < 0.04 * z:
                         agreeing += 1
-            if agreeing < 3:
+                    elif depth[yy, xx] < z:
+                        nearer += 1
+            if agreeing < 4 and (nearer > 0 or agreeing < 3):  # it agrees with itself
                 out[y, x] = np.nan
     return out
 

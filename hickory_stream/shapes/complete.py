@@ -26,18 +26,22 @@ class CompletionConfig:
     """How unseen space is completed.
 
     Of the 26 directions around an unknown voxel at least `min_hit_share` must meet the object, and those that meet free
-    space may be `max_free_ratio` times as many. `max_support_gap_m`: an object whose seen part ends this close above its support is continued down to it.
+    space may be at most `max_free_ratio` times as many, times the share of the object's box that was not seen free.
+    `max_support_gap_m`: an object whose seen part ends this close above its support is continued down to it.
     `min_piece_share`: a separate piece smaller than this share of the largest is dropped.
     """
 
     min_hit_share: float = 0.3
-    max_free_ratio: float = 1.7
+    max_free_ratio: float = 1.3
     max_support_gap_m: float = 0.06
     min_piece_share: float = 0.02
 
 
 def classify(evidence: Evidence, surface_cells: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return UNKNOWN, FREE or SOLID per voxel; `surface_cells` (N, 3) hold points of layer 1, solid where not carved."""
+    """Return UNKNOWN, FREE or SOLID per voxel.
+
+    `surface_cells` (N, 3) hold points of layer 1: they are solid where no view says otherwise.
+    """
     states = np.full(evidence.near.shape, UNKNOWN, np.uint8)
     is_near = evidence.near > evidence.free
     states[evidence.free > 0] = FREE
@@ -79,8 +83,8 @@ def solid_of(
 
 def look_around(states: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return per voxel the shares of the 26 directions in which the first known voxel is SOLID, and FREE."""
-    hits = np.zeros(states.shape, np.float32)
-    frees = np.zeros(states.shape, np.float32)
+    hits = np.zeros(states.shape, np.uint8)
+    frees = np.zeros(states.shape, np.uint8)
     first = np.empty(states.shape, np.uint8)
     for direction in np.ndindex(3, 3, 3):
         step = np.array(direction) - 1
@@ -88,7 +92,7 @@ def look_around(states: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray
             _first_known(states, step, first)
             hits += first == SOLID
             frees += first == FREE
-    return hits / 26, frees / 26
+    return (hits / 26).astype(np.float32), (frees / 26).astype(np.float32)
 
 
 def _without_hair(solid: NDArray[np.bool_], states: NDArray[np.uint8]) -> NDArray[np.bool_]:

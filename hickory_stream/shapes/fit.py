@@ -1,10 +1,10 @@
 """Layer 3: Marching-Primitives, a mesh as a few superquadrics.
 
-As in Liu et al. (2023) primitives are fitted one at a time to a truncated signed distance, beginning with the deepest
-parts, and what a primitive explains is taken away at once. Two things differ. Candidates are grown from seeds as well as
-from connected components, for thin parts that touch have one component at every level; and a candidate is judged by what
-it adds to the intersection over union with the object, which also says when to stop. All lengths are in cells of the
-grid, so that no tolerance depends on the size of the object or on the unit.
+As in Liu et al. (2023) primitives are fitted one by one to a truncated signed distance, and what a primitive explains
+is taken away at once. Two things differ. Candidates grow from deep seeds as well as from connected components, since
+thin parts that touch have one component at every level; and a candidate is judged by what it adds to the intersection
+over union with the object, which also says when to stop. All lengths are in cells of the grid, so that no tolerance
+depends on the size of the object or on the unit.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ if TYPE_CHECKING:
 class FitConfig:
     """How a mesh becomes superquadrics.
 
-    `cells` along the longest side; distances are cut off at `band_cells`. Per primitive `num_seeds` boxes are grown, and
-    the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least `min_gain` of the
-    object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space outside the object.
+    `cells` along the longest side; distances are cut off at `band_cells`. Per primitive `num_seeds` boxes are grown,
+    and the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least `min_gain` of
+    the object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space outside.
     `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains are
-    measured on up to `gain_samples` cells. Then every primitive is fitted again beside the others, `num_rounds` times.
-    Parts that reach more than `protruding_cells` beyond all primitives get up to `max_protruding` of their own.
+    measured on up to `gain_samples` cells. Then `num_rounds` times every primitive is fitted again beside the others
+    and pairs are merged. Parts that reach more than `protruding_cells` beyond all primitives get up to
+    `max_protruding` of their own.
     """
 
     cells: int = 64
@@ -49,9 +50,9 @@ class FitConfig:
     waste_weight: float = 1.5
     coarse_samples: int = 500
     coarse_iterations: int = 8
-    fine_samples: int = 2000
+    fine_samples: int = 1500
     fine_iterations: int = 20
-    gain_samples: int = 20_000
+    gain_samples: int = 8000
     num_rounds: int = 1
     max_protruding: int = 4
     protruding_cells: float = 3.0
@@ -141,8 +142,11 @@ def _merged_pair(
         return None
     field.cover_with([row for n, row in enumerate(rows) if n not in pair])
     starts = [_enclosing(rows[i], rows[j]), _enclosing(rows[j], rows[i])]
-    fits = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in starts]
-    one = _best_by_gain(field, fits, 1, config.gain_samples)[0]
+    starts = [row for row in starts if field.gain(row, config.fine_samples) > 0]
+    if not starts:
+        return None
+    fits = [field.fitted(row, config.coarse_samples, config.fine_iterations) for row in starts]
+    one = _best_by_gain(field, fits, 1, config.fine_samples)[0]
     gain_of_one = field.gain(one, config.gain_samples)
     gain_of_two = field.gain(rows[i], config.gain_samples)
     field.consume(rows[i])
@@ -150,9 +154,7 @@ def _merged_pair(
     return one if gain_of_one >= gain_of_two - config.min_gain * field.volume else None
 
 
-def with_protruding(
-    field: FitField, rows: list[NDArray[np.float64]], config: FitConfig
-) -> list[NDArray[np.float64]]:
+def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
     """Return the primitives and more for small parts that stick out far, such as a handle.
 
     They add little volume, but without them layer 4 would have to grow a large primitive around them.
@@ -229,8 +231,8 @@ def _component_starts(cells: NDArray[np.int64]) -> list[NDArray[np.float64]]:
         local = cells @ axes
         low, high = local.min(axis=0) - 0.5, local.max(axis=0) + 0.5
         center = axes @ ((low + high) / 2)
-        for order in _ORDERS:
-            starts.append(row_of((0.6, 0.9), ((high - low) / 2) @ order, center, axes @ order))
+        half = (high - low) / 2
+        starts += [row_of((0.6, 0.9), half @ order, center, axes @ order) for order in _ORDERS]
     return starts
 
 

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from scipy import ndimage
 
-from hickory_stream.shapes.quadric_lm import tangent_distance, refined
+from hickory_stream.shapes.quadric_lm import refined, tangent_distance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 
 class FitField:
-    """An object's distances, and the cover by the primitives so far; `waste_weight` is the price of claiming outside."""
+    """An object's distances, and the cover by the primitives so far.
+
+    `waste_weight` is the price of claiming space outside the object.
+    """
 
     def __init__(self, grid: DistanceGrid, waste_weight: float) -> None:
         self._distance = (grid.values / grid.step_m).astype(np.float32)
@@ -105,7 +108,7 @@ class FitField:
 
 @numba.njit(cache=True)
 def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the share of a cell within a primitive, linear within half a cell of its surface; `axes` = exp(row[2:5])."""
+    """Return the share of a cell within a primitive, linear near its surface; `axes` = exp(row[2:5])."""
     dx, dy, dz = x - row[5], y - row[6], z - row[7]
     u = abs(row[8] * dx + row[11] * dy + row[14] * dz)
     v = abs(row[9] * dx + row[12] * dy + row[15] * dz)

@@ -1,4 +1,4 @@
-"""Layer 2 from all kept views: a truncated signed distance field over the object's box, completed, meshed and closed."""
+"""Layer 2 from all kept views: a truncated signed distance field over the object's box, completed and meshed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.complete import CompletionConfig, classify, solid_of
@@ -17,6 +16,8 @@ from hickory_stream.shapes.tsdf import DepthView, Evidence, VoxelGrid, integrate
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.boxes import OrientedBox
+
 _MARGIN_VOXELS = 3
 _MIN_POINTS = 20
 
@@ -25,9 +26,10 @@ _MIN_POINTS = 20
 class VolumeConfig:
     """The grid and the surface taken from it.
 
-    The voxel is the longest side of the box over `cells`, within `min_voxel_m` .. `max_voxel_m`, and larger where the box
-    has so much surface that the mesh would exceed about `max_faces`. `noise_per_m` is the depth camera's sigma / z^2.
-    `smoothing` counts the Taubin iterations. `seen_voxels`: how far from a measurement a vertex still counts as seen.
+    The voxel is the longest side of the box over `cells`, within `min_voxel_m` .. `max_voxel_m`, and larger where the
+    box has so much surface that the mesh would exceed about `max_faces`. `noise_per_m` is the depth camera's
+    sigma / z^2. `smoothing` counts the Taubin iterations. `seen_voxels`: how far from a measurement a vertex still
+    counts as seen.
     """
 
     cells: int = 64

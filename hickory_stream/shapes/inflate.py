@@ -1,10 +1,10 @@
 """Layer 4: primitives grown until they contain the object and a margin.
 
 The paper's rule: points of the object, moved outwards from its centroid by the margin, are assigned to their closest
-primitive, which grows until G <= g for all of its points. The paper's single factor per primitive makes a huge block of a
-thin plate; by default each semi-axis grows on its own. In the logarithms of the semi-axes ln G is convex and ln of the
-volume is linear, so that the smallest growth is a convex problem in three unknowns, solved on the few points that bind;
-the paper's factor then takes up what numerical slack is left.
+primitive, which grows until G <= g for all of its points. The paper's single factor per primitive makes a huge block of
+a thin plate; by default each semi-axis grows on its own. In the logarithms of the semi-axes ln G is convex and that of
+the volume is linear, so that the smallest growth is a convex problem in three unknowns, solved on the few points that
+bind; the paper's factor then takes up what numerical slack is left.
 """
 
 from __future__ import annotations
@@ -41,13 +41,14 @@ class InflateConfig:
 
     `rule` is "per_axis" or the paper's "single_factor". `r_safe_m` is the margin; `g` in 0..1 is the value of G that no
     point may exceed. `num_samples` surface points are covered, besides all vertices and the points of layer 1, and
-    `num_checks` others are checked.
+    `num_checks` others are checked; `num_rounds` times as many more are looked for what was missed.
     """
 
     rule: Literal["per_axis", "single_factor"] = "per_axis"
     r_safe_m: float = 0.02
     g: float = 1.0
-    num_samples: int = 6000
+    num_samples: int = 4000
+    num_rounds: int = 3
     num_checks: int = 4000
 
 
@@ -60,12 +61,20 @@ def inflate(
     measured on other samples of the surface than those that were covered.
     """
     mesh, pose = reconstruction.mesh, reconstruction.world_from_object
-    samples, _ = sample_surface(mesh, config.num_samples, np.random.default_rng(0))
-    surface = apply(pose, np.concatenate([samples, mesh.vertices]).astype(np.float64))
-    points = np.concatenate([surface, points_world.astype(np.float64)])
-    moved = moved_outwards(points, centroid_world(fitted), config.r_safe_m)
+    rng = np.random.default_rng(0)
+    surface = np.concatenate([sample_surface(mesh, config.num_samples, rng)[0], mesh.vertices])
+    points = np.concatenate([apply(pose, surface.astype(np.float64)), points_world.astype(np.float64)])
+    center = centroid_world(fitted)
     # The surface itself too: of an object that is not convex, moving outwards need not cover where it came from.
-    inflated = inflate_to_cover(fitted, np.concatenate([points, moved]), config)
+    inflated = inflate_to_cover(
+        fitted, np.concatenate([points, moved_outwards(points, center, config.r_safe_m)]), config
+    )
+    # Between the samples, at the seams of two primitives, a sliver may be left: further samples find it.
+    for _ in range(config.num_rounds):
+        more = apply(pose, sample_surface(mesh, config.num_samples, rng)[0].astype(np.float64))
+        outside = more[lowest_value(inflated, more) > config.g]
+        if len(outside):
+            inflated = inflate_to_cover(inflated, outside, config)
     checks, _ = sample_surface(mesh, config.num_checks, np.random.default_rng(1))
     checked = np.concatenate([apply(pose, checks.astype(np.float64)), points_world.astype(np.float64)])
     return sorted_by_volume(inflated), containment_of(inflated, checked)
@@ -105,10 +114,15 @@ def moved_outwards(
 
 def containment_of(primitives: Superquadrics, points_world: NDArray[Any]) -> Containment:
     """Return how the union of the primitives contains (N, 3) points; a point may lie in any of them."""
-    lowest = np.min([implicit_value(primitives, i, points_world) for i in range(len(primitives))], axis=0)
+    lowest = lowest_value(primitives, points_world)
     return Containment(
         num_checked=len(points_world), num_outside=int((lowest > 1.0 + 1e-6).sum()), max_g=float(lowest.max())
     )
+
+
+def lowest_value(primitives: Superquadrics, points_world: NDArray[Any]) -> NDArray[np.float64]:
+    """Return (N,) the smallest G of any primitive at each point: at most 1 inside their union."""
+    return np.asarray(np.min([implicit_value(primitives, i, points_world) for i in range(len(primitives))], axis=0))
 
 
 def _factor(primitives: Superquadrics, index: int, points: NDArray[np.float64], g: float) -> float:
@@ -129,6 +143,7 @@ def _grown_axes(primitives: Superquadrics, index: int, points: NDArray[np.float6
     value, _ = _log_gauge(logs, before, e1, e2)
     if value.max() <= limit:
         return np.exp(before)
+    logs, value = logs[value > limit], value[value > limit]
     axes = before + (value.max() - limit)
     active = np.array([int(np.argmax(value))])
     for _ in range(12):
@@ -170,7 +185,7 @@ def _least_growth(
 def _log_gauge(
     logs: NDArray[np.float64], axes: NDArray[np.float64], e1: float, e2: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (N,) ln h = e1/2 ln G of points with log coordinates (N, 3), and its (N, 3) gradient in the log semi-axes."""
+    """Return (N,) ln h = e1/2 ln G at points with log coordinates (N, 3), and its (N, 3) gradient in the log axes."""
     u = logs - axes
     log_rho = e2 / 2 * np.logaddexp(2 / e2 * u[:, 0], 2 / e2 * u[:, 1])
     value = e1 / 2 * np.logaddexp(2 / e1 * log_rho, 2 / e1 * u[:, 2])

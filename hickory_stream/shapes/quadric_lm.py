@@ -1,12 +1,13 @@
 """One superquadric fitted to signed distances: Levenberg-Marquardt with analytic Jacobians.
 
-The distance of a point to the primitive is that to a tangent plane near it, exact for spheres and over the faces of boxes.
+The distance of a point to the primitive is that to a tangent plane near it, exact for spheres and over a box's faces.
 With the gauge h = G^(e1/2), ln h is a nested log-sum-exp of the log coordinates, whose derivatives are its
-softmax weights and entropies, so that nothing overflows for exponents down to 0.1. Rotations are updated on the manifold.
+softmax weights and entropies, so that nothing overflows for exponents down to 0.1. Rotations are updated on the
+manifold.
 
 Residuals follow Marching-Primitives (Liu et al., 2023): truncated distances, and a mixture of a Gaussian and a uniform
-distribution that decides how much of a misfit belongs to another primitive. Only missing cover can belong to another one;
-where the primitive claims space outside the object the misfit is its own.
+distribution that decides how much of a misfit belongs to another primitive. Only missing cover can belong to another
+one; where the primitive claims space outside the object the misfit is its own.
 """
 
 from __future__ import annotations
@@ -54,6 +55,11 @@ def refined(
     primitive already explains the object. Everything is in units of cells, so that no tolerance depends on the scale.
     """
     return np.asarray(_fit(row, points, distances, weights, band, iterations, max_log_axis))
+
+
+def distances_to(row: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N,) signed tangent-plane distances of (N, 3) points to a primitive, in the units of its row."""
+    return np.asarray(_distances(row, points))
 
 
 @numba.njit(cache=True)
@@ -108,7 +114,7 @@ def tangent_distance(row, x, y, z, local, gradient, shape):  # type: ignore[no-u
     """Return the signed distance of a point to a tangent plane near it; fill the local point and the derivatives there.
 
     A convex body lies behind its tangent planes: the distance to one bounds the true distance from below outside, from
-    above inside. Outside the plane is that of the ray from the centre; inside it is the closest of that one and of those
+    above inside. Outside the plane is that of the ray from the centre; inside it is the closest of that and of those
     met along the three axes, or else the rim of a plate would seem to be nearer than its faces.
     """
     log_h = _log_gauge(row, x, y, z, local, gradient, shape)
@@ -250,7 +256,9 @@ def _sigma2(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] 
 
 
 @numba.njit(cache=True)
-def _fit(row, points, distances, weights, band, iterations, max_log_axis):  # type: ignore[no-untyped-def] # pragma: no cover
+def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
+    row, points, distances, weights, band, iterations, max_log_axis
+):
     targets = np.minimum(np.maximum(distances, -band), OUTER_BAND)
     d = _distances(row, points)
     sigma2 = _sigma2(d, targets, weights, band, band * band)

@@ -1,8 +1,8 @@
 """The signed distance of a mesh on a grid, in its true position.
 
-The distance is exact within a narrow band of the surface and cut off beyond it. The sign comes from winding numbers: the
-oriented crossings along the six grid directions, averaged, so that an open or torn mesh still has an inside, and parts
-that overlap count as one solid. An inside-out mesh is turned first.
+The distance is exact within a narrow band of the surface and cut off beyond it. The sign comes from winding numbers:
+the oriented crossings along the six grid directions, averaged, so that an open or torn mesh still has an inside, and
+parts that overlap count as one solid. An inside-out mesh is turned first.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def distance_grid(
 def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Return the mean oriented number of surfaces around each cell; `corners` (F, 3, 3) in cell units.
 
-    A closed, outward mesh gives 1 inside and 0 outside; parts that overlap give more. The mesh is turned where its signed
-    volume is negative.
+    A closed, outward mesh gives 1 inside and 0 outside; parts that overlap give more. The mesh is turned where its
+    signed volume is negative.
     """
     winding = np.zeros(shape, np.float32)
     for axis in range(3):
@@ -119,7 +119,6 @@ def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
 @numba.njit(cache=True)
 def _band(corners, squared, band):  # type: ignore[no-untyped-def] # pragma: no cover
     """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one."""
-    nx, ny, nz = squared.shape
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for f in range(corners.shape[0]):
         t = corners[f]
@@ -137,7 +136,7 @@ def _band(corners, squared, band):  # type: ignore[no-untyped-def] # pragma: no 
 
 @numba.njit(cache=True)
 def _squared_distance(x, y, z, t):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the squared distance from a point to a triangle, by the regions of Ericson (Real-Time Collision Detection)."""
+    """Return the squared distance from a point to a triangle (Ericson, Real-Time Collision Detection, 5.1.5)."""
     abx, aby, abz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
     acx, acy, acz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
     apx, apy, apz = x - t[0, 0], y - t[0, 1], z - t[0, 2]

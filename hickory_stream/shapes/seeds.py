@@ -1,7 +1,7 @@
 """Where a primitive may begin: boxes grown inside what is not explained yet, and the bounds of whole components.
 
-A box that grows from a deep cell until its faces leave the object finds a table's top and a chair's leg at once, where the
-bounds of their common component say nothing.
+A box that grows from a deep cell until its faces leave the object finds a table's top and a chair's leg at once, where
+the bounds of their common component say nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def grown_box(solid: NDArray[np.bool_], seed: tuple[int, int, int], min_fill: float) -> NDArray[np.int64]:
-    """Return (2, 3) the first and last cells of a box grown from `seed`, each new face filled by at least `min_fill`."""
+    """Return (2, 3) the first and last cells of a box grown from `seed`, each new face filled by `min_fill`."""
     return np.asarray(_grow(solid, np.array(seed, dtype=np.int64), min_fill))
 
 

@@ -1,6 +1,6 @@
 """Layer 2 from the best view alone: completed by the plane that the object stands on and by mirror symmetry.
 
-It stands in for a network that generates a whole object from one picture: what it makes depends on which view was chosen.
+It stands in for a network that makes a whole object of one picture: what it makes depends on which view was chosen.
 A mirrored view is a view through a mirrored camera, so that the fusion of `fused` does the rest.
 """
 

@@ -71,8 +71,8 @@ def painted(
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Return per vertex its colour and whether it was seen.
 
-    Seen is what a crop measured within `reach_m`, or what lies that close to a layer-1 point. Its colour is the mean over
-    those crops, else the point's; generated surface takes the colour of the nearest seen vertex.
+    Seen is what a crop measured within `reach_m`, or what lies that close to a layer-1 point. Its colour is the mean
+    over those crops, else the point's; generated surface takes the colour of the nearest seen vertex.
     """
     total = np.zeros((len(vertices), 3))
     weight = np.zeros(len(vertices))

@@ -1,7 +1,7 @@
 """The vertical plane about which an object seen from one side is most plausibly symmetric.
 
-A mirror plane is judged by what it would put where the camera saw nothing (free space contradicts it), by how much of the
-mirrored surface falls on measured surface, and by how much larger it makes the object.
+A mirror plane is judged by what it would put where the camera saw nothing (free space contradicts it), by how much of
+the mirrored surface falls on measured surface, and by how much larger it makes the object.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ if TYPE_CHECKING:
 class SymmetryConfig:
     """How mirror planes are searched.
 
-    `num_yaws` directions in half a turn and `num_offsets` places along each, from the middle of the seen extent to its far
-    end. `max_contradiction` is the share of mirrored points that may lie in space seen free; `growth_penalty` and
-    `contradiction_penalty` are relative to a full overlap.
+    `num_yaws` directions in half a turn and `num_offsets` places along each, from the middle of the seen extent to its
+    ends. A plane is out when more than `max_contradiction` of the mirrored points lie in space seen free. The score is
+    the share that falls on measured surface, less `growth_penalty` for each doubling of the extent, less
+    `contradiction_penalty` times the contradicted share; a second plane must reach `min_second_score`. `max_points` are
+    mirrored.
     """
 
     num_yaws: int = 36
@@ -39,7 +41,11 @@ class SymmetryConfig:
 
 
 def mirror_plane(
-    points_world: NDArray[np.float64], views: list[DepthView], tolerance_m: float, min_score: float, config: SymmetryConfig
+    points_world: NDArray[np.float64],
+    views: list[DepthView],
+    tolerance_m: float,
+    min_score: float,
+    config: SymmetryConfig,
 ) -> NDArray[np.float64] | None:
     """Return world_from_mirrored (4, 4), a reflection about the best vertical plane; None where none is plausible."""
     points = points_world[:: max(len(points_world) // config.max_points, 1)]

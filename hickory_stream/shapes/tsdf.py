@@ -66,8 +66,8 @@ class DepthView:
 class Evidence:
     """What the views say of every voxel of a grid, three float32 arrays of its shape.
 
-    `distance` is the weighted mean signed distance in voxels, `near` its weight, and `free` the weight of the views that
-    saw through the voxel.
+    `distance` is the weighted mean signed distance in voxels, `near` its weight, and `free` the weight of the views
+    that saw through the voxel.
     """
 
     distance: NDArray[np.float32]
@@ -95,7 +95,7 @@ def integrate(grid: VoxelGrid, views: list[DepthView], noise_per_m: float) -> Ev
     # Averaging over a voxel's neighbours takes the noise of few views out; it moves no plane and no plate's middle.
     spread = ndimage.gaussian_filter(near, SMOOTHING_VOXELS)
     distance = ndimage.gaussian_filter(total, SMOOTHING_VOXELS) / np.maximum(spread, np.float32(1e-9))
-    return Evidence(distance=distance, near=near, free=free)
+    return Evidence(distance=distance.astype(np.float32), near=near, free=free)
 
 
 def smoothed_depth(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], noise_per_m: float) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from hickory_stream.sinks.palette import color_of_id
+from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
 
 if TYPE_CHECKING:

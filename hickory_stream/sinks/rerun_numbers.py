@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import rerun as rr
 
+from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.records import Phase
-from hickory_stream.sinks.palette import color_of_id
 from hickory_stream.sinks.rerun_items import LogItem, Span
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ import numpy as np
 import rerun as rr
 
 from hickory_stream.geometry.mesh import read_glb
+from hickory_stream.geometry.palette import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.geometry.superquadric import display_mesh
 from hickory_stream.records import Phase
-from hickory_stream.sinks.palette import color_of_id, shaded
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ _SAMPLE_S = 0.05
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Played:
-    """A finished `play`: its last JSON event, seconds, the peak memory of it and its workers, and (frames, MB) of itself."""
+    """A finished `play`: its last event, seconds, the peak memory with its workers, and (frames, MB) of itself."""
 
     finished: dict[str, Any]
     seconds: float

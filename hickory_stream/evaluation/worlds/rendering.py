@@ -13,6 +13,7 @@ import cv2
 import numba
 import numpy as np
 
+from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.evaluation.worlds.parts import model_mesh
 from hickory_stream.evaluation.worlds.textures import albedo, texture_table
 from hickory_stream.geometry.arrays import freeze
@@ -126,21 +127,6 @@ class Renderer:
         start = points + 0.002 * normals
         rays = np.concatenate([start, self._lights[0].astype(np.float32) - start], axis=1).astype(np.float32)
         return ~self._scene.test_occlusions(self._tensor(rays), tfar=1.0).numpy()
-
-
-def import_open3d() -> Any:
-    """Return Open3D, with the USB library that its wheel needs even where no camera is."""
-    import ctypes
-
-    try:
-        import libusb_package
-
-        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-    except (ImportError, OSError):
-        pass  # the system has its own, or importing Open3D says what is missing
-    import open3d
-
-    return open3d
 
 
 def _rays(camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.evaluation.worlds.parts import model_mesh
-from hickory_stream.evaluation.worlds.rendering import import_open3d
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.mesh import Mesh, sample_surface
 from hickory_stream.geometry.rigid import apply, invert

@@ -1,0 +1,114 @@
+"""Where fragments meet: neighbouring pixels of different labels, and the seams that those that touch in 3D form.
+
+Structure takes part under a label of its own, so that what stands on the floor is found like what stands on a table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Contacts:
+    """Pairs of neighbouring pixels with different labels, `here` left of or above `there`; all arrays (K,).
+
+    `here` and `there` are labels, `here_px` and `there_px` flat pixel indices. `is_below`: `there` is below `here` in
+    the image, else beside it. `touches`: they meet in 3D; `nearer`: `there` is before `here`, across a depth edge.
+    `cut`, `cut_px`: labels and indices of the pixels on the lower border and the sides of the image.
+    """
+
+    here: NDArray[np.int32]
+    there: NDArray[np.int32]
+    here_px: NDArray[np.int64]
+    there_px: NDArray[np.int64]
+    is_below: NDArray[np.bool_]
+    touches: NDArray[np.bool_]
+    nearer: NDArray[np.bool_]
+    cut: NDArray[np.int32]
+    cut_px: NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Seam:
+    """Where fragments a < b touch in 3D: (N, 3) points of a, one for each pair of neighbouring pixels."""
+
+    a: int
+    b: int
+    points_world: NDArray[np.float32]
+
+
+def contacts_of(surface: Surface, scene: NDArray[np.int32], reach_px: int) -> Contacts:
+    """Return the contacts of a label image (h, w), across at most `reach_px - 1` pixels without a label."""
+    pairs = _contacts(scene, reach_px)
+    here_px, there_px, is_below = pairs[:, 0], pairs[:, 1], pairs[:, 2] > 0
+    depth, points = surface.depth_m.ravel(), surface.points_world.reshape(-1, 3)
+    step = np.where(is_below, (there_px - here_px) // scene.shape[1], there_px - here_px)
+    delta = points[there_px] - points[here_px]
+    distance = np.sqrt(np.einsum("ij,ij->i", delta, delta))
+    z = depth[here_px]
+    index = np.arange(scene.size).reshape(scene.shape)
+    border = np.concatenate([index[-1], index[:-1, 0], index[:-1, -1]])
+    border = border[(scene.ravel()[border] > 0) & np.isfinite(depth[border])]
+    return Contacts(
+        here=scene.ravel()[here_px],
+        there=scene.ravel()[there_px],
+        here_px=here_px,
+        there_px=there_px,
+        is_below=is_below,
+        # As far as neighbouring pixels of one surface at a slant lie apart, and the noise of depth.
+        touches=distance < 0.015 + (0.006 + 0.006 * step) * z,
+        nearer=depth[there_px] < z * 0.98 - 0.01,
+        cut=scene.ravel()[border],
+        cut_px=border,
+    )
+
+
+def seams_of(surface: Surface, contacts: Contacts, num_labels: int) -> list[Seam]:
+    """Return the seams between the labels 1..num_labels - 1, in the order of their labels."""
+    chosen = contacts.touches & (contacts.here < num_labels) & (contacts.there < num_labels)
+    low = np.minimum(contacts.here, contacts.there)[chosen].astype(np.int64)
+    high = np.maximum(contacts.here, contacts.there)[chosen].astype(np.int64)
+    key, at = low * num_labels + high, surface.points_world.reshape(-1, 3)[contacts.here_px[chosen]]
+    order = np.argsort(key, kind="stable")
+    key, at = key[order], at[order]
+    starts = np.flatnonzero(np.diff(key, prepend=-1))
+    ends = np.append(starts[1:], len(key))
+    return [
+        Seam(a=int(key[i]) // num_labels, b=int(key[i]) % num_labels, points_world=at[i:j])
+        for i, j in zip(starts, ends, strict=True)
+    ]
+
+
+@numba.njit(cache=True)
+def _contacts(scene, reach):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (K, 3) int64: flat index, flat index of the next labelled pixel to the right or below, 1 if below."""
+    height, width = scene.shape
+    out = np.empty((2 * height * width, 3), dtype=np.int64)
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            label = scene[y, x]
+            if label == 0:
+                continue
+            for side in range(2):
+                for k in range(1, reach + 1):
+                    yy, xx = (y, x + k) if side == 0 else (y + k, x)
+                    if yy >= height or xx >= width:
+                        break
+                    other = scene[yy, xx]
+                    if other == 0:
+                        continue
+                    if other != label:
+                        out[count, 0], out[count, 1], out[count, 2] = y * width + x, yy * width + xx, side
+                        count += 1
+                    break
+    return out[:count].copy()

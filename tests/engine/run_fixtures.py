@@ -1,0 +1,141 @@
+"""Runs over the in-memory scene: what the tests of the engine share."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import psutil
+
+from hickory_stream.config import MapperConfig, read_config
+from hickory_stream.engine.crops import write_crop
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.run import crop_of
+from hickory_stream.events import RequestShape
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.perception.perceive import PerceptionConfig, perceive
+from hickory_stream.records import View
+from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, SceneSource
+from tests.conftest import COARSE_SHAPES
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+    from pathlib import Path
+
+    from hickory_stream.engine.run import Progress
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import Sink, Source
+    from hickory_stream.records import MapSnapshot
+
+NUM_FRAMES = 8
+SOON = ("mapping.requests.first_sightings=2", "mapping.requests.latency_s=0.5")
+NO_SHAPES = ("mapping.requests.max_failures=0",)
+
+
+def scene_config(path: Path, *overrides: str) -> MapperConfig:
+    """Return a configuration with coarse shapes that are asked for soon."""
+    path.mkdir(parents=True, exist_ok=True)
+    (path / "coarse.toml").write_text(COARSE_SHAPES.replace("[mapper.", "["))
+    return read_config(MapperConfig, path / "coarse.toml", (*SOON, *overrides))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneRun:
+    """What a run left."""
+
+    snapshots: list[MapSnapshot]
+    folder: MapFolder
+
+    @property
+    def digest(self) -> str | None:
+        return self.folder.manifest.digest
+
+
+def map_scene(
+    tmp_path: Path,
+    *overrides: str,
+    name: str = "map",
+    source: Source | None = None,
+    sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None = None,
+    loops: int = 1,
+    rate: float | None = None,
+    on_progress: Callable[[Mapper, Progress], None] = lambda _, __: None,
+    on_snapshot: Callable[[Mapper, MapSnapshot], Awaitable[None]] | None = None,
+) -> SceneRun:
+    """Map the scene, or a source that wraps it, into `tmp_path/name`."""
+
+    async def run() -> SceneRun:
+        async with Mapper(
+            scene_config(tmp_path / f"{name}-config", *overrides),
+            out=tmp_path / name,
+            segmenter=InstanceSegmenter(SceneSource(NUM_FRAMES).instances),
+            extractor=MeanColorExtractor(),
+        ) as mapper:
+            snapshots = []
+            played = mapper.run(
+                source or SceneSource(NUM_FRAMES),
+                sinks=sinks,
+                loops=loops,
+                rate=rate,
+                progress=lambda progress: on_progress(mapper, progress),
+            )
+            async for snapshot in played:
+                snapshots.append(snapshot)
+                if on_snapshot is not None:
+                    await on_snapshot(mapper, snapshot)
+            assert mapper.folder is not None
+            return SceneRun(snapshots=snapshots, folder=mapper.folder)
+
+    return asyncio.run(run())
+
+
+def shape_workers() -> list[psutil.Process]:
+    """Return the shape workers that are children of this process."""
+    children = psutil.Process().children(recursive=True)
+    return [child for child in children if "hickory_stream.engine.shape_worker" in _command(child)]
+
+
+def _command(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except (psutil.NoSuchProcess, psutil.ZombieProcess):
+        return []
+
+
+def scene_request(views: Path, *, ticket: int = 1, due_ns: int = 0, num_views: int = 4) -> RequestShape:
+    """Write the views of the tallest box into a folder and return the request for its shape."""
+    source = SceneSource(num_views)
+    segmenter, config = InstanceSegmenter(source.instances), PerceptionConfig()
+    kept, points, colors = [], [], []
+    for raw in source.frames():
+        frame = raw.decode()
+        observation = perceive(frame, None, segmenter, config).observations[-1]
+        view = View(
+            object_id=3,
+            frame_index=frame.index,
+            stamp_ns=frame.stamp_ns,
+            box_px=observation.box_px,
+            world_from_camera=frame.world_from_camera,
+            r_area=observation.r_area,
+            r_depth=observation.r_depth,
+            box_volume_m3=observation.box.volume_m3,
+            score=None,
+            variance=None,
+            feature=None,
+        )
+        write_crop(views, view.name, crop_of(frame, observation, 0.08))
+        kept.append(view)
+        points.append(observation.points_world)
+        colors.append(observation.colors)
+    return RequestShape(
+        ticket=ticket,
+        object_id=3,
+        views=tuple(kept),
+        points_world=np.concatenate(points),
+        colors=np.concatenate(colors),
+        box=gravity_aligned_box(np.concatenate(points), 0.01),
+        support_z_m=0.0,
+        due_ns=due_ns,
+    )

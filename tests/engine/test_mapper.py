@@ -1,0 +1,101 @@
+"""The Python API as somebody's program uses it."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.session import create_map_folder, open_map
+from hickory_stream.errors import MapFolderError, RecordingError, ViewerError
+from hickory_stream.testing import BlindSource, BreakingSource, SceneSource
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import Sink
+    from hickory_stream.records import MapSnapshot
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def test_snapshots_come_in_order_and_the_last_is_the_saved_map(tmp_path: Path) -> None:
+    run = map_scene(tmp_path, *NO_SHAPES)
+    revisions = [snapshot.revision for snapshot in run.snapshots]
+    assert revisions == sorted(revisions)
+    saved = open_map(run.folder.path).snapshot
+    assert saved.revision == revisions[-1]
+    assert [tracked.id for tracked in saved.objects] == [tracked.id for tracked in run.snapshots[-1].objects]
+
+
+def test_a_slow_consumer_sees_the_newest_map_and_always_the_last(tmp_path: Path) -> None:
+    async def linger(mapper: Mapper, snapshot: MapSnapshot) -> None:
+        if snapshot.revision == 1:
+            assert mapper.folder is not None
+            while not mapper.folder.manifest.finished_cleanly:  # noqa: ASYNC110 -- the end of a run is no event
+                await asyncio.sleep(0.01)
+
+    run = map_scene(tmp_path, *NO_SHAPES, on_snapshot=linger)
+    assert len(run.snapshots) == 2
+    assert run.snapshots[-1].revision == NUM_FRAMES
+
+
+def test_a_map_folder_of_its_own_is_there_while_mapping_and_gone_afterwards() -> None:
+    async def run() -> Path:
+        async with Mapper() as mapper:
+            async for _ in mapper.run(SceneSource(2)):
+                pass
+            assert mapper.folder is not None
+            assert open_map(mapper.folder.path).manifest.finished_cleanly
+            return mapper.folder.path
+
+    assert not asyncio.run(run()).exists()
+
+
+def test_a_consumer_that_leaves_early_leaves_a_map_that_opens_and_no_child(tmp_path: Path) -> None:
+    async def leave(mapper: Mapper, snapshot: MapSnapshot) -> None:
+        if snapshot.revision >= 4:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        map_scene(tmp_path, on_snapshot=leave)
+    assert not open_map(tmp_path / "map").manifest.finished_cleanly
+    assert shape_workers() == []
+
+
+def test_an_error_of_the_source_comes_out_of_the_loop_over_snapshots(tmp_path: Path) -> None:
+    source = BreakingSource(SceneSource(NUM_FRAMES), 3, RecordingError("torn"))
+    with pytest.raises(RecordingError, match="torn"):
+        map_scene(tmp_path, *NO_SHAPES, source=source)
+
+
+def test_a_source_without_frames_is_refused_and_leaves_no_map(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"memory:scene gave no usable frame \(frames 0\)"):
+        map_scene(tmp_path, source=SceneSource(0))
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_source_without_a_single_return_of_depth_is_refused_and_leaves_no_map(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes"):
+        map_scene(tmp_path, source=BlindSource(SceneSource(NUM_FRAMES)))
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_sink_that_cannot_be_made_leaves_no_map(tmp_path: Path) -> None:
+    def fail(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        raise ViewerError("there is no screen")
+
+    with pytest.raises(ViewerError, match="no screen"):
+        map_scene(tmp_path, sinks=fail)
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_map_that_is_there_is_refused_before_anything_is_played(tmp_path: Path) -> None:
+    create_map_folder(tmp_path / "map", config={}, source={})
+    with pytest.raises(MapFolderError, match="holds a map already"):
+        map_scene(tmp_path)
+    assert (tmp_path / "map/manifest.json").exists()

@@ -1,0 +1,73 @@
+"""Whether the pump waits is seen from whether its coroutine gives up control, not from a clock."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.engine.pump import Pump
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+SECOND_NS = 1_000_000_000
+# A second of log lasts eleven days: what has to wait, waits for longer than any test.
+SLOW = 1e-6
+
+
+def returns_at_once(pump: Pump, stamp_ns: int) -> bool:
+    waiting = pump.wait(stamp_ns)
+    try:
+        waiting.send(None)
+    except StopIteration:
+        return True
+    waiting.close()
+    return False
+
+
+def in_loop(check: Callable[[], bool]) -> bool:
+    async def run() -> bool:
+        return check()
+
+    return asyncio.run(run())
+
+
+async def soon(awaitable: Awaitable[None]) -> bool:
+    """Return whether something ends without waiting for a clock."""
+    task = asyncio.ensure_future(awaitable)
+    for _ in range(5):
+        await asyncio.sleep(0)
+    is_done = task.done()
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    return is_done
+
+
+@given(st.lists(st.integers(0, 10**19)))
+def test_as_fast_as_can_be_never_waits(stamps_ns: list[int]) -> None:
+    pump = Pump(None)
+    assert all(returns_at_once(pump, stamp_ns) for stamp_ns in stamps_ns)
+
+
+def test_the_first_frame_is_due_at_once_and_a_later_one_is_not() -> None:
+    pump = Pump(SLOW)
+    assert in_loop(lambda: returns_at_once(pump, 5 * SECOND_NS))
+    assert in_loop(lambda: returns_at_once(pump, 5 * SECOND_NS))
+    assert not in_loop(lambda: returns_at_once(pump, 6 * SECOND_NS))
+
+
+def test_a_frame_whose_time_has_passed_is_due_at_once() -> None:
+    pump = Pump(1e15)
+    assert in_loop(lambda: all(returns_at_once(pump, i * SECOND_NS) for i in range(1, 100)))
+
+
+def test_a_jump_back_starts_the_clock_anew() -> None:
+    async def run() -> list[bool]:
+        pump = Pump(SLOW)
+        stamps_ns = [9 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS, 3 * SECOND_NS]
+        return [await soon(pump.wait(stamp_ns)) for stamp_ns in stamps_ns]
+
+    assert asyncio.run(run()) == [True, False, True, False]

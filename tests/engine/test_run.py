@@ -1,0 +1,189 @@
+"""Whole runs over the in-memory scene, with real shape workers."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hickory_stream.engine.session import open_map
+from hickory_stream.errors import MapFolderError, RecordingError
+from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
+from hickory_stream.testing import BreakingSource, FailingSink, RememberingSink, SceneSource, SlowSink
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from hickory_stream.engine.mapper import Mapper
+    from hickory_stream.engine.run import Progress
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import Sink
+
+pytestmark = pytest.mark.timeout(120)
+
+
+@pytest.fixture(scope="module")
+def calm_digest(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The digest of the map that one worker makes undisturbed."""
+    digest = map_scene(tmp_path_factory.mktemp("calm")).digest
+    assert digest is not None
+    return digest
+
+
+def saved_with(*others: tuple[Sink, bool]) -> Callable[[MapFolder], list[tuple[Sink, bool]]]:
+    """Return a maker of sinks: the disk after every keyframe, and others."""
+    return lambda folder: [(DiskSink(folder, DiskSinkConfig(every_keyframes=1)), True), *others]
+
+
+# ---- the same map ----------------------------------------------------------------------------------------------------
+
+
+def test_two_workers_make_the_same_map_as_one(tmp_path: Path, calm_digest: str) -> None:
+    assert map_scene(tmp_path, "run.workers=2").digest == calm_digest
+
+
+def test_the_map_is_the_scene_with_all_four_layers(tmp_path: Path) -> None:
+    run = map_scene(tmp_path)
+    saved = open_map(run.folder.path)
+    assert saved.manifest.finished_cleanly
+    assert len(saved.snapshot.objects) == 3
+    for tracked in saved.snapshot.objects:
+        assert tracked.shape is not None
+        assert len(saved.mesh(tracked.shape).faces) > 0
+        assert len(tracked.shape.fitted) == len(tracked.shape.inflated) >= 1
+    assert saved.ledger["frames"] == {"read": NUM_FRAMES, "keyframes": NUM_FRAMES}
+    assert saved.ledger["source"] == {"frames": NUM_FRAMES}
+    shapes = saved.ledger["shapes"]
+    assert shapes["requested"] == shapes["ready"] >= 3
+    assert not run.folder.jobs.exists()
+    assert min(saved.timings.values()) >= 0.0
+
+
+def test_a_worker_that_is_killed_is_replaced_and_the_map_is_the_same(tmp_path: Path, calm_digest: str) -> None:
+    killed: list[int] = []
+
+    def kill_once(_: Mapper, progress: Progress) -> None:
+        if progress.open_shapes and not killed:
+            for child in shape_workers():
+                killed.append(child.pid)
+                child.kill()
+
+    assert map_scene(tmp_path, on_progress=kill_once).digest == calm_digest
+    assert len(killed) == 1
+
+
+def test_jobs_that_time_out_leave_objects_without_shape_and_a_run_that_ends(tmp_path: Path) -> None:
+    run = map_scene(tmp_path, "run.job_timeout_s=1e-9", "mapping.requests.max_failures=1")
+    assert [tracked.shape for tracked in run.snapshots[-1].objects] == [None] * 3
+    ledger = json.loads((run.folder.path / "ledger.json").read_text())
+    assert ledger["shapes"] == {"requested": 3, "failed": 3}
+    assert shape_workers() == []
+
+
+def test_three_rounds_leave_the_objects_and_the_space_of_one(tmp_path: Path) -> None:
+    once = map_scene(tmp_path, *NO_SHAPES, name="once").snapshots[-1]
+    thrice = map_scene(tmp_path, *NO_SHAPES, name="thrice", loops=3).snapshots[-1]
+    assert [tracked.id for tracked in thrice.objects] == [tracked.id for tracked in once.objects]
+    for a, b in zip(once.objects, thrice.objects, strict=True):
+        assert b.sightings > a.sightings
+        assert len(b.points_world) <= 1.1 * len(a.points_world)
+        assert len(b.views) <= 9
+    space_a, space_b = once.submaps[0].observed_space, thrice.submaps[0].observed_space
+    assert len(space_b.free) <= 1.1 * len(space_a.free)
+    assert len(space_b.structure) <= 1.1 * len(space_a.structure)
+
+
+def test_a_second_round_is_a_jump_of_time_and_its_frames_are_numbered_on(tmp_path: Path) -> None:
+    sink = RememberingSink()
+    run = map_scene(tmp_path, *NO_SHAPES, loops=2, sinks=saved_with((sink, False)))
+    assert [report.index for report in sink.reports] == list(range(2 * NUM_FRAMES + 1))
+    frames = json.loads((run.folder.path / "ledger.json").read_text())["frames"]
+    assert frames == {"read": 2 * NUM_FRAMES, "keyframes": 2 * NUM_FRAMES, "time_jumps": 1}
+
+
+# ---- sinks -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_slow_sink_gets_every_frame_and_at_last_the_finished_map(tmp_path: Path) -> None:
+    sink = RememberingSink()
+    run = map_scene(tmp_path, *NO_SHAPES, sinks=saved_with((SlowSink(sink, 0.03), False)))
+    assert [report.index for report in sink.reports] == list(range(NUM_FRAMES + 1))
+    assert [report.keyframe_index for report in sink.reports] == list(range(NUM_FRAMES + 1))
+    assert sink.reports[-1].snapshot is run.snapshots[-1]
+    assert sink.is_closed
+
+
+def test_a_failing_sink_for_looking_changes_neither_the_run_nor_the_map(tmp_path: Path, calm_digest: str) -> None:
+    run = map_scene(tmp_path, sinks=saved_with((FailingSink(2, RuntimeError("no viewer")), False)))
+    assert run.digest == calm_digest
+    assert open_map(run.folder.path).manifest.finished_cleanly
+
+
+def test_a_failing_essential_sink_stops_the_run_with_its_error(tmp_path: Path) -> None:
+    sink = FailingSink(3, MapFolderError("cannot write m: the disk is full"))
+    with pytest.raises(MapFolderError, match="the disk is full"):
+        map_scene(tmp_path, *NO_SHAPES, sinks=saved_with((sink, True)))
+    saved = open_map(tmp_path / "map")
+    assert not saved.manifest.finished_cleanly
+    assert len(saved.snapshot.objects) == 3
+    assert saved.ledger["frames"]["read"] < NUM_FRAMES * 3
+
+
+# ---- early ends ------------------------------------------------------------------------------------------------------
+
+
+def test_a_source_that_breaks_ends_the_run_with_its_error_and_keeps_the_map(tmp_path: Path) -> None:
+    source = BreakingSource(SceneSource(NUM_FRAMES), 6, RecordingError("desk.mcap is torn at 60 %"))
+    with pytest.raises(RecordingError, match="torn at 60 %"):
+        map_scene(tmp_path, source=source, sinks=saved_with())
+    saved = open_map(tmp_path / "map")
+    assert not saved.manifest.finished_cleanly
+    assert len(saved.snapshot.objects) == 3
+    assert saved.ledger["source"] == {"frames": 7}
+    assert shape_workers() == []
+
+
+def test_a_source_that_fails_in_its_own_way_does_not_leave_a_child_either(tmp_path: Path) -> None:
+    source = BreakingSource(SceneSource(NUM_FRAMES), 6, ZeroDivisionError("in somebody's source"))
+    with pytest.raises(ZeroDivisionError):
+        map_scene(tmp_path, source=source)
+    assert shape_workers() == []
+
+
+def test_a_stop_ends_after_the_frames_that_are_read_and_saves(tmp_path: Path) -> None:
+    def stop(mapper: Mapper, progress: Progress) -> None:
+        if progress.keyframes == 2:
+            mapper.stop()
+
+    run = map_scene(tmp_path, "run.grace_s=0.0", on_progress=stop)
+    saved = open_map(run.folder.path)
+    assert not saved.manifest.finished_cleanly
+    assert 2 <= saved.ledger["frames"]["keyframes"] < NUM_FRAMES
+    assert len(saved.snapshot.objects) == 3
+    assert shape_workers() == []
+
+
+def test_a_stop_while_the_last_shapes_are_built_does_not_wait_for_all_of_them(tmp_path: Path) -> None:
+    def stop(mapper: Mapper, progress: Progress) -> None:
+        if progress.phase == "shapes":
+            mapper.stop()
+
+    patience = ("mapping.requests.first_sightings=99", "run.grace_s=0.0")
+    run = map_scene(tmp_path, *patience, on_progress=stop)
+    saved = open_map(run.folder.path)
+    assert not saved.manifest.finished_cleanly
+    assert 1 <= sum(tracked.shape is not None for tracked in saved.snapshot.objects) < 3
+    assert shape_workers() == []
+
+
+def test_a_job_that_runs_at_a_stop_is_waited_for_within_the_grace(tmp_path: Path) -> None:
+    def stop(mapper: Mapper, progress: Progress) -> None:
+        if progress.keyframes == 5:
+            mapper.stop()
+
+    run = map_scene(tmp_path, "run.grace_s=60.0", on_progress=stop)
+    ledger = json.loads((run.folder.path / "ledger.json").read_text())["shapes"]
+    assert ledger["requested"] == ledger["ready"] >= 1

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import asyncio
+import logging
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.engine.sink_threads import SinkThread
+from hickory_stream.errors import MapFolderError
+from hickory_stream.records import FrameReport
+from hickory_stream.testing import SCENE_CAMERA, FailingSink, RememberingSink, SlowSink
+
+if TYPE_CHECKING:
+    from hickory_stream.ports import Sink
+
+NUM_REPORTS = 60
+
+
+def report(index: int) -> FrameReport:
+    return FrameReport(
+        index=index,
+        stamp_ns=index,
+        keyframe_index=None,
+        camera=SCENE_CAMERA,
+        world_from_camera=np.eye(4),
+        color_bytes=None,
+    )
+
+
+async def show_all(sink: Sink, *, is_essential: bool) -> SinkThread:
+    thread = SinkThread(sink, is_essential=is_essential)
+    for i in range(NUM_REPORTS):
+        await thread.show(report(i))
+    await thread.close()
+    return thread
+
+
+@pytest.mark.parametrize("is_essential", [True, False])
+def test_reports_come_in_order_and_then_the_sink_is_closed(is_essential: bool) -> None:
+    sink = RememberingSink()
+    thread = asyncio.run(show_all(sink, is_essential=is_essential))
+    assert [shown.index for shown in sink.reports] == list(range(NUM_REPORTS))
+    assert sink.is_closed
+    assert thread.backlog == 0
+
+
+def test_a_slow_sink_loses_no_report() -> None:
+    remembered = RememberingSink()
+    asyncio.run(show_all(SlowSink(remembered, 0.002), is_essential=False))
+    assert [shown.index for shown in remembered.reports] == list(range(NUM_REPORTS))
+
+
+def test_a_sink_for_looking_that_fails_is_set_aside_with_one_warning(caplog: pytest.LogCaptureFixture) -> None:
+    sink = FailingSink(3, RuntimeError("the viewer is gone"))
+    with caplog.at_level(logging.WARNING):
+        asyncio.run(show_all(sink, is_essential=False))
+    assert sink.num_shown == 3
+    assert [record.message for record in caplog.records] == ["FailingSink failed and is set aside: the viewer is gone"]
+
+
+@pytest.mark.parametrize("at", [1, 20, NUM_REPORTS])
+def test_an_essential_sink_that_fails_stops_the_run_with_its_error(at: int) -> None:
+    sink = FailingSink(at, MapFolderError("cannot write m: the disk is full"))
+    with pytest.raises(MapFolderError, match="the disk is full"):
+        asyncio.run(show_all(sink, is_essential=True))
+    assert sink.num_shown == at
+
+
+def test_a_sink_that_fails_to_close_is_judged_as_one_that_fails_to_show() -> None:
+    class FailingToClose(RememberingSink):
+        def close(self) -> None:
+            raise MapFolderError("the last save failed")
+
+    asyncio.run(show_all(FailingToClose(), is_essential=False))
+    with pytest.raises(MapFolderError, match="the last save failed"):
+        asyncio.run(show_all(FailingToClose(), is_essential=True))
+
+
+def test_a_sink_that_failed_is_closed_all_the_same() -> None:
+    class Failing(RememberingSink):
+        def show(self, report: FrameReport) -> None:
+            raise RuntimeError
+
+    sink = Failing()
+    asyncio.run(show_all(sink, is_essential=False))
+    assert sink.is_closed

@@ -1,0 +1,164 @@
+"""Real child processes. A job in an empty folder is answered with a reason: enough to see that the worker lives."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+from typing import TYPE_CHECKING, Any
+
+import psutil
+import pytest
+
+from hickory_stream.engine.workers import LocalWorkers
+from tests.engine.run_fixtures import shape_workers
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+    from pathlib import Path
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def use_workers(use: Callable[[LocalWorkers], Awaitable[Any]], count: int = 1, timeout_s: float = 60.0) -> Any:
+    async def run() -> Any:
+        async with LocalWorkers(count, timeout_s) as workers:
+            return await use(workers)
+
+    return asyncio.run(run())
+
+
+def job(tmp_path: Path, name: str) -> Path:
+    (tmp_path / name).mkdir()
+    return tmp_path / name
+
+
+def is_answered(folder: Path) -> bool:
+    return "FileNotFoundError" in json.loads((folder / "result.json").read_text())["reason"]
+
+
+async def in_hand(process: psutil.Process, answer: asyncio.Future[str | None]) -> None:
+    """Let the loop hand a job to a stopped child, which then has it without ever answering."""
+    for _ in range(20):
+        await asyncio.sleep(0.005)
+    assert process.status() == psutil.STATUS_STOPPED
+    assert not answer.done()
+
+
+def test_nothing_is_started_before_the_first_job() -> None:
+    async def use(workers: LocalWorkers) -> int:
+        return len(shape_workers()) + workers.num_open
+
+    assert use_workers(use, count=4) == 0
+
+
+def test_a_poisonous_job_is_answered_and_does_not_end_its_worker(tmp_path: Path) -> None:
+    async def use(workers: LocalWorkers) -> list[set[int]]:
+        alive = []
+        for name in ("a", "b"):
+            assert await workers.submit(job(tmp_path, name)) is None
+            alive.append({child.pid for child in shape_workers()})
+        return alive
+
+    first, second = use_workers(use)
+    assert first == second
+    assert len(first) == 1
+    assert is_answered(tmp_path / "a")
+    assert is_answered(tmp_path / "b")
+    assert shape_workers() == []
+
+
+def test_no_more_children_than_asked_for_share_the_jobs_and_none_outlives_the_run(tmp_path: Path) -> None:
+    async def use(workers: LocalWorkers) -> int:
+        answers = [workers.submit(job(tmp_path, str(i))) for i in range(6)]
+        assert workers.num_open == 6
+        assert await asyncio.gather(*answers) == [None] * 6
+        assert workers.num_open == 0
+        return len(shape_workers())
+
+    assert 1 <= use_workers(use, count=2) <= 2
+    assert all(is_answered(tmp_path / str(i)) for i in range(6))
+    assert shape_workers() == []
+
+
+@pytest.mark.parametrize("is_in_mid_job", [True, False])
+def test_a_child_that_is_killed_is_replaced_and_its_job_done(tmp_path: Path, is_in_mid_job: bool) -> None:
+    async def use(workers: LocalWorkers) -> tuple[int, int]:
+        await workers.submit(job(tmp_path, "a"))
+        (child,) = shape_workers()
+        if is_in_mid_job:
+            child.send_signal(signal.SIGSTOP)
+            answer = workers.submit(job(tmp_path, "b"))
+            await in_hand(child, answer)
+            child.kill()
+        else:
+            child.kill()
+            child.wait(10)
+            answer = workers.submit(job(tmp_path, "b"))
+        assert await answer is None
+        return child.pid, shape_workers()[0].pid
+
+    killed, replaced_by = use_workers(use)
+    assert killed != replaced_by
+    assert is_answered(tmp_path / "b")
+
+
+def test_a_child_that_hangs_is_ended_after_the_timeout_and_its_job_done_by_another(tmp_path: Path) -> None:
+    async def use(workers: LocalWorkers) -> int:
+        await workers.submit(job(tmp_path, "a"))
+        (child,) = shape_workers()
+        child.send_signal(signal.SIGSTOP)
+        assert await workers.submit(job(tmp_path, "b")) is None
+        assert not psutil.pid_exists(child.pid)
+        return workers.num_timeouts
+
+    assert use_workers(use, timeout_s=2.0) == 1
+
+
+def test_a_job_that_always_takes_too_long_is_given_up_with_the_reason(tmp_path: Path) -> None:
+    async def use(workers: LocalWorkers) -> tuple[str | None, int]:
+        return await workers.submit(job(tmp_path, "a")), workers.num_timeouts
+
+    reason, num_timeouts = use_workers(use, timeout_s=1e-9)
+    assert reason is not None
+    assert "no answer within" in reason
+    assert num_timeouts == 2
+    assert shape_workers() == []
+
+
+def test_a_job_whose_folder_is_gone_is_given_up_with_the_reason(tmp_path: Path) -> None:
+    async def use(workers: LocalWorkers) -> str | None:
+        return await workers.submit(tmp_path / "never made")
+
+    assert "never made" in use_workers(use)
+
+
+def test_a_cancelled_job_that_waits_is_never_begun(tmp_path: Path) -> None:
+    async def use(workers: LocalWorkers) -> None:
+        first = workers.submit(job(tmp_path, "a"))
+        cancelled, last = workers.submit(job(tmp_path, "b")), workers.submit(job(tmp_path, "c"))
+        cancelled.cancel()
+        await asyncio.gather(first, last)
+        assert workers.num_open == 0
+
+    use_workers(use)
+    assert not (tmp_path / "b/result.json").exists()
+    assert is_answered(tmp_path / "c")
+
+
+def test_leaving_with_an_error_and_jobs_under_way_ends_every_child(tmp_path: Path) -> None:
+    async def use(workers: LocalWorkers) -> None:
+        await workers.submit(job(tmp_path, "a"))
+        shape_workers()[0].send_signal(signal.SIGSTOP)
+        answer = workers.submit(job(tmp_path, "b"))
+        await in_hand(shape_workers()[0], answer)
+        raise KeyError("something else failed")
+
+    with pytest.raises(KeyError):
+        use_workers(use)
+    assert shape_workers() == []
+
+
+def test_no_workers_at_all_are_refused() -> None:
+    with pytest.raises(ValueError, match="found 0 workers"):
+        LocalWorkers(0, 60.0)

@@ -1,0 +1,226 @@
+"""The exact IoU of oriented boxes against closed forms, sampling and an independent polyhedron; the minimal upright box."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, HalfspaceIntersection
+from scipy.spatial.transform import Rotation
+
+from hickory_stream.geometry.boxes import OrientedBox, box_iou, gravity_aligned_box, intersection_volume_m3
+from hickory_stream.geometry.rigid import from_rotation_translation
+from tests.strategies import oriented_boxes, point_sets, rigid_transforms, seeds
+
+
+def box(center: tuple[float, ...] = (0, 0, 0), half: tuple[float, ...] = (1, 1, 1), turn_deg: float = 0) -> OrientedBox:
+    rotation = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
+    return OrientedBox(
+        world_from_box=from_rotation_translation(rotation, np.array(center)), half_extents_m=np.array(half)
+    )
+
+
+def moved(a: OrientedBox, b_from_world: np.ndarray) -> OrientedBox:
+    return OrientedBox(world_from_box=b_from_world @ a.world_from_box, half_extents_m=a.half_extents_m)
+
+
+def halfspaces(a: OrientedBox) -> np.ndarray:
+    """Six rows (n, -h) of the planes n . p <= h of a box."""
+    normals = np.concatenate([a.world_from_box[:3, :3].T, -a.world_from_box[:3, :3].T])
+    heights = normals @ a.center + np.tile(a.half_extents_m, 2)
+    return np.column_stack([normals, -heights])
+
+
+# ---- closed forms ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25, 1.0, 1.75, 1.999])
+def test_a_cube_of_side_2_and_itself_shifted_share_what_the_shift_leaves(shift: float) -> None:
+    assert intersection_volume_m3(box(), box((shift, 0, 0))) == pytest.approx((2 - shift) * 4, abs=1e-8)
+    assert intersection_volume_m3(box(), box((shift, shift, shift))) == pytest.approx((2 - shift) ** 3, abs=1e-8)
+
+
+def test_cubes_turned_by_45_degrees_share_an_octagonal_prism() -> None:
+    # A regular octagon with inradius 1 has the area 8 (sqrt 2 - 1); the prism is 2 high.
+    assert intersection_volume_m3(box(), box(turn_deg=45)) == pytest.approx(8 * (math.sqrt(2) - 1) * 2, rel=1e-12)
+
+
+def test_a_box_within_another_is_their_intersection() -> None:
+    inner = box((0.1, -0.2, 0.05), (0.3, 0.2, 0.1), turn_deg=30)
+    assert intersection_volume_m3(box(), inner) == pytest.approx(8 * 0.3 * 0.2 * 0.1, rel=1e-12)
+    assert box_iou(box(), inner) == pytest.approx(8 * 0.006 / 8, rel=1e-12)
+
+
+@pytest.mark.parametrize("offset", [(2, 0, 0), (0, 2, 0), (2, 2, 0), (2, 2, 2), (2, 0.5, -0.3)])
+def test_boxes_that_only_touch_share_nothing(offset: tuple[float, ...]) -> None:
+    assert intersection_volume_m3(box(), box(offset)) == 0.0
+    assert box_iou(box(), box(offset)) == 0.0
+
+
+@given(oriented_boxes(), rigid_transforms())
+def test_a_box_has_iou_1_with_itself_wherever_it_is(a: OrientedBox, b_from_world: np.ndarray) -> None:
+    assert box_iou(a, a) == pytest.approx(1.0, abs=1e-9)
+    assert box_iou(moved(a, b_from_world), moved(a, b_from_world)) == pytest.approx(1.0, abs=1e-9)
+
+
+@given(oriented_boxes(), st.integers(0, 2), st.sampled_from([-1.0, 1.0]), st.floats(0.1, 0.9))
+def test_faces_that_two_boxes_share_count_once(a: OrientedBox, axis: int, side: float, share: float) -> None:
+    # A slab of `a`, flush with five of its faces.
+    half = a.half_extents_m.copy()
+    half[axis] *= share
+    offset = np.zeros(3)
+    offset[axis] = side * (1 - share) * a.half_extents_m[axis]
+    slab = OrientedBox(
+        world_from_box=a.world_from_box @ from_rotation_translation(np.eye(3), offset), half_extents_m=half
+    )
+    assert intersection_volume_m3(a, slab) == pytest.approx(share * a.volume_m3, rel=1e-6)
+
+
+def test_a_box_given_with_its_axes_in_another_order_is_the_same_box() -> None:
+    a = box((0.3, 0.1, -0.2), (0.2, 0.5, 0.9), turn_deg=20)
+    b = OrientedBox(
+        world_from_box=a.world_from_box @ from_rotation_translation(np.eye(3)[:, [1, 2, 0]], np.zeros(3)),
+        half_extents_m=a.half_extents_m[[1, 2, 0]],
+    )
+    assert box_iou(a, b) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("thickness", [1e-2, 1e-4, 1e-6])
+def test_thin_plates_that_cross_share_a_thin_bar(thickness: float) -> None:
+    lying, standing = box(half=(1, 1, thickness)), box(half=(1, thickness, 1))
+    assert intersection_volume_m3(lying, standing) == pytest.approx(8 * thickness**2, rel=1e-3)
+
+
+def test_thin_plates_one_above_the_other_share_nothing() -> None:
+    assert box_iou(box(half=(1, 1, 0.001)), box((0, 0, 0.0021), (1, 1, 0.001), turn_deg=17)) == 0.0
+
+
+def test_boxes_that_a_point_of_their_spheres_but_no_face_separates_share_nothing() -> None:
+    # Edge against edge: only the cross product of two edges separates these.
+    a = OrientedBox(
+        world_from_box=from_rotation_translation(Rotation.from_euler("x", 45, degrees=True).as_matrix(), np.zeros(3)),
+        half_extents_m=np.ones(3),
+    )
+    b = OrientedBox(
+        world_from_box=from_rotation_translation(
+            Rotation.from_euler("y", 45, degrees=True).as_matrix(), np.array([0, 0, 2 * math.sqrt(2) + 0.01])
+        ),
+        half_extents_m=np.ones(3),
+    )
+    assert intersection_volume_m3(a, b) == 0.0
+
+
+# ---- laws -----------------------------------------------------------------------------------------------------------
+
+
+@given(oriented_boxes(), oriented_boxes())
+def test_the_iou_is_symmetric_and_a_share(a: OrientedBox, b: OrientedBox) -> None:
+    assert box_iou(a, b) == pytest.approx(box_iou(b, a), abs=1e-8)
+    assert 0.0 <= box_iou(a, b) <= 1.0 + 1e-12
+
+
+@given(oriented_boxes(), oriented_boxes(), rigid_transforms())
+def test_the_iou_does_not_change_when_both_boxes_move_together(
+    a: OrientedBox, b: OrientedBox, b_from_world: np.ndarray
+) -> None:
+    together = box_iou(moved(a, b_from_world), moved(b, b_from_world))
+    assert together == pytest.approx(box_iou(a, b), abs=1e-7)
+
+
+@given(oriented_boxes(), oriented_boxes(), seeds)
+def test_the_intersection_is_what_sampling_finds_within_five_standard_errors(
+    a: OrientedBox, b: OrientedBox, seed: int
+) -> None:
+    local = np.random.default_rng(seed).uniform(-1, 1, (20_000, 3)) * a.half_extents_m
+    points = local @ a.world_from_box[:3, :3].T + a.center
+    in_b = (np.abs((points - b.center) @ b.world_from_box[:3, :3]) <= b.half_extents_m).all(axis=1)
+    # One in 20 000 would be seen once on average: its standard error is the least that is known.
+    error = a.volume_m3 * math.sqrt(max(in_b.mean() * (1 - in_b.mean()), 1 / 20_000) / 20_000)
+    assert abs(intersection_volume_m3(a, b) - in_b.mean() * a.volume_m3) <= 5 * error
+
+
+@given(oriented_boxes(), oriented_boxes())
+def test_the_intersection_is_the_volume_of_the_polyhedron_of_all_twelve_planes(a: OrientedBox, b: OrientedBox) -> None:
+    planes = np.concatenate([halfspaces(a), halfspaces(b)])
+    # The middle of the largest sphere within all planes (Chebyshev centre) is surely inside.
+    found = linprog(
+        [0, 0, 0, -1],
+        A_ub=np.column_stack([planes[:, :3], np.ones(12)]),
+        b_ub=-planes[:, 3],
+        bounds=[(None, None)] * 3 + [(0, None)],
+    )
+    assume(found.status == 0 and found.x[3] > 0.01)
+    polyhedron = HalfspaceIntersection(planes, found.x[:3])
+    assert intersection_volume_m3(a, b) == pytest.approx(ConvexHull(polyhedron.intersections).volume, rel=1e-6)
+
+
+def test_half_extents_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="half extents must be positive"):
+        box(half=(1, 0, 1))
+
+
+@given(oriented_boxes(), st.floats(0, 0.5))
+def test_a_grown_box_reaches_further_by_the_margin_on_every_side(a: OrientedBox, margin: float) -> None:
+    grown = a.grown(margin)
+    assert np.allclose(grown.half_extents_m - a.half_extents_m, margin)
+    assert grown.contains(a.corners_world()).all() or margin < 1e-12
+    assert (a.contains(grown.corners_world(), margin + 1e-9)).all()
+
+
+@given(oriented_boxes())
+def test_the_corners_have_the_boxs_volume_and_diagonal(a: OrientedBox) -> None:
+    corners = a.corners_world()
+    assert ConvexHull(corners).volume == pytest.approx(a.volume_m3, rel=1e-6)
+    distances = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
+    assert distances.max() == pytest.approx(a.diagonal_m, rel=1e-9)
+
+
+# ---- the upright box of minimal footprint -----------------------------------------------------------------------------
+
+
+@given(point_sets())
+def test_the_upright_box_contains_its_points_and_stands_upright(points: np.ndarray) -> None:
+    a = gravity_aligned_box(points, 0.001)
+    assert a.contains(points, 1e-9).all()
+    assert np.allclose(a.world_from_box[:3, 2], [0, 0, 1])
+    assert np.isclose(np.linalg.det(a.world_from_box[:3, :3]), 1)
+
+
+@given(point_sets())
+def test_no_other_yaw_gives_a_smaller_footprint(points: np.ndarray) -> None:
+    a = gravity_aligned_box(points, 1e-9)
+    area = 4 * a.half_extents_m[0] * a.half_extents_m[1]
+    yaws = np.linspace(0, np.pi / 2, 721)
+    along = points[:, :1] * np.cos(yaws) + points[:, 1:2] * np.sin(yaws)
+    across = -points[:, :1] * np.sin(yaws) + points[:, 1:2] * np.cos(yaws)
+    assert area <= (np.ptp(along, axis=0) * np.ptp(across, axis=0)).min() + 1e-7
+
+
+@given(point_sets(), st.floats(0.001, 0.05))
+def test_the_upright_box_is_tight_down_to_the_least_half_extent(points: np.ndarray, least: float) -> None:
+    a = gravity_aligned_box(points, least)
+    local = np.abs((points - a.center) @ a.world_from_box[:3, :3]).max(axis=0)
+    assert np.allclose(a.half_extents_m, np.maximum(local, least), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("points", "half"),
+    [
+        ([[1, 2, 3]], (0.01, 0.01, 0.01)),
+        ([[1, 2, 3]] * 5, (0.01, 0.01, 0.01)),
+        ([[0, 0, 0], [3, 4, 0], [1.5, 2, 0]], (2.5, 0.01, 0.01)),
+        ([[0, 0, 0], [0, 0, 1], [0, 0, 0.2]], (0.01, 0.01, 0.5)),
+        ([[0, 0, 5], [1, 0, 5], [1, 2, 5], [0, 2, 5]], (0.5, 1.0, 0.01)),
+        ([[0, 0, 0], [2, 0, 0], [0, 0, 2]], (1.0, 0.01, 1.0)),
+    ],
+    ids=["a point", "one point five times", "a line", "a vertical line", "a rectangle", "a vertical plane"],
+)
+def test_a_cloud_without_volume_gets_a_box_of_the_least_thickness(
+    points: list[list[float]], half: tuple[float, ...]
+) -> None:
+    a = gravity_aligned_box(np.array(points, dtype=np.float32), 0.01)
+    assert sorted(a.half_extents_m[:2]) == pytest.approx(sorted(half[:2]), abs=1e-6)
+    assert a.half_extents_m[2] == pytest.approx(half[2], abs=1e-6)
+    assert a.contains(np.array(points), 1e-6).all()

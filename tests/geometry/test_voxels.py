@@ -1,0 +1,99 @@
+"""Voxel keys against plain sets of cells."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.geometry.voxels import (
+    cells_of_keys,
+    centers_of_keys,
+    contains,
+    dilate,
+    in_company,
+    keys_of_cells,
+    keys_of_points,
+    overlap_share,
+)
+from tests.strategies import integer_cells, seeds
+
+few_cells = integer_cells(largest=6, max_size=20)
+
+
+def sorted_keys(cells: np.ndarray) -> np.ndarray:
+    return np.unique(keys_of_cells(cells))
+
+
+def neighbours(cells: np.ndarray) -> set[tuple[int, ...]]:
+    steps = list(itertools.product((-1, 0, 1), repeat=3))
+    return {tuple(int(v) for v in np.add(cell, step)) for cell in cells for step in steps}
+
+
+@given(integer_cells())
+def test_cells_survive_their_keys_negative_ones_too(cells: np.ndarray) -> None:
+    assert np.array_equal(cells_of_keys(keys_of_cells(cells)), cells)
+
+
+@given(integer_cells())
+def test_sorted_keys_are_sorted_cells(cells: np.ndarray) -> None:
+    by_key = cells_of_keys(np.sort(keys_of_cells(cells)))
+    assert [tuple(c) for c in by_key] == sorted(tuple(c) for c in cells)
+
+
+@given(seeds, st.sampled_from([0.01, 0.05, 0.3]))
+def test_a_point_lies_in_its_voxel(seed: int, voxel_m: float) -> None:
+    points = np.random.default_rng(seed).uniform(-3, 3, (50, 3))
+    away = np.abs(centers_of_keys(keys_of_points(points, voxel_m), voxel_m) - points)
+    assert (away <= voxel_m / 2 + 1e-6).all()
+
+
+def test_the_lattice_has_its_corner_at_the_origin_and_cells_are_half_open() -> None:
+    points = np.array([[0, 0, 0], [0.0999, 0.05, 0.01], [-0.0001, 0, 0], [0.1, -0.1, -0.1001]])
+    assert cells_of_keys(keys_of_points(points, 0.1)).tolist() == [[0, 0, 0], [0, 0, 0], [-1, 0, 0], [1, -1, -2]]
+
+
+@given(few_cells, few_cells)
+def test_a_key_is_contained_when_its_cell_is_in_the_set(cells: np.ndarray, queries: np.ndarray) -> None:
+    known = {tuple(c) for c in cells}
+    expected = [tuple(q) in known for q in queries]
+    assert contains(sorted_keys(cells), keys_of_cells(queries)).tolist() == expected
+
+
+@given(few_cells)
+def test_dilation_adds_the_26_neighbours_and_nothing_else(cells: np.ndarray) -> None:
+    dilated = dilate(sorted_keys(cells))
+    assert (np.diff(dilated) > 0).all()
+    assert {tuple(int(v) for v in c) for c in cells_of_keys(dilated)} == neighbours(cells)
+
+
+@given(few_cells, few_cells)
+def test_dilation_keeps_unions_and_order(a: np.ndarray, b: np.ndarray) -> None:
+    union = dilate(sorted_keys(np.concatenate([a, b])))
+    assert np.array_equal(union, np.union1d(dilate(sorted_keys(a)), dilate(sorted_keys(b))))
+    assert contains(union, dilate(sorted_keys(a))).all()
+
+
+@given(few_cells, few_cells)
+def test_the_overlap_share_is_the_share_of_cells_with_a_neighbour(a: np.ndarray, b: np.ndarray) -> None:
+    near = neighbours(b)
+    cells = {tuple(int(v) for v in c) for c in a}
+    expected = sum(cell in near for cell in cells) / len(cells) if cells else 0.0
+    assert overlap_share(sorted_keys(a), dilate(sorted_keys(b))) == pytest.approx(expected)
+
+
+def test_stray_points_have_no_company_and_a_tables_leg_has() -> None:
+    rng = np.random.default_rng(5)
+    top = rng.uniform((0, 0, 0.7), (1, 0.6, 0.74), (3000, 3))
+    leg = rng.uniform((0.04, 0.04, 0.0), (0.08, 0.08, 0.7), (300, 3))
+    strays = np.array([[0.5, 0.3, 1.2], [2, 2, 2], [-1, 0, 0.4]])
+    kept = in_company(np.concatenate([top, leg, strays]))
+    assert kept[3000:3300].all()
+    assert not kept[3300:].any()
+
+
+@given(seeds, st.integers(1, 30))
+def test_where_few_points_have_company_all_of_them_are_kept(seed: int, count: int) -> None:
+    spread = np.random.default_rng(seed).permutation(1000)[:count, None] * np.array([[0.2, 0.1, 0.3]])
+    assert in_company(spread).all()
