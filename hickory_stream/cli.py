@@ -49,7 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status
 
 
-def _fail(message: str, options: argparse.Namespace) -> None:
+def _fail(text: str, options: argparse.Namespace) -> None:
+    message = " ".join(text.split())  # one line, whatever a library had to say
     sys.stderr.write(f"hickory-stream: {message}\n")
     if getattr(options, "json", False):
         print(json.dumps({"event": "error", "message": message}))
@@ -63,6 +64,7 @@ def _play(options: argparse.Namespace) -> int:
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import parse_viewer
     from players import SourceOptions, open_source
+    from players.first_frames import FirstFrames
 
     settings = _settings(options)
     viewer = parse_viewer(options.viewer)
@@ -76,10 +78,12 @@ def _play(options: argparse.Namespace) -> int:
             depth_info_topic=options.depth_info_topic,
             pose_topic=options.pose_topic,
             pose_frame=options.pose_frame,
-            sync_tolerance_ns=None if options.sync_tolerance is None else round(options.sync_tolerance * 1e6),
+            sync_tolerance_ns=_nanoseconds(options.sync_tolerance),
             profile=options.profile,
         ),
     )
+    if options.frames is not None:
+        source = FirstFrames(source, _positive(options.frames, "--frames"))
     out = options.out or Path(f"{Path(options.source).resolve().stem}.map")
     style: Style = "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
     if not options.json:
@@ -98,7 +102,7 @@ def _play(options: argparse.Namespace) -> int:
             overwrite=options.overwrite,
             sinks=sinks,
             rate=rate,
-            loops=options.loop,
+            loops=_positive(options.loop, "--loop"),
             progress=printer,
         )
     finally:
@@ -217,11 +221,25 @@ def _rate(text: str) -> float | None:
     return rate
 
 
+def _positive(number: int, option: str) -> int:
+    if number < 1:
+        raise InputError(f"found {option} {number}, expected at least 1")
+    return number
+
+
+def _nanoseconds(tolerance_ms: float | None) -> int | None:
+    if tolerance_ms is None:
+        return None
+    if not 0 <= tolerance_ms < float("inf"):
+        raise InputError(f"found --sync-tolerance {tolerance_ms:g}, expected milliseconds, 0 or more")
+    return round(tolerance_ms * 1e6)
+
+
 def _layers(text: str) -> set[int]:
-    layers = {int(part) for part in text.split(",") if part.strip().isdigit()}
-    if not layers or not layers <= {1, 2, 3, 4}:
+    parts = {part.strip() for part in text.split(",")}
+    if not parts <= {"1", "2", "3", "4"}:
         raise InputError(f"found --layers {text}, expected some of 1,2,3,4")
-    return layers
+    return {int(part) for part in parts}
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -270,6 +288,7 @@ def _add_play(play: argparse.ArgumentParser) -> None:
     play.add_argument("--overwrite", action="store_true", help="replace the map that is there")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
+    play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
     play.add_argument(
         "--workers", type=int, metavar="N", help="child processes that build shapes; do not change the map"
     )

@@ -43,6 +43,14 @@ class RunConfig:
     time_jump_s: float = 60.0
     grace_s: float = 5.0
 
+    def __post_init__(self) -> None:
+        for name in ("workers", "job_timeout_s", "time_jump_s"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, found {getattr(self, name)}")
+        for name in ("crop_margin", "grace_s"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must not be negative, found {getattr(self, name)}")
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapperConfig:

@@ -47,7 +47,10 @@ def play(
         HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
         KeyboardInterrupt: it was cancelled by a second signal.
     """
-    return asyncio.run(_play(source, config, out, overwrite, sinks, rate, loops, progress))
+    try:
+        return asyncio.run(_play(source, config, out, overwrite, sinks, rate, loops, progress))
+    except asyncio.CancelledError:
+        raise KeyboardInterrupt from None
 
 
 async def _play(

@@ -51,4 +51,4 @@ def is_keyframe(
         return True
     distance_m = float(np.linalg.norm(world_from_camera[:3, 3] - last.world_from_camera[:3, 3]))
     turned_rad = rotation_angle_rad(last.world_from_camera[:3, :3].T @ world_from_camera[:3, :3])
-    return distance_m >= config.min_distance_m or turned_rad >= np.deg2rad(config.min_angle_deg)
+    return bool(distance_m >= config.min_distance_m or turned_rad >= np.deg2rad(config.min_angle_deg))

@@ -33,19 +33,31 @@ class FloatConfig:
     gap_m: float = 0.2
     color_m: float = 0.001
     like_color: float = 15.0
+    leaf_m2: float = 0.05
+    near_m: float = 0.1
+    foot_gap_m: float = 0.07
+    foot_color: float = 40.0
+    back_low_m: float = 0.1
+    back_high_m: float = 0.2
     plane_area_m2: float = 0.4
     rounds: int = 5
 
 
 def holders(
-    surface: Surface, groups: NDArray[np.int32], standing: Standing, pieces: Pieces, carries: NDArray[np.bool_], config: FloatConfig
+    surface: Surface,
+    groups: NDArray[np.int32],
+    standing: Standing,
+    pieces: Pieces,
+    carries: NDArray[np.bool_],
+    is_seat: NDArray[np.bool_],
+    config: FloatConfig,
 ) -> list[tuple[int, int]]:
     """Return (floating, holder) pairs: for each floating piece the nearest that does not itself stand on it.
 
     `groups` (h, w) are the pieces as joined so far, and `pieces` their measures.
     """
     carries = carries | standing.carries()
-    floats = standing.floats() & ~carries
+    floats = (standing.floats() & ~carries) | is_seat
     if not floats.any():
         return []
     reach = config.gap_m * max(surface.camera.fx, surface.camera.fy)
@@ -54,13 +66,34 @@ def holders(
     for i in np.flatnonzero(floats):
         best, holder = config.gap_m, 0
         for j in np.flatnonzero(gaps[i] < config.gap_m):
-            color = pieces.color_difference(int(i), int(j))
-            cost = float(gaps[i, j]) + config.color_m * color
-            if color < config.like_color and cost < best and not carries[j] and not standing.stands_on(int(j), int(i)):
+            if (
+                carries[j]
+                or standing.stands_on(int(j), int(i))
+                or not _may_hold(pieces, i, j, gaps[i, j], bool(is_seat[i]), config)
+            ):
+                continue
+            cost = float(gaps[i, j]) + config.color_m * pieces.color_difference(int(i), int(j))
+            if cost < best:
                 best, holder = cost, int(j)
         if holder:
             found.append((int(i), holder))
     return found
+
+
+def _may_hold(pieces: Pieces, i: int, j: int, gap_m: float, is_seat: bool, config: FloatConfig) -> bool:
+    """Return whether piece j may hold i: like colours, near unless one is small, or a foot of any colour right below."""
+    if pieces.support[i] > 0 and pieces.support[j] > 0:
+        return False
+    if is_seat:
+        seat = float(pieces.z_high_m[i])
+        rises = pieces.z_low_m[j] < seat + config.back_low_m and pieces.z_high_m[j] > seat + config.back_high_m
+        if rises and gap_m < config.foot_gap_m:
+            return True
+    color = pieces.color_difference(i, j)
+    if gap_m < config.foot_gap_m and pieces.z_high_m[j] < pieces.z_low_m[i] + config.foot_gap_m:
+        return color < config.foot_color
+    is_near = gap_m < config.near_m or min(pieces.area_m2[i], pieces.area_m2[j]) < config.leaf_m2
+    return is_near and color < config.like_color
 
 
 @numba.njit(cache=True)

@@ -170,7 +170,11 @@ def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_s
         return True
     if abs(za - zb) > gap_share * nearer + 3.0 * sigma[y, x]:
         return False
-    d0, d1, d2 = points[yy, xx, 0] - points[y, x, 0], points[yy, xx, 1] - points[y, x, 1], points[yy, xx, 2] - points[y, x, 2]
+    d0, d1, d2 = (
+        points[yy, xx, 0] - points[y, x, 0],
+        points[yy, xx, 1] - points[y, x, 1],
+        points[yy, xx, 2] - points[y, x, 2],
+    )
     out_a = abs(d0 * normals[y, x, 0] + d1 * normals[y, x, 1] + d2 * normals[y, x, 2])
     out_b = abs(d0 * normals[yy, xx, 0] + d1 * normals[yy, xx, 1] + d2 * normals[yy, xx, 2])
     limit = step + 2.0 * sigma[y, x]

@@ -130,7 +130,9 @@ def _why_not(
         return f"{hidden:.0%} of the outline is hidden by nearer things"
     x0, y0, x1, y1 = box
     part = surface.points_world[y0:y1, x0:x1][labels[y0:y1, x0:x1] == label]
-    extent = float(np.max(np.nanpercentile(part, 97, axis=0) - np.nanpercentile(part, 3, axis=0)))
+    extent = float(np.ptp(part, axis=0).max())
+    if extent > config.max_extent_m:  # only then is it worth the time to leave strays out
+        extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
     if extent > config.max_extent_m:
         return f"{extent:.1f} m long: structure"
     return None

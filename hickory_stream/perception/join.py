@@ -12,7 +12,7 @@ import numpy as np
 
 from hickory_stream.perception.floating import FloatConfig, holders
 from hickory_stream.perception.pieces import measure
-from hickory_stream.perception.rules import RuleConfig, Scene, carriers, is_one_thing, legs
+from hickory_stream.perception.rules import RuleConfig, Scene, carriers, is_one_thing, legs, seats
 from hickory_stream.perception.seams import contacts_of, seams_of
 from hickory_stream.perception.standing import standing_of
 
@@ -80,12 +80,13 @@ def join_fragments(
     level = (surface.normals_world[..., 2] > 0.7) | (supports > 0)
     heights = surface.points_world[..., 2]
     contacts = contacts_of(surface, np.where(structure, np.int32(count), labels), config.reach_px)
+    pieces = measure(surface, labels, supports, areas_m2)
     scene = Scene(
         surface=surface,
         labels=labels,
-        pieces=measure(surface, labels, supports, areas_m2),
+        pieces=pieces,
         standing=standing_of(contacts, np.arange(count + 1), heights, level),
-        floor_z_m=floor_z_m,
+        is_seat=seats(pieces, floor_z_m, config.rules),
     )
     groups = Groups(count)
     seams = seams_of(surface, contacts, count)
@@ -98,7 +99,8 @@ def join_fragments(
         standing = standing_of(contacts, np.append(numbers, numbers.max() + 1), heights, level)
         pieces = measure(surface, joined, supports, areas_m2)
         carries = np.bincount(numbers, weights=carrier, minlength=len(pieces.pixels)) > 0
-        pairs = holders(surface, joined, standing, pieces, carries, config.floating)
+        bare_seats = seats(pieces, floor_z_m, config.rules)
+        pairs = holders(surface, joined, standing, pieces, carries, bare_seats, config.floating)
         if not pairs:
             return joined
         first = np.unique(numbers, return_index=True)[1]

@@ -46,9 +46,7 @@ class Perceived:
     space: SpaceObservation
 
 
-def perceive(
-    frame: Frame, prior: ObservedSpace | None, segmenter: Segmenter, config: PerceptionConfig
-) -> Perceived:
+def perceive(frame: Frame, prior: ObservedSpace | None, segmenter: Segmenter, config: PerceptionConfig) -> Perceived:
     """Return what a keyframe shows, seen with the space that the map knows so far."""
     segmentation = segmenter.segment(frame, prior)
     observations, rejected = observe(frame, segmentation, config.observe)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from scipy.ndimage import find_objects
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -65,14 +66,11 @@ def measure(
 
 def label_boxes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
     """Return (count, 4) x0, y0, x1, y1 of each label, ends exclusive."""
-    ys, xs = np.nonzero(labels)
-    names = labels[ys, xs]
     boxes = np.zeros((count, 4), dtype=np.int64)
-    boxes[:, :2] = max(labels.shape)
-    np.minimum.at(boxes[:, 0], names, xs)
-    np.minimum.at(boxes[:, 1], names, ys)
-    np.maximum.at(boxes[:, 2], names, xs + 1)
-    np.maximum.at(boxes[:, 3], names, ys + 1)
+    for i, place in enumerate(find_objects(labels, max_label=count - 1)):
+        if place is not None:
+            rows, columns = place
+            boxes[i + 1] = columns.start, rows.start, columns.stop, rows.stop
     return boxes
 
 

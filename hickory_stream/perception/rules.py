@@ -30,6 +30,7 @@ class RuleConfig:
         rim_m: a seam within this distance of a plane's rim lies on the rim (a chair's back on its seat).
         below_m: a fragment whose top is at most this far above a plane hangs below it.
         leg_gap_m: a leg is seen up to this far below the plane that it carries.
+        carrier_area_m2: a smaller plane carries nothing.
         seat_low_m, seat_high_m: heights above the floor between which one sits.
         seat_area_m2: a larger plane is no seat.
         back_m: what reaches this far above a seat from its rim is its back, whatever the colours.
@@ -55,7 +56,7 @@ class Scene:
     labels: NDArray[np.int32]
     pieces: Pieces
     standing: Standing
-    floor_z_m: float | None
+    is_seat: NDArray[np.bool_]
 
 
 def is_one_thing(scene: Scene, seam: Seam, config: RuleConfig) -> bool:
@@ -69,16 +70,25 @@ def is_one_thing(scene: Scene, seam: Seam, config: RuleConfig) -> bool:
         return is_long and color < 0.6 * config.like_color
     if is_plane_a or is_plane_b:
         plane, other = (a, b) if is_plane_a else (b, a)
-        return (is_long or len(seam.points_world) >= 4) and _belongs_to_plane(scene, seam, plane, other, is_long, config)
+        return (is_long or len(seam.points_world) >= 4) and _belongs_to_plane(
+            scene, seam, plane, other, is_long, config
+        )
     return is_long and color < config.like_color and not _stand_side_by_side(scene.standing, a, b)
+
+
+def seats(pieces: Pieces, floor_z_m: float | None, config: RuleConfig) -> NDArray[np.bool_]:
+    """Return (count,) which pieces are planes to sit on, by their height and size; none while no floor is known."""
+    if floor_z_m is None:
+        return np.zeros(len(pieces.pixels), dtype=bool)
+    height = (pieces.z_high_m + pieces.z_low_m) / 2 - floor_z_m
+    at_height = (height > config.seat_low_m) & (height < config.seat_high_m)
+    return np.asarray((pieces.support > 0) & at_height & (pieces.area_m2 < config.seat_area_m2))
 
 
 def carriers(scene: Scene, config: RuleConfig) -> NDArray[np.bool_]:
     """Return (count,) which fragments are planes that carry things: tables, shelves, boards, but no seats."""
     pieces = scene.pieces
-    heights = (pieces.z_high_m + pieces.z_low_m) / 2
-    planes = (pieces.support > 0) & (pieces.area_m2 > config.carrier_area_m2)
-    return planes & [not _is_seat(scene, i, float(z), config) for i, z in enumerate(heights)]
+    return (pieces.support > 0) & (pieces.area_m2 > config.carrier_area_m2) & ~scene.is_seat
 
 
 def _belongs_to_plane(scene: Scene, seam: Seam, plane: int, other: int, is_long: bool, config: RuleConfig) -> bool:
@@ -87,16 +97,10 @@ def _belongs_to_plane(scene: Scene, seam: Seam, plane: int, other: int, is_long:
     height = float(pieces.z_high_m[plane] + pieces.z_low_m[plane]) / 2
     if pieces.z_high_m[other] < height + config.below_m:
         return is_long
-    is_back = _is_seat(scene, plane, height, config) and pieces.z_high_m[other] > height + config.back_m
+    is_back = bool(scene.is_seat[plane]) and pieces.z_high_m[other] > height + config.back_m
     if pieces.color_difference(plane, other) >= config.like_color and not is_back:
         return False
     return _stands_on_rim(scene, seam, plane, config)
-
-
-def _is_seat(scene: Scene, plane: int, height_m: float, config: RuleConfig) -> bool:
-    if scene.floor_z_m is None or scene.pieces.area_m2[plane] > config.seat_area_m2:
-        return False
-    return config.seat_low_m < height_m - scene.floor_z_m < config.seat_high_m
 
 
 def _stand_side_by_side(standing: Standing, a: int, b: int) -> bool:
@@ -116,9 +120,7 @@ def _stands_on_rim(scene: Scene, seam: Seam, plane: int, config: RuleConfig) -> 
     return bool(np.mean(inside < config.rim_m) > 0.8) and extent > 0.5 * size
 
 
-def legs(
-    scene: Scene, contacts: Contacts, groups: NDArray[np.int64], config: RuleConfig
-) -> list[tuple[int, int]]:
+def legs(scene: Scene, contacts: Contacts, groups: NDArray[np.int64], config: RuleConfig) -> list[tuple[int, int]]:
     """Return (plane, leg) pairs: a leg vanishes upwards behind the edge of what it carries, and stands under it."""
     count, pieces = len(groups), scene.pieces
     vanishes = contacts.is_below & ~contacts.touches & ~contacts.nearer

@@ -14,7 +14,7 @@ import numpy as np
 
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import keys_of_cells, keys_of_points
+from hickory_stream.geometry.voxels import contains, keys_of_cells, keys_of_points
 from hickory_stream.records import SpaceObservation
 
 if TYPE_CHECKING:
@@ -54,10 +54,10 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig)
     valid = np.isfinite(depth) & (depth < config.max_depth_m)
     points = apply(frame.world_from_camera, backproject(depth, camera)[valid]).astype(np.float64)
     cells = _free_cells(frame.world_from_camera[:3, 3].astype(np.float64), points, config.voxel_m)
-    structure_keys = np.unique(keys_of_points(points[structure[valid]], config.voxel_m))
-    free_keys = np.unique(keys_of_cells(cells))
+    structure_keys = _sorted_unique(keys_of_points(points[structure[valid]], config.voxel_m))
+    free_keys = _sorted_unique(keys_of_cells(cells))
     return SpaceObservation(
-        free_keys=np.setdiff1d(free_keys, _occupied_keys(frame, config), assume_unique=True),
+        free_keys=free_keys[~contains(_occupied_keys(frame, config), free_keys)],
         structure_keys=structure_keys,
         floor_z_m=segmentation.floor_z_m,
     )
@@ -71,7 +71,13 @@ def _occupied_keys(frame: Frame, config: SpaceConfig) -> NDArray[np.int64]:
     v, u = np.nonzero(np.isfinite(depth) & (depth < config.max_depth_m))
     z = depth[v, u].astype(np.float64)
     points = np.stack([(u * step - camera.cx) / camera.fx * z, (v * step - camera.cy) / camera.fy * z, z], axis=1)
-    return np.unique(keys_of_points(apply(frame.world_from_camera, points), config.voxel_m))
+    return _sorted_unique(keys_of_points(apply(frame.world_from_camera, points), config.voxel_m))
+
+
+def _sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return what np.unique does; a sort of integers takes a fraction of the time of its hash table."""
+    ordered = np.sort(keys)
+    return ordered[np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))]
 
 
 @numba.njit(cache=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numba
 import numpy as np
 
@@ -74,7 +75,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
     depth = _without_flying_pixels(depth)
     rgb = frame.rgb[: height * factor, : width * factor]
     if factor > 1:
-        rgb = rgb.reshape(height, factor, width, factor, 3).mean(axis=(1, 3)).astype(np.uint8)
+        rgb = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
     u = ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32)
     v = ((np.arange(height) - camera.cy) / camera.fy).astype(np.float32)
     normals_camera = _normals(depth, u, v, config.normal_radius_px, np.float32(config.depth_noise_per_m))
@@ -143,12 +144,12 @@ def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # prag
     """Fit 1/z = a u + b v + c over each window; (a, b, c) is the plane's normal in the camera frame."""
     height, width = depth.shape
     out = np.full((height, width, 3), np.nan, dtype=np.float32)
+    inverses = np.float32(1.0) / depth
     for y in range(height):
         for x in range(width):
-            z = depth[y, x]
-            if np.isnan(z):
+            inverse = inverses[y, x]
+            if np.isnan(inverse):
                 continue
-            inverse = 1.0 / z
             a, b, c = 0.0, 0.0, inverse
             solved = False
             for step in range(2):
@@ -158,12 +159,9 @@ def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # prag
                 suu = suv = svv = su = sv = sud = svd = sd = 0.0
                 for yy in range(max(0, y - radius), min(height, y + radius + 1)):
                     for xx in range(max(0, x - radius), min(width, x + radius + 1)):
-                        zz = depth[yy, xx]
-                        if np.isnan(zz):
-                            continue
                         du, dv = u[xx] - u[x], v[yy] - v[y]
-                        d = 1.0 / zz
-                        if abs(d - (c + a * du + b * dv)) > gate:
+                        d = inverses[yy, xx]
+                        if not abs(d - (c + a * du + b * dv)) <= gate:  # NaN fails too
                             continue
                         n += 1
                         su += du

@@ -1,0 +1,195 @@
+"""Boxes of points, observations and tracks made of them, and a driver that answers the core as the engine does."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hickory_stream.events import (
+    CancelShape,
+    ComputeFeatures,
+    DropView,
+    Effect,
+    Event,
+    FeaturesReady,
+    FrameObserved,
+    KeepView,
+    Publish,
+    RequestShape,
+    ShapeReady,
+)
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.mapping.cloud import cloud_of
+from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.track import Track, bounds_of
+from hickory_stream.records import Containment, MaskFeature, ObjectShape, Observation, Phase, SpaceObservation, View
+
+VOXEL_M = 0.02
+SECOND_NS = 1_000_000_000
+
+Triple = tuple[float, float, float]
+
+
+def box_surface(center: Triple, size: Triple = (0.2, 0.2, 0.2), yaw_rad: float = 0.0) -> NDArray[np.float32]:
+    """(N, 3) points on the surface of an upright box, on a grid finer than the voxels."""
+    axes = [np.linspace(-s / 2, s / 2, max(2, int(np.ceil(s / (0.7 * VOXEL_M))))) for s in size]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    half = np.array(size) / 2
+    shell = grid[(np.abs(np.abs(grid) - half) < 1e-9).any(axis=1)]
+    return (shell @ yaw_rotation(yaw_rad).T + center).astype(np.float32)
+
+
+def observation(
+    index: int,
+    points: NDArray[np.float32],
+    *,
+    box_px: tuple[int, int, int, int] | None = None,
+    r_area: float = 0.05,
+    r_depth: float = 0.9,
+    color: tuple[int, int, int] = (120, 90, 60),
+) -> Observation:
+    """An observation of these points; no two of a frame have the same `box_px` unless it is given."""
+    box_px = box_px or (20 * index, 5, 20 * index + 16, 17)
+    return Observation(
+        index=index,
+        box_px=box_px,
+        mask=np.ones((box_px[3] - box_px[1], box_px[2] - box_px[0]), dtype=bool),
+        points_world=points,
+        colors=np.tile(np.uint8(color), (len(points), 1)),
+        box=gravity_aligned_box(points, VOXEL_M),
+        r_area=r_area,
+        r_depth=r_depth,
+        is_cut=False,
+    )
+
+
+def track(track_id: int, points: NDArray[np.float32], *, sightings: int = 3, phase: Phase = Phase.ACTIVE) -> Track:
+    """A track that was seen at these points, each of them in every one of its keyframes; last at clock 0."""
+    cloud = cloud_of(points, np.full((len(points), 3), 100, dtype=np.uint8), VOXEL_M)
+    cloud = replace(cloud, hits=cloud.hits * sightings)
+    return Track(
+        id=track_id,
+        phase=phase,
+        sightings=sightings,
+        first_seen_ns=0,
+        last_seen_ns=0,
+        seen_clock_ns=0,
+        cloud=cloud,
+        solid=cloud,
+        box=gravity_aligned_box(points, VOXEL_M),
+        bounds=bounds_of(points),
+    )
+
+
+def view(frame_index: int, *, score: float | None = None, r_area: float = 0.05, r_depth: float = 0.9) -> View:
+    return View(
+        object_id=1,
+        frame_index=frame_index,
+        stamp_ns=frame_index * SECOND_NS,
+        box_px=(0, 0, 16, 12),
+        world_from_camera=np.eye(4),
+        r_area=r_area,
+        r_depth=r_depth,
+        box_volume_m3=0.01,
+        score=score,
+        variance=None,
+        feature=None,
+    )
+
+
+def camera_at(angle_rad: float, distance_m: float = 3.0) -> NDArray[np.float64]:
+    """world_from_camera of a camera on a circle around the origin; only its place matters to the core."""
+    return from_rotation_translation(
+        np.eye(3), distance_m * np.array([np.cos(angle_rad), np.sin(angle_rad), 0.4])
+    )
+
+
+def space(
+    free: NDArray[np.int64] | None = None, structure: NDArray[np.int64] | None = None, floor_z_m: float | None = None
+) -> SpaceObservation:
+    none = np.zeros(0, dtype=np.int64)
+    return SpaceObservation(
+        free_keys=none if free is None else np.unique(free),
+        structure_keys=none if structure is None else np.unique(structure),
+        floor_z_m=floor_z_m,
+    )
+
+
+def keyframe(
+    frame_index: int,
+    observations: Iterable[Observation],
+    *,
+    stamp_ns: int | None = None,
+    seen: SpaceObservation | None = None,
+    angle_rad: float = 0.0,
+) -> FrameObserved:
+    """A keyframe, by default one per second."""
+    return FrameObserved(
+        frame_index=frame_index,
+        stamp_ns=frame_index * SECOND_NS if stamp_ns is None else stamp_ns,
+        world_from_camera=camera_at(angle_rad),
+        observations=tuple(observations),
+        space=seen or space(),
+    )
+
+
+def feature(index: int, variance: float) -> MaskFeature:
+    pooled = np.zeros(4, dtype=np.float32)
+    pooled[index % 4] = 1.0
+    return MaskFeature(observation_index=index, variance=variance, pooled=pooled)
+
+
+def shape(ticket: int) -> ObjectShape:
+    unit = Superquadrics(exponents=np.ones((1, 2)), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
+    return ObjectShape(
+        revision=ticket,
+        reconstructor="fused",
+        mesh_name=f"{ticket:06d}.glb",
+        mesh_sha256="0" * 64,
+        world_from_object=np.eye(4),
+        fitted=unit,
+        inflated=unit,
+        seen_share=np.ones(1),
+        containment=Containment(num_checked=10, num_outside=0, max_g=0.9),
+    )
+
+
+def shape_ready(ticket: int, object_id: int) -> ShapeReady:
+    return ShapeReady(ticket=ticket, object_id=object_id, stamp_ns=0, shape=shape(ticket))
+
+
+def drive(
+    core: MapperCore, events: Sequence[Event], variance_of: Callable[[int, int], float] = lambda frame, index: 0.5
+) -> list[Effect]:
+    """Hand events to a core, answer every `ComputeFeatures` at once, and return all effects."""
+    effects: list[Effect] = []
+    for event in events:
+        effects += core.handle(event)
+        if effects and isinstance(effects[-1], ComputeFeatures):
+            asked = effects[-1]
+            features = tuple(feature(i, variance_of(asked.frame_index, i)) for i in asked.observation_indices)
+            effects += core.handle(FeaturesReady(frame_index=asked.frame_index, features=features))
+    return effects
+
+
+def told(effects: Iterable[Effect]) -> list[tuple[object, ...]]:
+    """Effects as short tuples, to be compared as a list."""
+    short: list[tuple[object, ...]] = []
+    for effect in effects:
+        match effect:
+            case ComputeFeatures():
+                short.append(("features", effect.frame_index, effect.observation_indices))
+            case KeepView():
+                short.append(("keep", effect.view.object_id, effect.view.frame_index))
+            case DropView():
+                short.append(("drop", int(effect.name.split("-")[0])))
+            case RequestShape():
+                short.append(("request", effect.ticket, effect.object_id))
+            case CancelShape():
+                short.append(("cancel", effect.ticket))
+            case Publish():
+                short.append(("publish", tuple((o.id, str(o.phase)) for o in effect.snapshot.objects)))
+    return short

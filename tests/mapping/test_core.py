@@ -1,0 +1,422 @@
+"""The core as a table of events and effects, compared as lists."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.events import (
+    CancelShape,
+    ComputeFeatures,
+    Effect,
+    Event,
+    FeaturesReady,
+    FrameObserved,
+    KeepView,
+    Publish,
+    RequestShape,
+    ShapeFailed,
+    SourceEnded,
+    TimeJumped,
+)
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.lifecycle import LifecycleConfig
+from hickory_stream.mapping.merge import MergeConfig
+from hickory_stream.mapping.requests import RequestConfig
+from hickory_stream.mapping.track import TrackConfig
+from hickory_stream.mapping.views import Strategy, ViewConfig
+from hickory_stream.records import MapSnapshot, Observation, Phase, RejectedMask, TrackedObject
+from tests.mapping.mapping_fixtures import (
+    SECOND_NS,
+    VOXEL_M,
+    box_surface,
+    drive,
+    feature,
+    keyframe,
+    observation,
+    shape_ready,
+    space,
+    told,
+)
+from tests.strategies import unit_share
+
+CONFIG = MappingConfig(
+    track=TrackConfig(voxel_m=VOXEL_M),
+    lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=4),
+    merge=MergeConfig(min_votes=3),
+    requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5),
+)
+# Off the border between two of the eight sectors.
+ANGLE_RAD = 0.3
+A, B = box_surface((0, 0, 0.1)), box_surface((0.6, 0, 0.1))
+# Two halves of a chest, side by side, and the whole of it.
+LEFT, RIGHT = box_surface((0, 0, 0.1)), box_surface((0.2, 0, 0.1))
+WHOLE = box_surface((0.1, 0, 0.1), (0.4, 0.2, 0.2))
+
+
+def both(area_a: float = 0.05, area_b: float = 0.05) -> tuple[Observation, Observation]:
+    return observation(0, A, r_area=area_a), observation(1, B, r_area=area_b)
+
+
+def frame(frame_index: int, *seen: Observation, stamp_s: float | None = None) -> FrameObserved:
+    stamp_ns = None if stamp_s is None else round(stamp_s * SECOND_NS)
+    return keyframe(frame_index, seen, stamp_ns=stamp_ns, angle_rad=ANGLE_RAD)
+
+
+def last_publish(effects: list[Effect]) -> Publish:
+    assert isinstance(effects[-1], Publish)
+    return effects[-1]
+
+
+def by_id(snapshot: MapSnapshot) -> dict[int, TrackedObject]:
+    return {tracked.id: tracked for tracked in snapshot.objects}
+
+
+def requests(effects: list[Effect]) -> list[RequestShape]:
+    return [effect for effect in effects if isinstance(effect, RequestShape)]
+
+
+def kinds(effects: list[Effect], object_id: int) -> list[str]:
+    return [d.kind for e in effects if isinstance(e, Publish) for d in e.decisions if d.object_id == object_id]
+
+
+# ---- the script -----------------------------------------------------------------------------------------------------
+
+
+def test_two_boxes_seen_over_several_keyframes_give_these_effects_in_this_order() -> None:
+    core = MapperCore(CONFIG)
+    variances = {(0, 0): 0.5, (0, 1): 0.5, (1, 1): 0.4, (2, 0): 0.5}
+
+    def step(*events: Event) -> list[tuple[object, ...]]:
+        return told(drive(core, events, lambda f, i: variances[f, i]))
+
+    # New: both have no best view, so that both bounds win; both are the first of their sector.
+    assert step(frame(0, *both())) == [
+        ("keep", 1, 0),
+        ("keep", 2, 0),
+        ("features", 0, (0, 1)),
+        ("publish", ((1, "tentative"), (2, "tentative"))),
+    ]
+    # A tenth of the area: 0.1^0.3 = 0.50 < ln 1.5 / ln 2 = 0.58, the bound of A loses. B's wins, its score does not.
+    assert step(frame(1, *both(area_a=0.005))) == [
+        ("features", 1, (1,)),
+        ("publish", ((1, "tentative"), (2, "tentative"))),
+    ]
+    # Confirmed. A is four times as large: best, and kept for its sector, so that the first view of it goes.
+    assert step(frame(2, *both(area_a=0.2, area_b=0.005))) == [
+        ("keep", 1, 2),
+        ("features", 2, (0,)),
+        ("request", 1, 1),
+        ("request", 2, 2),
+        ("drop", 0),
+        ("publish", ((1, "active"), (2, "active"))),
+    ]
+    assert step(shape_ready(1, 1)) == []
+    assert step(ShapeFailed(ticket=2, object_id=2, stamp_ns=0, reason="no points")) == []
+    assert step(frame(3)) == [("publish", ((1, "active"), (2, "active")))]
+    assert step(frame(8)) == [("publish", ((1, "dormant"), (2, "dormant")))]
+    assert step(frame(9, observation(0, A, r_area=0.005))) == [("publish", ((1, "active"), (2, "dormant")))]
+    assert step(TimeJumped(from_ns=9 * SECOND_NS, to_ns=0)) == []
+    assert step(SourceEnded(stamp_ns=0)) == [("request", 3, 2), ("publish", ((1, "active"), (2, "dormant")))]
+
+
+def test_every_decision_of_the_script_is_told_with_its_reason() -> None:
+    core = MapperCore(CONFIG)
+    effects = drive(core, [frame(i, *both()) for i in range(3)])
+    assert kinds(effects, 1) == ["create", "view", "associate", "view", "associate", "phase", "view", "shape"]
+    rejected = replace(frame(3), rejected=(RejectedMask(box_px=(1, 2, 3, 4), reason="too small"),))
+    (decision,) = last_publish(drive(core, [rejected])).decisions
+    assert (decision.kind, decision.object_id) == ("reject", None)
+    assert "too small" in decision.text
+
+
+def test_the_objects_of_the_observations_are_told_in_their_order() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(0, *both())])
+    swapped = [observation(0, B), observation(1, A), observation(2, box_surface((3, 0, 0.1)))]
+    assert last_publish(drive(core, [frame(1, *swapped)])).object_ids == (2, 1, 3)
+
+
+def test_a_request_carries_what_the_job_needs() -> None:
+    core = MapperCore(CONFIG)
+    events = [replace(frame(i, *both()), space=space(floor_z_m=0.0)) for i in range(3)]
+    request = requests(drive(core, events, lambda f, i: 0.1 * (f + 1)))[0]
+    tracked = core.snapshot().objects[0]
+    assert request.due_ns == 2 * SECOND_NS + round(1.5 * SECOND_NS)
+    assert request.views[0].name == tracked.best_view.name
+    assert {view.name for view in request.views} == {view.name for view in tracked.views}
+    assert np.array_equal(request.points_world, tracked.points_world)
+    assert not request.points_world.flags.writeable
+    assert request.support_z_m == 0.0
+
+
+# ---- shapes -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_shape_that_is_ready_is_in_the_next_snapshot() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, *both()) for i in range(3)])
+    assert core.handle(shape_ready(2, 2)) == []
+    assert {i: o.shape is not None for i, o in by_id(core.snapshot()).items()} == {1: False, 2: True}
+
+
+@pytest.mark.parametrize(("ticket", "object_id"), [(99, 1), (2, 1), (1, 77)], ids=["unknown", "another's", "gone"])
+def test_the_shape_of_a_ticket_that_is_not_open_is_ignored(ticket: int, object_id: int) -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, *both()) for i in range(3)])
+    before = map_digest(core.snapshot())
+    assert core.handle(shape_ready(ticket, object_id)) == []
+    assert map_digest(core.snapshot()) == before
+
+
+def test_a_ticket_ends_once() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, *both()) for i in range(3)])
+    core.handle(ShapeFailed(ticket=1, object_id=1, stamp_ns=0, reason="nothing"))
+    core.handle(shape_ready(1, 1))
+    assert by_id(core.snapshot())[1].shape is None
+
+
+# ---- merging ------------------------------------------------------------------------------------------------------------
+
+
+def halves(core: MapperCore) -> list[Effect]:
+    """Three keyframes that see the halves one at a time, and so never apart; both get a shape job."""
+    return drive(core, [frame(i, observation(0, LEFT if i % 2 == 0 else RIGHT)) for i in range(6)])
+
+
+def test_a_single_frame_that_covers_two_tracks_does_not_weld_them() -> None:
+    core = MapperCore(CONFIG)
+    halves(core)
+    before = by_id(core.snapshot())
+    drive(core, [frame(6, observation(0, WHOLE))])
+    after = by_id(core.snapshot())
+    assert list(after) == [1, 2]
+    for i in (1, 2):
+        assert after[i].box.volume_m3 < 1.3 * before[i].box.volume_m3
+
+
+def test_halves_that_are_seen_as_one_often_enough_become_one_and_the_open_job_of_the_gone_one_is_cancelled() -> None:
+    core = MapperCore(CONFIG)
+    tickets = {request.object_id: request.ticket for request in requests(halves(core))}
+    assert set(tickets) == {1, 2}
+    effects = drive(core, [frame(6 + i, observation(0, WHOLE)) for i in range(3)])
+    assert [effect for effect in effects if isinstance(effect, CancelShape)] == [CancelShape(ticket=tickets[2])]
+    (one,) = core.snapshot().objects
+    assert (one.id, one.merged_ids, one.phase) == (1, (2,), Phase.ACTIVE)
+    assert one.box.contains(WHOLE, VOXEL_M).all()
+    assert core.handle(shape_ready(tickets[2], 2)) == []
+    assert core.snapshot().objects[0].shape is None
+    core.handle(shape_ready(tickets[1], 1))
+    assert core.snapshot().objects[0].shape is not None
+
+
+def test_halves_that_were_seen_apart_as_often_as_together_stay_two() -> None:
+    core = MapperCore(CONFIG)
+    apart = [frame(i, observation(0, LEFT), observation(1, RIGHT)) for i in range(5)]
+    drive(core, [*apart, *[frame(5 + i, observation(0, WHOLE)) for i in range(5)]])
+    assert [tracked.id for tracked in core.snapshot().objects] == [1, 2]
+
+
+def test_the_history_of_a_duplicate_goes_on_in_the_track_that_stays() -> None:
+    core = MapperCore(CONFIG)
+    half = A[A[:, 0] < -0.06]
+    rest = A[A[:, 0] > 0.06]
+    drive(core, [frame(0, observation(0, half)), frame(1, observation(0, rest)), frame(2, observation(0, A))])
+    # The whole is matched to neither half by its box alone; once it is seen again and again, all is one.
+    effects = drive(core, [frame(3 + i, observation(0, A)) for i in range(5)])
+    (one,) = core.snapshot().objects
+    assert one.first_seen_ns == 0
+    assert one.last_seen_ns == 7 * SECOND_NS
+    assert {one.id, *one.merged_ids} == set(range(1, 2 + len(one.merged_ids)))
+    assert {view.object_id for view in one.views} == {one.id}
+    assert last_publish(effects).object_ids == (one.id,)
+
+
+# ---- what goes, and what comes back ---------------------------------------------------------------------------------------
+
+
+def test_an_object_comes_back_under_its_own_id_after_it_was_dormant_and_archived() -> None:
+    core = MapperCore(replace(CONFIG, lifecycle=replace(CONFIG.lifecycle, archive_s=20.0)))
+    drive(core, [frame(i, observation(0, A)) for i in range(3)])
+    phases = []
+    for i, seen in [(9, ()), (10, (observation(0, A),)), (40, ()), (41, (observation(0, A),))]:
+        drive(core, [frame(i, *seen)])
+        phases += [(tracked.id, str(tracked.phase)) for tracked in core.snapshot().objects]
+    assert phases == [(1, "dormant"), (1, "active"), (1, "archived"), (1, "active")]
+
+
+def looked_through(frame_index: int) -> FrameObserved:
+    free = keys_of_points(np.concatenate([A, A + np.float32(0.01)]), CONFIG.space_voxel_m)
+    return replace(frame(frame_index), space=space(free=free))
+
+
+def test_an_object_is_dropped_when_keyframes_look_through_its_place_and_its_open_job_is_cancelled() -> None:
+    core = MapperCore(CONFIG)
+    (request,) = requests(drive(core, [frame(i, observation(0, A)) for i in range(3)]))
+    assert told(drive(core, [looked_through(i) for i in (3, 4, 5)])) == [("publish", ((1, "active"),))] * 3
+    effects = drive(core, [looked_through(6)])
+    assert told(effects) == [("cancel", request.ticket), ("drop", 0), ("publish", ())]
+    assert kinds(effects, 1) == ["drop"]
+
+
+def test_an_object_that_is_seen_again_was_not_looked_through() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, observation(0, A)) for i in range(3)])
+    for i in range(3, 12, 3):
+        drive(core, [looked_through(i), looked_through(i + 1), frame(i + 2, observation(0, A))])
+    assert [tracked.id for tracked in core.snapshot().objects] == [1]
+
+
+def test_what_was_seen_once_and_never_again_is_dropped_with_its_view() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(0, observation(0, A))])
+    assert told(drive(core, [frame(8), frame(9)])) == [
+        ("publish", ((1, "tentative"),)),
+        ("drop", 0),
+        ("publish", ()),
+    ]
+
+
+def test_the_end_drops_what_is_tentative_and_asks_for_every_shape_that_is_missing() -> None:
+    core = MapperCore(replace(CONFIG, requests=replace(CONFIG.requests, first_sightings=99)))
+    places = [box_surface((0.6 * i, 0, 0.1)) for i in range(4)]
+    drive(core, [frame(i, *[observation(k, points) for k, points in enumerate(places)]) for i in range(3)])
+    drive(core, [frame(3, observation(0, box_surface((0, 3, 0.1))))])
+    assert told(core.handle(SourceEnded(stamp_ns=3 * SECOND_NS))) == [
+        *[("request", i, i) for i in (1, 2, 3, 4)],
+        ("drop", 3),
+        ("publish", tuple((i, "active") for i in (1, 2, 3, 4))),
+    ]
+
+
+def test_a_jump_of_the_stamps_keeps_the_map_and_the_clock_runs_on_from_where_it_was() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, observation(0, A), stamp_s=100 + i) for i in range(3)])
+    # Unseen for three seconds before the jump and for one and a half after it: dormant after more than four in all.
+    drive(core, [frame(3, stamp_s=105), TimeJumped(from_ns=105 * SECOND_NS, to_ns=0)])
+    assert told(drive(core, [frame(4, stamp_s=0), frame(5, stamp_s=0.9), frame(6, stamp_s=1.5)])) == [
+        ("publish", ((1, "active"),)),
+        ("publish", ((1, "active"),)),
+        ("publish", ((1, "dormant"),)),
+    ]
+    drive(core, [frame(7, observation(0, A), stamp_s=2)])
+    (tracked,) = core.snapshot().objects
+    assert (tracked.id, tracked.phase, tracked.sightings) == (1, Phase.ACTIVE, 4)
+
+
+def test_a_jump_far_ahead_does_not_age_the_map() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, observation(0, A)) for i in range(3)])
+    drive(core, [TimeJumped(from_ns=2 * SECOND_NS, to_ns=9999 * SECOND_NS), frame(3, stamp_s=9999)])
+    assert [tracked.phase for tracked in core.snapshot().objects] == [Phase.ACTIVE]
+
+
+# ---- events that do not fit -------------------------------------------------------------------------------------------------
+
+
+def test_features_that_were_not_asked_for_are_refused() -> None:
+    core = MapperCore(CONFIG)
+    with pytest.raises(ValueError, match="features of frame 3 were not asked for"):
+        core.handle(FeaturesReady(frame_index=3, features=()))
+    core.handle(frame(4, observation(0, A)))
+    with pytest.raises(ValueError, match="features of frame 3 were not asked for"):
+        core.handle(FeaturesReady(frame_index=3, features=(feature(0, 0.5),)))
+
+
+def test_a_keyframe_is_refused_while_features_are_pending() -> None:
+    core = MapperCore(CONFIG)
+    core.handle(frame(0, observation(0, A)))
+    with pytest.raises(ValueError, match="frame 1 came while features of 0 are pending"):
+        core.handle(frame(1))
+
+
+# ---- laws -------------------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=20)
+@given(
+    st.lists(st.tuples(unit_share, unit_share, unit_share, unit_share), min_size=1, max_size=8),
+    st.sampled_from(["s_score", "initial", "max_area"]),
+)
+def test_lazily_computed_features_give_the_best_views_that_all_features_would(
+    factors: list[tuple[float, float, float, float]], strategy: Strategy
+) -> None:
+    core = MapperCore(replace(CONFIG, views=ViewConfig(strategy=strategy)))
+    events, variances, scores = [], {}, {1: [], 2: []}
+    for i, (area_a, area_b, depth, variance) in enumerate(factors):
+        seen = [observation(0, A, r_area=area_a, r_depth=depth), observation(1, B, r_area=area_b, r_depth=1 - depth)]
+        events.append(frame(i, *seen))
+        for one, s in zip(seen, (variance, 1 - variance), strict=True):
+            variances[i, one.index] = s
+            all_scores = {
+                "s_score": math.log(1 + s) * one.r_area**0.3 * one.r_depth**0.5,
+                "initial": -i,
+                "max_area": one.r_area,
+            }
+            scores[one.index + 1].append(all_scores[strategy])
+    effects = drive(core, events, lambda f, i: variances[f, i])
+    num_computed = sum(len(e.observation_indices) for e in effects if isinstance(e, ComputeFeatures))
+    for tracked in core.snapshot().objects:
+        assert tracked.best_view is not None
+        best = max(scores[tracked.id])
+        assert tracked.best_view.score == pytest.approx(best, rel=1e-12, abs=1e-15)
+        first = next(i for i, s in enumerate(scores[tracked.id]) if s >= best * (1 - 1e-12 * np.sign(best)) - 1e-15)
+        assert tracked.best_view.frame_index == first
+    assert dict(last_publish(effects).metrics)["core/features_saved"] == pytest.approx(
+        1 - num_computed / (2 * len(factors))
+    )
+
+
+def test_a_view_that_becomes_best_is_kept_before_any_shape_is_asked_for_with_it() -> None:
+    core = MapperCore(CONFIG)
+    kept: set[str] = set()
+    for effect in drive(core, [frame(i, *both(0.05 + 0.02 * i, 0.05)) for i in range(12)], lambda f, i: 0.05 * f):
+        if isinstance(effect, KeepView):
+            kept.add(effect.view.name)
+        if isinstance(effect, RequestShape):
+            assert {view.name for view in effect.views} <= kept
+
+
+def test_the_same_events_give_the_same_snapshots_to_the_byte() -> None:
+    def run() -> list[str]:
+        rng = np.random.default_rng(11)
+        core = MapperCore(CONFIG)
+        digests = []
+        for i in range(8):
+            noise = rng.normal(0, 0.003, A.shape).astype(np.float32)
+            seen = [observation(0, A + noise, r_area=float(rng.random())), observation(1, B - noise)]
+            effects = drive(core, [frame(i, *seen)], lambda f, i: 0.1 + 0.1 * ((f + i) % 5))
+            for request in requests(effects):
+                drive(core, [shape_ready(request.ticket, request.object_id)])
+            digests.append(map_digest(core.snapshot()))
+        return digests
+
+    assert run() == run()
+
+
+def test_looking_at_the_same_things_for_ever_does_not_grow_the_map() -> None:
+    core = MapperCore(CONFIG)
+
+    def size_after(frames: range) -> tuple[int, ...]:
+        last = last_publish(drive(core, [frame(i, *both()) for i in frames]))
+        num_points = sum(len(tracked.points_world) for tracked in last.snapshot.objects)
+        num_views = sum(len(tracked.views) for tracked in last.snapshot.objects)
+        return len(last.snapshot.objects), num_points, num_views, len(last.decisions)
+
+    assert size_after(range(20)) == size_after(range(20, 80))
+
+
+def test_a_track_keeps_at_most_one_view_for_each_of_eight_directions_and_its_best() -> None:
+    core = MapperCore(CONFIG)
+    rng = np.random.default_rng(3)
+    for i in range(60):
+        seen = observation(0, A, r_area=float(rng.uniform(0.01, 0.4)))
+        drive(core, [keyframe(i, [seen], angle_rad=0.37 * i)], lambda f, i: (f * 7 % 10) / 10)
+    (tracked,) = core.snapshot().objects
+    assert len(tracked.views) <= 8 + 1

@@ -1,0 +1,231 @@
+"""Merging: duplicates become one with both histories, and one bad frame welds nothing."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.mapping.cloud import Cloud, cloud_of
+from hickory_stream.mapping.merge import MergeConfig, VoteBook, Votes, find_pair, foreign_points, merge
+from hickory_stream.mapping.track import Track, TrackConfig
+from hickory_stream.mapping.views import ViewConfig
+from hickory_stream.records import Phase
+from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, shape, track, view
+
+CONFIG = MergeConfig()
+TRACKS = TrackConfig(voxel_m=VOXEL_M)
+VIEWS = ViewConfig()
+
+pairs = st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair[0] != pair[1])
+
+
+@st.composite
+def vote_books(draw: st.DrawFn) -> VoteBook:
+    book = VoteBook()
+    for pair in draw(st.lists(pairs, max_size=12)):
+        book = book.plus([pair], together=draw(st.integers(0, 3)), apart=draw(st.integers(0, 3)))
+    return book
+
+
+def cloud(points: np.ndarray) -> Cloud:
+    return cloud_of(points, np.zeros((len(points), 3), dtype=np.uint8), VOXEL_M)
+
+
+def found(book: VoteBook, *tracks: Track) -> tuple[int, int] | None:
+    known: Mapping[int, Track] = {t.id: t for t in tracks}
+    pair = find_pair(known, known, book, CONFIG)
+    return pair[:2] if pair is not None else None
+
+
+# ---- votes ----------------------------------------------------------------------------------------------------------
+
+
+@given(vote_books(), pairs)
+def test_the_votes_of_a_pair_do_not_depend_on_its_order(book: VoteBook, pair: tuple[int, int]) -> None:
+    assert book.of(*pair) == book.of(*reversed(pair))
+
+
+@given(vote_books(), pairs, st.integers(0, 3), st.integers(0, 3))
+def test_a_vote_counts_for_its_pair_alone(book: VoteBook, pair: tuple[int, int], together: int, apart: int) -> None:
+    after = book.plus([pair], together=together, apart=apart)
+    for a in range(1, 6):
+        for b in range(a + 1, 6):
+            more = (together, apart) if {a, b} == set(pair) else (0, 0)
+            before = book.of(a, b)
+            assert after.of(a, b) == Votes(before.together + more[0], before.apart + more[1])
+
+
+@given(vote_books(), pairs)
+def test_after_a_merge_the_kept_track_has_the_votes_of_both_and_the_gone_one_none(
+    book: VoteBook, pair: tuple[int, int]
+) -> None:
+    kept, gone = pair
+    after = book.merged(kept, gone)
+    for other in set(range(1, 6)) - {kept, gone}:
+        mine, theirs = book.of(kept, other), book.of(gone, other)
+        assert after.of(kept, other) == Votes(mine.together + theirs.together, mine.apart + theirs.apart)
+    assert after.of(kept, gone) == Votes()
+    assert not any(gone in known for known in after.votes)
+
+
+@given(vote_books(), st.integers(1, 5))
+def test_a_dropped_track_leaves_no_votes_and_takes_no_others(book: VoteBook, gone: int) -> None:
+    after = book.without(gone)
+    assert not any(gone in known for known in after.votes)
+    assert all(after.votes[known] == votes for known, votes in book.votes.items() if gone not in known)
+
+
+# ---- what is a duplicate ----------------------------------------------------------------------------------------------
+
+
+def test_tracks_whose_points_coincide_are_one_and_the_lower_id_stays() -> None:
+    points = box_surface((0, 0, 0.1))
+    assert found(VoteBook(), track(8, points), track(3, points)) == (3, 8)
+
+
+def test_a_piece_that_lies_on_a_larger_track_is_that_track() -> None:
+    table = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04))
+    assert found(VoteBook(), track(1, table), track(2, table[table[:, 0] > 0.3])) == (1, 2)
+
+
+def test_tracks_that_are_apart_or_side_by_side_are_two() -> None:
+    box = track(1, box_surface((0, 0, 0.1)))
+    assert found(VoteBook(), box, track(2, box_surface((1, 0, 0.1)))) is None
+    assert found(VoteBook(), box, track(2, box_surface((0.23, 0, 0.1)))) is None
+
+
+def test_a_mug_on_a_table_is_not_the_table() -> None:
+    table, mug = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04)), box_surface((0.2, 0.1, 0.775), (0.08, 0.08, 0.1))
+    assert found(VoteBook(), track(1, table), track(2, mug)) is None
+
+
+@pytest.mark.parametrize(
+    ("together", "apart", "verdict"),
+    [(2, 0, None), (3, 0, (1, 2)), (3, 2, (1, 2)), (3, 3, None), (3, 9, None), (10, 9, (1, 2)), (0, 0, None)],
+)
+def test_pieces_are_one_when_they_were_seen_as_one_often_enough_and_more_often_than_apart(
+    together: int, apart: int, verdict: tuple[int, int] | None
+) -> None:
+    book = VoteBook().plus([(1, 2)], together=together, apart=apart)
+    pieces = track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.21, 0, 0.1)))
+    assert found(book, *pieces) == verdict
+
+
+def test_votes_of_things_that_do_not_even_touch_weld_nothing() -> None:
+    book = VoteBook().plus([(1, 2)], together=50)
+    assert found(book, track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.6, 0, 0.1)))) is None
+
+
+def test_what_was_seen_apart_needs_more_overlap_to_be_one() -> None:
+    # Two sheets of equal size, one voxel thick: about six tenths of either lie on the other, between the two limits.
+    sheet = np.stack(np.meshgrid(np.arange(50), np.arange(20), [0.5]), axis=-1).reshape(-1, 3) * VOXEL_M
+    shifted = sheet + np.array([20 * VOXEL_M, 0, 0])
+    assert CONFIG.duplicate_share < 30 / 50 < 31 / 50 < CONFIG.sure_share
+    sheets = [track(i, (points + VOXEL_M / 2).astype(np.float32)) for i, points in ((1, sheet), (2, shifted))]
+    assert found(VoteBook(), *sheets) == (1, 2)
+    assert found(VoteBook().plus([(1, 2)], apart=1), *sheets) is None
+    assert found(VoteBook().plus([(1, 2)], apart=1, together=1), *sheets) == (1, 2)
+
+
+def test_only_pairs_with_a_changed_track_are_looked_at() -> None:
+    points = box_surface((0, 0, 0.1))
+    known = {1: track(1, points), 2: track(2, points), 3: track(3, box_surface((2, 0, 0.1)))}
+    assert find_pair(known, [3], VoteBook(), CONFIG) is None
+    assert find_pair(known, [2, 99], VoteBook(), CONFIG) is not None
+
+
+# ---- points of others ---------------------------------------------------------------------------------------------------
+
+
+def test_points_on_another_track_are_foreign_and_a_track_that_is_covered_is_named() -> None:
+    left, right = box_surface((0, 0, 0.1)), box_surface((0.24, 0, 0.1))
+    seen = cloud(np.concatenate([left, right]))
+    foreign, covered = foreign_points(seen, track(1, left), [track(2, right)], CONFIG)
+    assert covered == [2]
+    assert (seen.points[foreign][:, 0] > 0.12).all()
+    assert foreign.sum() > 0.8 * (seen.points[:, 0] > 0.14).sum()
+
+
+def test_points_that_lie_on_the_own_track_too_stay() -> None:
+    points = box_surface((0, 0, 0.1))
+    foreign, covered = foreign_points(cloud(points), track(1, points), [track(2, points)], CONFIG)
+    assert not foreign.any()
+    assert covered == [2]
+
+
+def test_a_track_that_is_only_brushed_is_not_covered() -> None:
+    vase, table = box_surface((0, 0, 0.2), (0.08, 0.08, 0.4)), box_surface((0, 0, -0.02), (1.2, 0.8, 0.04))
+    _, covered = foreign_points(cloud(vase), track(1, vase), [track(2, table)], CONFIG)
+    # The vase's lowest cells are beside the table's: less than a third of it.
+    assert covered == []
+
+
+def test_nothing_is_foreign_where_no_other_track_is() -> None:
+    points = box_surface((0, 0, 0.1))
+    foreign, covered = foreign_points(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))], CONFIG)
+    assert not foreign.any()
+    assert covered == []
+
+
+# ---- one track with both histories ------------------------------------------------------------------------------------
+
+
+def two_tracks() -> tuple[Track, Track]:
+    kept = replace(
+        track(1, box_surface((0, 0, 0.1)), sightings=4),
+        first_seen_ns=3 * SECOND_NS,
+        last_seen_ns=9 * SECOND_NS,
+        seen_clock_ns=6,
+        coverage=((2, view(3)),),
+        best_view=view(4, score=0.3),
+        merged_ids=(7,),
+        seen_through=2,
+    )
+    gone = replace(
+        track(5, box_surface((0.1, 0, 0.1)), sightings=9, phase=Phase.DORMANT),
+        first_seen_ns=1 * SECOND_NS,
+        last_seen_ns=5 * SECOND_NS,
+        seen_clock_ns=2,
+        coverage=((0, view(5)), (2, view(6, r_area=0.9))),
+        best_view=view(6, score=0.5, r_area=0.9),
+        shape=shape(3),
+        merged_ids=(6,),
+        seen_through=1,
+    )
+    return kept, gone
+
+
+def test_a_merged_track_was_seen_first_and_last_when_either_was_and_remembers_every_id() -> None:
+    kept, gone = two_tracks()
+    one = merge(kept, gone, TRACKS, VIEWS)
+    assert (one.id, one.merged_ids) == (1, (5, 6, 7))
+    assert (one.first_seen_ns, one.last_seen_ns) == (1 * SECOND_NS, 9 * SECOND_NS)
+    assert (one.seen_clock_ns, one.seen_through) == (6, 1)
+
+
+def test_a_merged_track_has_the_points_of_both_in_its_cloud_and_its_box() -> None:
+    kept, gone = two_tracks()
+    one = merge(kept, gone, TRACKS, VIEWS)
+    assert np.array_equal(one.cloud.keys, np.union1d(kept.cloud.keys, gone.cloud.keys))
+    assert one.box.contains(one.cloud.points, VOXEL_M).all()
+
+
+def test_a_merged_track_has_the_better_best_view_and_the_better_view_of_every_sector_under_its_own_id() -> None:
+    kept, gone = two_tracks()
+    one = merge(kept, gone, TRACKS, VIEWS)
+    assert one.best_view is not None
+    assert (one.best_view.frame_index, one.best_view.score, one.best_view.object_id) == (6, 0.5, 1)
+    assert [(sector, kept_view.frame_index) for sector, kept_view in one.coverage] == [(0, 5), (2, 6)]
+    assert {kept_view.object_id for kept_view in one.views} == {1}
+
+
+def test_a_merged_track_has_the_shape_that_there_is_and_the_phase_of_the_one_seen_more() -> None:
+    kept, gone = two_tracks()
+    one = merge(kept, gone, TRACKS, VIEWS)
+    assert one.shape is gone.shape
+    assert one.phase is Phase.DORMANT
+    mine = shape(9)
+    assert merge(replace(kept, shape=mine), gone, TRACKS, VIEWS).shape is mine

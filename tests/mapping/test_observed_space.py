@@ -1,0 +1,80 @@
+"""What is known of space: free, structure, and the floor."""
+
+from functools import reduce
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.mapping.observed_space import SpaceState, add, as_record, empty_space
+from hickory_stream.records import SpaceObservation
+from tests.mapping.mapping_fixtures import space
+
+key_sets = st.lists(st.integers(0, 30), max_size=20, unique=True).map(lambda keys: np.array(sorted(keys), np.int64))
+observed = st.builds(space, key_sets, key_sets, st.none())
+
+
+def after(*seen: SpaceObservation) -> SpaceState:
+    return reduce(add, seen, empty_space(0.05))
+
+
+def keys(*values: int) -> np.ndarray:
+    return np.array(values, dtype=np.int64)
+
+
+def test_structure_needs_to_be_seen_twice() -> None:
+    once = space(structure=keys(4, 9))
+    assert as_record(after(once)).structure.tolist() == []
+    assert as_record(after(once, space(structure=keys(9)))).structure.tolist() == [9]
+
+
+def test_what_is_surely_structure_is_not_free_however_often_rays_passed() -> None:
+    through = space(free=keys(1, 2, 3))
+    wall = space(structure=keys(2))
+    assert as_record(after(through, wall)).free.tolist() == [1, 2, 3]
+    record = as_record(after(through, wall, wall, through, through))
+    assert record.free.tolist() == [1, 3]
+    assert record.structure.tolist() == [2]
+
+
+@given(st.lists(observed, max_size=6))
+def test_the_space_is_what_counting_in_sets_gives_in_sorted_order(frames: list[SpaceObservation]) -> None:
+    record = as_record(after(*frames))
+    counts = np.zeros(31, dtype=int)
+    for frame in frames:
+        counts[frame.structure_keys] += 1
+    structure = set(np.flatnonzero(counts >= 2).tolist())
+    free = {int(key) for frame in frames for key in frame.free_keys} - structure
+    assert record.structure.tolist() == sorted(structure)
+    assert record.free.tolist() == sorted(free)
+
+
+@given(st.lists(observed, max_size=5), st.randoms(use_true_random=False))
+def test_the_order_of_the_keyframes_does_not_change_the_space(frames: list[SpaceObservation], random: object) -> None:
+    shuffled = list(frames)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    one, other = as_record(after(*frames)), as_record(after(*shuffled))
+    assert np.array_equal(one.free, other.free)
+    assert np.array_equal(one.structure, other.structure)
+
+
+def test_looking_at_the_same_place_for_ever_neither_grows_nor_overflows() -> None:
+    frame = space(free=keys(1, 2), structure=keys(7))
+    record = as_record(after(*[frame] * 600))
+    assert (record.free.tolist(), record.structure.tolist()) == ([1, 2], [7])
+
+
+def test_the_floor_goes_down_at_once_and_up_slowly() -> None:
+    def floor(*heights: float | None) -> float | None:
+        return after(*(space(floor_z_m=z) for z in heights)).floor_z_m
+
+    assert floor() is None
+    assert floor(None, None) is None
+    assert floor(0.7, None) == 0.7
+    # A table top was taken for the floor until the floor came into sight.
+    assert floor(0.7, 0.0) == 0.0
+    risen = floor(0.0, 0.7)
+    assert risen is not None
+    assert 0.0 < risen < 0.35
+    assert floor(*[0.0] * 3, *[0.02] * 60) == pytest.approx(0.02, abs=1e-3)

@@ -1,0 +1,144 @@
+"""Which shapes are asked for, and what an object stands on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
+from hickory_stream.mapping.track import ShapeState, Track
+from hickory_stream.records import Phase
+from tests.mapping.mapping_fixtures import SECOND_NS, box_surface, shape, track, view
+
+CONFIG = RequestConfig(
+    max_in_flight=2, first_sightings=5, min_gain=0.9, final_gain=0.15, interval_s=6.0, max_failures=2
+)
+POINTS = box_surface((0, 0, 0.1))
+
+
+def seen(track_id: int, *, num_views: int = 2, sightings: int = 9) -> Track:
+    """A confirmed track that has no shape yet."""
+    coverage = tuple((i, view(10 * track_id + i)) for i in range(num_views))
+    return replace(track(track_id, POINTS, sightings=sightings), coverage=coverage)
+
+
+def built(track_id: int, *, new_views: int = 0, asked_s: float = 0.0) -> Track:
+    """A track with a shape of two views, and views that are new since."""
+    bare = seen(track_id, num_views=2 + new_views)
+    asked = ShapeState(
+        asked_clock_ns=round(asked_s * SECOND_NS),
+        asked_points=len(bare.solid.keys),
+        asked_views=tuple(v.name for v in bare.views[:2]),
+    )
+    return replace(bare, shape=shape(1), shape_state=asked)
+
+
+def failed(bare: Track, failures: int) -> Track:
+    state = ShapeState(asked_views=tuple(v.name for v in bare.views), asked_points=1, failures=failures)
+    return replace(bare, shape_state=state)
+
+
+def asked(*tracks: Track, num_open: int = 0, clock_s: float = 100, is_final: bool = False) -> list[int]:
+    known = {t.id: t for t in tracks}
+    return next_requests(known, num_open, round(clock_s * SECOND_NS), is_final=is_final, config=CONFIG)
+
+
+def test_first_shapes_come_before_renewals_and_lower_ids_before_higher() -> None:
+    assert asked(built(1, new_views=30), seen(4), seen(2)) == [2, 4]
+    assert asked(built(1, new_views=30), seen(4)) == [4, 1]
+
+
+def test_no_more_jobs_are_open_than_allowed() -> None:
+    tracks = [seen(i) for i in range(1, 6)]
+    assert asked(*tracks) == [1, 2]
+    assert asked(*tracks, num_open=1) == [1]
+    assert asked(*tracks, num_open=2) == []
+    assert asked(*tracks, num_open=7) == []
+
+
+def test_an_object_with_an_open_job_is_not_asked_for_again() -> None:
+    assert asked(replace(seen(1), shape_state=ShapeState(open_ticket=4))) == []
+    assert asked(replace(seen(1), shape_state=ShapeState(open_ticket=4)), is_final=True) == []
+
+
+def test_a_shape_is_asked_for_once_an_object_is_confirmed_has_a_view_and_was_seen_often_enough() -> None:
+    assert asked(seen(1, sightings=5)) == [1]
+    assert asked(seen(1, sightings=4)) == []
+    assert asked(seen(1, num_views=0)) == []
+    assert asked(replace(seen(1), phase=Phase.TENTATIVE)) == []
+
+
+@pytest.mark.parametrize("phase", [Phase.ACTIVE, Phase.DORMANT, Phase.ARCHIVED])
+def test_at_the_end_every_confirmed_object_without_shape_is_asked_for_at_once(phase: Phase) -> None:
+    tracks = [replace(seen(i, sightings=3), phase=phase) for i in range(1, 8)]
+    assert asked(*tracks, num_open=2, is_final=True) == [1, 2, 3, 4, 5, 6, 7]
+
+
+def test_a_shape_is_renewed_when_enough_is_new_and_the_last_request_is_old() -> None:
+    assert asked(built(1, new_views=30)) == [1]
+    assert asked(built(1, new_views=1)) == []
+    assert asked(built(1, new_views=30, asked_s=95)) == []
+    assert asked(built(1, new_views=30, asked_s=94)) == [1]
+
+
+def test_at_the_end_less_is_enough_to_renew_a_shape_but_not_nothing() -> None:
+    assert asked(built(1, new_views=1), is_final=True) == [1]
+    assert asked(built(1), is_final=True) == []
+
+
+def test_the_gain_is_the_share_of_new_views_and_of_new_surface() -> None:
+    assert gain_of(built(1)) == 0.0
+    assert gain_of(built(1, new_views=2)) == pytest.approx(0.5)
+    half_known = built(1)
+    half_known = replace(
+        half_known, shape_state=replace(half_known.shape_state, asked_points=len(half_known.solid.keys) / 1.5)
+    )
+    assert gain_of(half_known) == pytest.approx(0.5)
+    assert gain_of(seen(1)) > gain_of(built(1, new_views=1000))
+
+
+def test_an_object_whose_shape_failed_too_often_is_set_aside() -> None:
+    grown = failed(seen(1), failures=1)
+    assert asked(grown) == [1]
+    assert asked(failed(seen(1), failures=2)) == []
+    assert asked(failed(seen(1), failures=2), is_final=True) == []
+
+
+# ---- what an object stands on ---------------------------------------------------------------------------------------------
+
+
+def table(track_id: int = 1) -> Track:
+    """A table whose top is at 0.74 m."""
+    legs = [box_surface((x, y, 0.35), (0.06, 0.06, 0.7)) for x in (-0.5, 0.5) for y in (-0.3, 0.3)]
+    return track(track_id, np.concatenate([box_surface((0, 0, 0.72), (1.2, 0.8, 0.04)), *legs]))
+
+
+def mug(bottom_m: float, x: float = 0.2) -> Track:
+    return track(2, box_surface((x, 0.1, bottom_m + 0.05), (0.08, 0.08, 0.1)))
+
+
+def test_a_mug_stands_on_the_table_that_is_under_it() -> None:
+    assert support_height_m(mug(0.74), [table(), mug(0.74)], floor_z_m=0.0) == pytest.approx(0.74, abs=0.01)
+
+
+def test_a_mug_whose_lower_rim_was_not_seen_still_stands_on_the_table() -> None:
+    assert support_height_m(mug(0.78), [table()], floor_z_m=0.0) == pytest.approx(0.74, abs=0.01)
+
+
+def test_a_mug_beside_the_table_does_not_stand_on_it() -> None:
+    assert support_height_m(mug(0.74, x=0.9), [table()], floor_z_m=0.0) is None
+
+
+def test_a_table_stands_on_the_floor_and_not_on_its_mug() -> None:
+    assert support_height_m(table(), [table(), mug(0.74)], floor_z_m=-0.02) == -0.02
+
+
+def test_what_hangs_or_has_no_floor_below_has_no_known_support() -> None:
+    lamp = track(3, box_surface((0, 0, 2.0)))
+    assert support_height_m(lamp, [table()], floor_z_m=0.0) is None
+    assert support_height_m(table(), [], floor_z_m=None) is None
+
+
+def test_of_two_things_under_it_an_object_stands_on_the_higher() -> None:
+    book = track(3, box_surface((0.2, 0.1, 0.755), (0.3, 0.3, 0.03)))
+    assert support_height_m(mug(0.77), [table(), book], floor_z_m=0.0) == pytest.approx(0.77, abs=0.01)

@@ -1,0 +1,286 @@
+"""The commands as processes of their own, on the first seconds of the demo recording."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import tomllib
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import psutil
+import pytest
+
+from hickory_stream.config import from_dict
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.session import open_map
+from hickory_stream.settings import Settings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+pytestmark = pytest.mark.timeout(180)
+
+COMMAND = (sys.executable, "-m", "hickory_stream")
+HEAVY = ("numpy", "cv2", "rerun", "numba", "scipy", "trimesh", "open3d", "asyncio")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    status: int
+    stdout: str
+    stderr: str
+
+    def json(self) -> Any:
+        """Return what standard output holds, which is one JSON value and nothing else."""
+        return json.loads(self.stdout)
+
+
+def run(*arguments: object) -> Ended:
+    done = subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=170, check=False)
+    assert "Traceback" not in done.stderr, done.stderr
+    return Ended(status=done.returncode, stdout=done.stdout, stderr=done.stderr)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """Two maps of the short log: by one worker with a Rerun recording, and by two workers without."""
+
+    by_one: Path
+    by_two: Path
+    rrd: Path
+    ended: Ended
+
+
+@pytest.fixture(scope="module")
+def made(short_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Made:
+    folder = tmp_path_factory.mktemp("maps")
+    play = ("play", short_log, "--config", coarse_config, "--viewer", "none")
+    one = run(*play, "--out", folder / "one", "--workers", 1, "--rrd", folder / "run.rrd", "--json")
+    two = run(*play, "--out", folder / "two", "--workers", 2)
+    assert one.status == two.status == 0, one.stderr + two.stderr
+    return Made(by_one=folder / "one", by_two=folder / "two", rrd=folder / "run.rrd", ended=one)
+
+
+# ---- play ------------------------------------------------------------------------------------------------------------
+
+
+def test_one_and_two_workers_make_the_same_map_and_a_recording_for_the_viewer_changes_nothing(made: Made) -> None:
+    digests = {open_map(folder).manifest.digest for folder in (made.by_one, made.by_two)}
+    assert len(digests) == 1
+    assert None not in digests
+    assert made.rrd.stat().st_size > 100_000
+
+
+def test_play_with_json_says_what_it_made(made: Made) -> None:
+    answer, saved = made.ended.json(), open_map(made.by_one)
+    assert answer["event"] == "finished"
+    assert answer["map"] == str(made.by_one)
+    assert answer["finished_cleanly"] is True
+    assert answer["digest"] == saved.manifest.digest == map_digest(saved.snapshot)
+    assert answer["objects"] == len(saved.snapshot.objects) > 5
+    assert answer["objects_with_shape"] == sum(tracked.shape is not None for tracked in saved.snapshot.objects) > 5
+    assert answer["ledger"] == saved.ledger
+    assert saved.ledger["source"]["frames"] == saved.ledger["frames"]["read"] == 24
+
+
+def test_progress_goes_to_standard_error_as_a_json_object_per_line(made: Made) -> None:
+    events = [json.loads(line) for line in made.ended.stderr.splitlines()]
+    assert {event["event"] for event in events} == {"progress"}
+    frames = [event["frames"] for event in events]
+    assert frames == sorted(frames)
+    assert [event["phase"] for event in events][-1] == "saving"
+    assert all(event["total"] == 24 for event in events)
+
+
+def test_the_manifest_says_what_was_played_and_how(made: Made, short_log: Path) -> None:
+    manifest = open_map(made.by_two).manifest
+    assert manifest.source["uri"] == str(short_log)
+    assert manifest.config["run"]["workers"] == 2
+    assert manifest.config["shapes"]["fit"]["cells"] == 16
+
+
+def test_a_log_played_three_times_leaves_objects_and_size_as_played_twice(
+    short_log: Path, coarse_config: Path, tmp_path: Path
+) -> None:
+    maps = []
+    for loops in (2, 3):
+        ended = run(
+            *("play", short_log, "--config", coarse_config, "--viewer", "none", "--out", tmp_path / str(loops)),
+            *("--loop", loops, "--workers", 2, "--set", "mapper.mapping.requests.max_failures=0"),
+        )
+        assert ended.status == 0, ended.stderr
+        maps.append(open_map(tmp_path / str(loops)).snapshot)
+    twice, thrice = maps
+    assert abs(len(thrice.objects) - len(twice.objects)) <= 2
+    points = [sum(len(tracked.points_world) for tracked in snapshot.objects) for snapshot in maps]
+    assert points[1] <= 1.1 * points[0]
+    assert len(thrice.submaps[0].observed_space.free) <= 1.1 * len(twice.submaps[0].observed_space.free)
+    assert max(len(tracked.views) for tracked in thrice.objects) <= 9
+
+
+# ---- a stop, and a disk that fills -----------------------------------------------------------------------------------
+
+
+class Playing:
+    """A playback in real time that is under way."""
+
+    def __init__(self, log: Path, config: Path, out: Path, *options: str) -> None:
+        play = ("play", log, "--config", config, "--out", out, "--viewer", "none", "--rate", "1.0", "--json")
+        self._process = subprocess.Popen(
+            [*COMMAND, *map(str, play), *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self.me = psutil.Process(self._process.pid)
+
+    def events(self) -> Iterator[dict[str, Any]]:
+        """Yield the progress as it comes."""
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            yield json.loads(line)
+
+    def wait_for_children(self) -> list[psutil.Process]:
+        """Let the playback go on until it has a shape worker and shapes to come."""
+        for event in self.events():
+            if event["open_shapes"] and (children := self.me.children(recursive=True)):
+                return children
+        pytest.fail("the playback ended without a single shape to come")
+
+    def end(self) -> Ended:
+        stdout, stderr = self._process.communicate(timeout=120)
+        assert "Traceback" not in stderr, stderr
+        return Ended(status=self._process.returncode, stdout=stdout, stderr=stderr)
+
+
+EAGER = ("--set", "mapper.mapping.requests.first_sightings=2")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_in_order_with_status_130_and_a_map_that_opens(
+    short_log: Path, coarse_config: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    playing = Playing(short_log, coarse_config, tmp_path / "map", *EAGER)
+    children = playing.wait_for_children()
+    playing.me.send_signal(number)
+    ended = playing.end()
+    assert ended.status == 130
+    assert ended.json()["finished_cleanly"] is False
+    saved = open_map(tmp_path / "map")
+    assert not saved.manifest.finished_cleanly
+    assert saved.snapshot.objects
+    assert 0 < saved.ledger["frames"]["read"] < 24
+    assert saved.manifest.digest == map_digest(saved.snapshot) == ended.json()["digest"]
+    assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
+
+
+def test_a_second_signal_cancels_at_once_and_leaves_no_child(
+    short_log: Path, coarse_config: Path, tmp_path: Path
+) -> None:
+    patient = ("--set", "mapper.run.grace_s=1000.0", "--set", "mapper.run.job_timeout_s=1000.0")
+    playing = Playing(short_log, coarse_config, tmp_path / "map", *EAGER, *patient)
+    children = playing.wait_for_children()
+    for child in children:
+        child.send_signal(signal.SIGSTOP)
+    playing.me.send_signal(signal.SIGINT)
+    with pytest.raises(psutil.TimeoutExpired):
+        playing.me.wait(2.0)
+    playing.me.send_signal(signal.SIGINT)
+    ended = playing.end()
+    assert ended.status == 130
+    assert "cancelled" in ended.json()["message"]
+    assert not open_map(tmp_path / "map").manifest.finished_cleanly
+    assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
+
+
+def test_a_disk_that_fills_up_stops_the_run_with_status_2_and_keeps_what_was_saved(
+    short_log: Path, coarse_config: Path, tmp_path: Path
+) -> None:
+    if not hasattr(psutil, "RLIMIT_FSIZE"):
+        pytest.skip("the limit on file sizes of another process can be set on Linux only")
+    playing = Playing(short_log, coarse_config, tmp_path / "map", *EAGER, "--set", "disk.every_keyframes=1")
+    for _ in playing.events():
+        if (tmp_path / "map/objects.json").exists():
+            break
+    # Every write beyond 64 bytes fails from now on, as it does on a full disk.
+    playing.me.rlimit(psutil.RLIMIT_FSIZE, (64, 64))
+    ended = playing.end()
+    assert ended.status == 2
+    assert "cannot write" in ended.json()["message"]
+    assert "--out" in ended.json()["message"]
+    assert ended.stderr.splitlines()[-1] == f"hickory-stream: {ended.json()['message']}"
+    saved = open_map(tmp_path / "map")
+    assert not saved.manifest.finished_cleanly
+    assert saved.snapshot.objects
+
+
+# ---- looking at a map ------------------------------------------------------------------------------------------------
+
+
+def test_inspect_shows_every_object_and_with_json_the_digest(made: Made) -> None:
+    table, answer = run("inspect", made.by_one), run("inspect", made.by_one, "--json").json()
+    saved = open_map(made.by_one)
+    assert answer["digest"] == saved.manifest.digest
+    assert [entry["id"] for entry in answer["objects"]] == [tracked.id for tracked in saved.snapshot.objects]
+    first_words = {line.split()[0] for line in table.stdout.splitlines() if line.split()}
+    assert {str(tracked.id) for tracked in saved.snapshot.objects} <= first_words
+
+
+def test_render_draws_the_layers_that_are_asked_for(made: Made, tmp_path: Path) -> None:
+    pictures = []
+    for layers in ("1,2", "3,4"):
+        picture = tmp_path / f"{layers}.png"
+        ended = run("render", made.by_one, "-o", picture, "--layers", layers, "--size", "640x320", "--json")
+        assert ended.status == 0, ended.stderr
+        assert ended.json()["picture"] == str(picture)
+        pictures.append(cv2.imread(str(picture)))
+    assert pictures[0].shape == pictures[1].shape == (320, 640, 3)
+    assert (pictures[0] != pictures[1]).mean() > 0.01
+    assert all(len(set(picture.reshape(-1, 3).mean(axis=1).round().tolist())) > 20 for picture in pictures)
+
+
+# ---- configuration, help ---------------------------------------------------------------------------------------------
+
+
+def test_the_dumped_configuration_passes_the_check_and_is_the_default(tmp_path: Path) -> None:
+    dumped = run("config", "dump")
+    (tmp_path / "robot.toml").write_text(dumped.stdout)
+    assert from_dict(Settings, tomllib.loads(dumped.stdout)) == Settings()
+    checked = run("config", "check", tmp_path / "robot.toml")
+    assert (checked.status, checked.stdout) == (0, f"{tmp_path / 'robot.toml'}: ok\n")
+
+
+def test_config_with_json_prints_json() -> None:
+    dumped = run("config", "dump", "--set", "mapper.run.workers=7", "--json").json()
+    assert dumped["mapper"]["run"]["workers"] == 7
+    assert dumped["disk"] == asdict(Settings().disk)
+
+
+def test_a_check_with_json_says_ok(coarse_config: Path) -> None:
+    assert run("config", "check", coarse_config, "--json").json() == {"ok": True}
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("play", "--help"), ("--version",)])
+def test_help_answers_without_loading_what_it_does_not_need(arguments: tuple[str, ...]) -> None:
+    script = (
+        "import sys; from hickory_stream.cli import main\n"
+        "try: main(sys.argv[1:])\n"
+        f"finally: sys.stderr.write(' '.join(name for name in {HEAVY} if name in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "hickory-stream" in done.stdout
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert re.fullmatch(r"hickory-stream \d+\S*\n", run("--version").stdout)
+
+
+@pytest.mark.parametrize("arguments", [(), ("fly",), ("play",), ("play", "x", "--loop", "many")])
+def test_a_command_line_that_cannot_be_understood_exits_with_2_and_shows_the_usage(arguments: tuple[str, ...]) -> None:
+    ended = run(*arguments)
+    assert (ended.status, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("usage: hickory-stream")

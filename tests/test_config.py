@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from hickory_stream.config import MapperConfig, RunConfig, from_dict, read_config, to_toml
+from hickory_stream.errors import ConfigError
+from hickory_stream.settings import Settings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def leaves(kind: type, where: str = "") -> list[tuple[str, Any]]:
+    """Return the path and the type of every value of a configuration."""
+    found = []
+    for name, hint in get_type_hints(kind).items():
+        found += leaves(hint, f"{where}{name}.") if dataclasses.is_dataclass(hint) else [(where + name, hint)]
+    return found
+
+
+def value_at(config: Any, path: str) -> Any:
+    for name in path.split("."):
+        config = getattr(config, name)
+    return config
+
+
+LEAVES = leaves(Settings)
+
+
+def values_of(hint: Any) -> st.SearchStrategy[Any]:
+    if hint is bool:
+        return st.booleans()
+    if hint is int:
+        return st.integers(1, 10**6)
+    if hint is float:
+        return st.floats(min_value=1e-9, max_value=1e9)
+    if get_args(hint):
+        return st.sampled_from(get_args(hint))
+    return st.text()
+
+
+@st.composite
+def settings(draw: st.DrawFn) -> Settings:
+    """Draw settings that differ from the defaults in a few values; those that their owner refuses are left out."""
+    data: dict[str, Any] = {}
+    for path, hint in draw(st.lists(st.sampled_from(LEAVES), max_size=8, unique_by=lambda leaf: leaf[0])):
+        *sections, key = path.split(".")
+        at = data
+        for section in sections:
+            at = at.setdefault(section, {})
+        at[key] = draw(values_of(hint))
+    try:
+        return from_dict(Settings, data)
+    except ConfigError:
+        assume(False)
+        raise
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "robot.toml"
+
+
+def refusal(file: Path, text: str, kind: type = Settings) -> str:
+    file.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read_config(kind, file)
+    return str(caught.value)
+
+
+# ---- there and back --------------------------------------------------------------------------------------------------
+
+
+def test_no_file_gives_the_defaults() -> None:
+    assert read_config(Settings, None) == Settings()
+
+
+def test_the_defaults_written_out_are_the_defaults(file: Path) -> None:
+    file.write_text(to_toml(Settings()))
+    assert read_config(Settings, file) == Settings()
+
+
+@given(written=settings())
+def test_what_is_written_is_read_back(tmp_path_factory: pytest.TempPathFactory, written: Settings) -> None:
+    file = tmp_path_factory.getbasetemp() / "written.toml"
+    file.write_text(to_toml(written), encoding="utf-8")
+    assert read_config(Settings, file) == written
+
+
+def test_every_value_is_written_out() -> None:
+    assert to_toml(Settings()).count(" = ") == sum(value_at(Settings(), path) is not None for path, _ in LEAVES)
+
+
+def test_a_file_needs_to_name_only_what_differs(file: Path) -> None:
+    file.write_text("[mapper.keyframes]\nmin_interval_s = 1\n")
+    read = read_config(Settings, file)
+    assert read.mapper.keyframes.min_interval_s == 1.0
+    assert isinstance(read.mapper.keyframes.min_interval_s, float)
+    assert read.mapper.mapping == Settings().mapper.mapping
+
+
+# ---- overrides -------------------------------------------------------------------------------------------------------
+
+
+def test_an_override_wins_over_the_file(file: Path) -> None:
+    file.write_text("[mapper.run]\nworkers = 3\ncrop_margin = 0.2\n")
+    run = read_config(Settings, file, ("mapper.run.workers=5",)).mapper.run
+    assert (run.workers, run.crop_margin) == (5, 0.2)
+
+
+@pytest.mark.parametrize("text", ["max_area", '"max_area"', " 'max_area'"])
+def test_a_word_may_be_given_bare_or_quoted(text: str) -> None:
+    read = read_config(Settings, None, (f"mapper.mapping.views.strategy={text}",))
+    assert read.mapper.mapping.views.strategy == "max_area"
+
+
+@given(st.sampled_from([leaf for leaf in LEAVES if leaf[1] in (int, float)]))
+def test_every_number_can_be_overridden_by_its_path(leaf: tuple[str, Any]) -> None:
+    path, _ = leaf
+    default = value_at(Settings(), path)
+    assert value_at(read_config(Settings, None, (f"{path}={default!r}",)), path) == default
+
+
+@pytest.mark.parametrize("override", ["mapper.run.workers", "=3", "", "  =1"])
+def test_an_override_that_is_none_is_shown_with_what_one_looks_like(override: str) -> None:
+    with pytest.raises(ConfigError, match=r"found the override .*expected SECTION\.KEY=VALUE"):
+        read_config(Settings, None, (override,))
+
+
+def test_an_override_below_a_value_is_refused() -> None:
+    with pytest.raises(ConfigError, match="workers is a value, not a section"):
+        read_config(Settings, None, ("mapper.run.workers=2", "mapper.run.workers.count=3"))
+
+
+# ---- refusals --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[mapper.keyframes]\nmin_intervall_s = 1.0", "did you mean mapper.keyframes.min_interval_s?"),
+        ("[maper.run]\nworkers = 1", "unknown configuration key maper; did you mean mapper?"),
+        ("[mapper.run]\nzebra = 1", "known keys: crop_margin, "),
+    ],
+)
+def test_a_misspelt_key_is_refused_with_the_nearest_one(file: Path, text: str, told: str) -> None:
+    assert told in refusal(file, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('[mapper.run]\nworkers = "two"', "mapper.run.workers is 'two'; expected int"),
+        ("[mapper.run]\nworkers = 1.5", "mapper.run.workers is 1.5; expected int"),
+        ("[mapper.run]\nworkers = true", "mapper.run.workers is True; expected int"),
+        ("[mapper.run]\ngrace_s = false", "mapper.run.grace_s is False; expected float"),
+        ("[mapper]\nrun = 3", "mapper.run is a section, found 3"),
+        ("[rerun]\nbind = 1", "rerun.bind is 1; expected str"),
+        ('[mapper.mapping.views]\nstrategy = "best"', "expected one of 's_score', 'initial', 'max_area'"),
+        ('[mapper.shapes]\nreconstructor = "sam"', "expected one of 'fused', 'single_view'"),
+    ],
+)
+def test_a_value_of_the_wrong_type_is_refused_with_what_is_expected(file: Path, text: str, told: str) -> None:
+    assert told in refusal(file, text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[mapper.run]\nworkers = 0",
+        "[mapper.run]\nworkers = -1",
+        "[mapper.run]\njob_timeout_s = 0.0",
+        "[mapper.run]\njob_timeout_s = nan",
+        "[mapper.run]\ncrop_margin = -0.1",
+        "[mapper.run]\ntime_jump_s = 0.0",
+        "[mapper.run]\ngrace_s = -1.0",
+        "[disk]\nevery_keyframes = 0",
+        "[rerun]\njpeg_quality = 101",
+    ],
+)
+def test_a_value_that_its_owner_refuses_is_named(file: Path, text: str) -> None:
+    assert text.split("\n")[1].split(" ")[0] in refusal(file, text)
+
+
+def test_what_is_no_toml_is_said_with_its_line(file: Path) -> None:
+    assert "is not TOML" in refusal(file, "[mapper\n")
+    file.write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match="is not TOML"):
+        read_config(Settings, file)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"cannot read the configuration .*none\.toml: No such file"):
+        read_config(Settings, tmp_path / "none.toml")
+
+
+def test_the_python_api_takes_the_mappers_sections_alone(file: Path) -> None:
+    file.write_text("[run]\nworkers = 2\n")
+    assert read_config(MapperConfig, file) == MapperConfig(run=RunConfig(workers=2))

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from hickory_stream import errors
+from hickory_stream.errors import HickoryError, InputError, WorkerError
+
+ROOT = Path(__file__).resolve().parent.parent
+ALL = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, HickoryError)]
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_what_is_wrong_outside_exits_with_2_and_our_own_failure_with_1(kind: type[HickoryError]) -> None:
+    assert kind.exit_status == (2 if issubclass(kind, InputError) else 1)
+
+
+def test_there_are_failures_of_both_kinds() -> None:
+    assert {InputError, WorkerError} <= set(ALL)
+
+
+def test_the_tree_in_the_docstring_is_the_tree() -> None:
+    drawn = re.findall(r"^ *(?:[|`]   )?(?:[|`]-- )?(\w+Error) ", errors.__doc__ or "", flags=re.MULTILINE)
+    names = [name for line in (errors.__doc__ or "").splitlines() for name in re.findall(r"\b(\w+Error)\b", line)]
+    assert sorted(set(drawn) | set(names)) == sorted(kind.__name__ for kind in ALL)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in ALL if kind not in (HickoryError, InputError)])
+def test_every_specific_error_is_raised_somewhere(kind: type[HickoryError]) -> None:
+    sources = [file.read_text() for package in ("hickory_stream", "players") for file in (ROOT / package).rglob("*.py")]
+    raised = {
+        node.func.id
+        for source in sources
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    }
+    assert kind.__name__ in raised

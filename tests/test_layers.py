@@ -1,0 +1,92 @@
+"""The layers of DESIGN: imports point down only, asyncio lives in one place, and so does printing."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Lowest first; the parts of one layer import nothing of one another, those joined by "+" are one part.
+LAYERS = (
+    ("hickory_stream.errors",),
+    ("hickory_stream.geometry",),
+    ("hickory_stream.records+hickory_stream.events",),
+    ("hickory_stream.ports",),
+    ("hickory_stream.perception", "hickory_stream.mapping", "hickory_stream.shapes", "hickory_stream.poses"),
+    ("hickory_stream.config+hickory_stream.testing",),
+    ("hickory_stream.engine",),
+    ("hickory_stream.sinks", "players", "hickory_stream.evaluation"),
+    ("hickory_stream.settings+hickory_stream.progress+hickory_stream.cli+hickory_stream.__main__",),
+    # The package itself offers the API, and loads it only when it is asked for.
+    ("hickory_stream",),
+)
+PARTS = {name: (rank, part) for rank, parts in enumerate(LAYERS) for part in parts for name in part.split("+")}
+FILES = sorted(file for package in ("hickory_stream", "players") for file in (ROOT / package).rglob("*.py"))
+OURS = ("hickory_stream", "players")
+
+
+def module_of(file: Path) -> str:
+    return ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def place_of(module: str) -> tuple[int, str]:
+    """Return rank and part of a module: those of its longest prefix that has any, the bare package only as itself."""
+    names = module.split(".")
+    prefixes = [".".join(names[:i]) for i in range(len(names), 0, -1)]
+    found = next((name for name in prefixes if name in PARTS and (name != "hickory_stream" or name == module)), None)
+    assert found is not None, f"{module} is in no layer: name it in LAYERS"
+    return PARTS[found]
+
+
+def imports_of(file: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: imports are written in full"
+            assert node.module is not None
+            submodules = (f"{node.module}.{alias.name}" for alias in node.names)
+            yield from (name if is_module(name) else node.module for name in submodules)
+
+
+def is_module(name: str) -> bool:
+    path = ROOT.joinpath(*name.split("."))
+    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+
+
+@pytest.mark.parametrize("file", FILES, ids=module_of)
+def test_imports_point_down_only(file: Path) -> None:
+    rank, part = place_of(module_of(file))
+    for name in imports_of(file):
+        if name.split(".")[0] in OURS and name != "hickory_stream":
+            its_rank, its_part = place_of(name)
+            assert its_part == part or its_rank < rank, f"{module_of(file)} must not import {name}"
+
+
+def test_importing_the_package_for_its_version_loads_nothing_of_it() -> None:
+    tree = ast.parse((ROOT / "hickory_stream/__init__.py").read_text())
+    imported = [node.module or "" for node in tree.body if isinstance(node, ast.ImportFrom)]
+    assert [name for name in imported if name.split(".")[0] in OURS] == []
+
+
+def test_asyncio_lives_in_the_engine_only() -> None:
+    users = [module_of(file) for file in FILES if any(name.split(".")[0] == "asyncio" for name in imports_of(file))]
+    assert users
+    assert [name for name in users if not name.startswith("hickory_stream.engine.")] == []
+
+
+def test_nothing_prints_but_the_command_line() -> None:
+    printers = {
+        module_of(file)
+        for file in FILES
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    }
+    assert printers == {"hickory_stream.cli"}

@@ -1,0 +1,41 @@
+"""The Python example of the README runs as it is printed."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def examples() -> list[str]:
+    readme = ROOT / "README.md"
+    if not readme.exists():
+        pytest.skip("there is no README.md yet")
+    blocks = re.findall(r"^```python\n(.*?)^```", readme.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return [block for block in blocks if "async with Mapper" in block]
+
+
+@pytest.mark.timeout(170)
+def test_the_example_of_the_readme_runs(tmp_path: Path, short_log: Path) -> None:
+    """The log is the beginning of the demo under the demo's name, so that the example need not name a test's file."""
+    (example,) = examples()
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "recordings/demo.mcap").symlink_to(short_log)
+    (tmp_path / "example.py").write_text(example)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "example.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=160,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()

@@ -1,0 +1,259 @@
+"""Every record with arrays: what it takes, what it refuses, and that nobody can change it afterwards."""
+
+import inspect
+from collections.abc import Iterator
+from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hickory_stream import events, ports, records
+from hickory_stream.geometry import boxes, mesh, superquadric
+from hickory_stream.geometry.camera import Camera
+
+_CAMERA = Camera(width=4, height=3, fx=5.0, fy=5.0, cx=1.5, cy=1.0)
+_POSE = np.eye(4)
+_BOX = boxes.OrientedBox(world_from_box=_POSE, half_extents_m=np.ones(3))
+_QUADRICS = superquadric.Superquadrics(
+    exponents=np.ones((2, 2)), semi_axes_m=np.ones((2, 3)), world_from_local=np.stack([_POSE] * 2)
+)
+_MESH = mesh.Mesh(
+    vertices=np.zeros((3, 3)), faces=np.array([[0, 1, 2]]), colors=np.zeros((3, 3), np.uint8), is_seen=np.ones(3, bool)
+)
+_CONTAINMENT = records.Containment(num_checked=1, num_outside=0, max_g=0.5)
+_RGB, _DEPTH = np.zeros((3, 4, 3), np.uint8), np.ones((3, 4), np.float32)
+_CLOUD = {"points_world": np.zeros((5, 3), np.float32), "colors": np.zeros((5, 3), np.uint8)}
+_KEYS = np.arange(4)
+
+VALID: dict[type, dict[str, Any]] = {
+    boxes.OrientedBox: {"world_from_box": _POSE, "half_extents_m": np.ones(3)},
+    superquadric.Superquadrics: {
+        "exponents": np.ones((2, 2)),
+        "semi_axes_m": np.ones((2, 3)),
+        "world_from_local": np.stack([_POSE] * 2),
+    },
+    mesh.Mesh: {name: getattr(_MESH, name) for name in ("vertices", "faces", "colors", "is_seen")},
+    records.Frame: {
+        "index": 0,
+        "stamp_ns": 1,
+        "rgb": _RGB,
+        "depth_m": _DEPTH,
+        "camera": _CAMERA,
+        "world_from_camera": _POSE,
+    },
+    records.RawFrame: {
+        "index": 0,
+        "stamp_ns": 1,
+        "camera": _CAMERA,
+        "world_from_camera": _POSE,
+        "decode": lambda: None,
+    },
+    records.Segmentation: {"instances": np.zeros((3, 4), np.int32), "structure": np.zeros((3, 4), bool)},
+    records.Observation: {
+        "index": 0,
+        "box_px": (2, 3, 6, 5),
+        "mask": np.ones((2, 4), bool),
+        **_CLOUD,
+        "box": _BOX,
+        "r_area": 0.1,
+        "r_depth": 0.9,
+        "is_cut": False,
+    },
+    records.SpaceObservation: {"free_keys": _KEYS, "structure_keys": _KEYS, "floor_z_m": None},
+    records.MaskFeature: {"observation_index": 0, "variance": 0.1, "pooled": np.ones(4, np.float32)},
+    records.View: {
+        "object_id": 1,
+        "frame_index": 7,
+        "stamp_ns": 1,
+        "box_px": (2, 3, 6, 5),
+        "world_from_camera": _POSE,
+        "r_area": 0.1,
+        "r_depth": 0.9,
+        "box_volume_m3": 0.2,
+        "score": 0.3,
+        "variance": 0.4,
+        "feature": np.ones(4, np.float32),
+    },
+    records.ObjectShape: {
+        "revision": 1,
+        "reconstructor": "fused",
+        "mesh_name": "1.glb",
+        "mesh_sha256": "0",
+        "world_from_object": _POSE,
+        "fitted": _QUADRICS,
+        "inflated": _QUADRICS,
+        "seen_share": np.ones(2),
+        "containment": _CONTAINMENT,
+    },
+    records.TrackedObject: {
+        "id": 1,
+        "phase": records.Phase.ACTIVE,
+        "submap_id": 0,
+        "sightings": 3,
+        "first_seen_ns": 1,
+        "last_seen_ns": 2,
+        **_CLOUD,
+        "box": _BOX,
+        "feature": np.ones(4, np.float32),
+        "views": (),
+        "best_view": None,
+        "shape": None,
+    },
+    records.ObservedSpace: {"voxel_m": 0.05, "free": _KEYS, "structure": _KEYS, "floor_z_m": 0.0},
+    records.Submap: {
+        "id": 0,
+        "world_from_submap": _POSE,
+        "observed_space": records.ObservedSpace(voxel_m=0.05, free=_KEYS, structure=_KEYS, floor_z_m=None),
+    },
+    records.FrameReport: {
+        "index": 0,
+        "stamp_ns": 1,
+        "keyframe_index": None,
+        "camera": _CAMERA,
+        "world_from_camera": _POSE,
+        "color_bytes": None,
+    },
+    events.FrameObserved: {
+        "frame_index": 0,
+        "stamp_ns": 1,
+        "world_from_camera": _POSE,
+        "observations": (),
+        "space": records.SpaceObservation(free_keys=_KEYS, structure_keys=_KEYS, floor_z_m=None),
+    },
+    events.RequestShape: {
+        "ticket": 1,
+        "object_id": 1,
+        "views": (),
+        **_CLOUD,
+        "box": _BOX,
+        "support_z_m": None,
+        "due_ns": 5,
+    },
+    ports.Crop: {
+        "rgb": _RGB,
+        "depth_m": _DEPTH,
+        "mask": np.ones((3, 4), bool),
+        "camera": _CAMERA,
+        "world_from_camera": _POSE,
+    },
+    ports.ShapeInputs: {"crops": (), **_CLOUD, "box": _BOX, "support_z_m": None},
+    ports.Reconstruction: {"mesh": _MESH, "world_from_object": _POSE},
+    ports.BuiltShape: {
+        "reconstruction": ports.Reconstruction(mesh=_MESH, world_from_object=_POSE),
+        "fitted": _QUADRICS,
+        "inflated": _QUADRICS,
+        "seen_share": np.ones(2),
+        "containment": _CONTAINMENT,
+        "timings_s": {},
+    },
+}
+
+# The lengths that nothing else in the record fixes: any other one is as good.
+FREE_LENGTH = {
+    (mesh.Mesh, "faces"),
+    (records.SpaceObservation, "free_keys"),
+    (records.SpaceObservation, "structure_keys"),
+    (records.MaskFeature, "pooled"),
+    (records.View, "feature"),
+    (records.TrackedObject, "feature"),
+    (records.ObservedSpace, "free"),
+    (records.ObservedSpace, "structure"),
+}
+
+
+def array_fields(record: type) -> list[str]:
+    return [field.name for field in fields(record) if "NDArray" in str(field.type)]
+
+
+def cases() -> Iterator[Any]:
+    for record, values in VALID.items():
+        for name in array_fields(record):
+            yield pytest.param(record, values, name, id=f"{record.__name__}.{name}")
+
+
+every_array = pytest.mark.parametrize(("record", "values", "name"), list(cases()))
+
+
+def test_every_record_with_arrays_is_among_these() -> None:
+    found = {
+        item
+        for module in (records, events, ports, boxes, mesh, superquadric)
+        for _, item in inspect.getmembers(module, inspect.isclass)
+        if item.__module__ == module.__name__ and is_dataclass(item) and array_fields(item)
+    }
+    assert found == set(VALID)
+
+
+@every_array
+def test_an_array_of_a_record_is_read_only_and_no_longer_the_callers(record: type, values: dict, name: str) -> None:
+    given = np.array(values[name])
+    made = record(**{**values, name: given})
+    held = getattr(made, name)
+    before = held.copy()
+    given[...] = 1 - given.astype(given.dtype)
+    assert np.array_equal(held, before)
+    with pytest.raises(ValueError, match="read-only"):
+        held[...] = 0
+
+
+@every_array
+def test_an_array_with_a_dimension_more_or_less_is_refused(record: type, values: dict, name: str) -> None:
+    array = np.asarray(values[name])
+    for wrong in (array[None], array[0]):
+        with pytest.raises(ValueError, match=rf"{record.__name__}\.\w+ has shape"):
+            record(**{**values, name: wrong})
+
+
+@every_array
+def test_an_array_of_another_size_is_refused_where_the_record_fixes_it(record: type, values: dict, name: str) -> None:
+    longer = np.concatenate([values[name], values[name][:1]])
+    if (record, name) in FREE_LENGTH:
+        assert len(getattr(record(**{**values, name: longer}), name)) == len(longer)
+        longer = np.zeros((2, 2, 2), longer.dtype)
+    with pytest.raises(ValueError, match=rf"{record.__name__}\.\w+ has shape"):
+        record(**{**values, name: longer})
+
+
+@every_array
+def test_an_array_is_converted_to_the_declared_type_and_refused_where_that_would_change_it(
+    record: type, values: dict, name: str
+) -> None:
+    dtype = getattr(record(**values), name).dtype
+    given = np.asarray(values[name])
+    assert getattr(record(**{**values, name: given.astype(np.float64)}), name).dtype == dtype
+    wrong = given.astype(np.float64) + 0.5 if dtype.kind in "iub" else given.astype(str)
+    with pytest.raises(ValueError, match=rf"{record.__name__}\.{name} has values of"):
+        record(**{**values, name: wrong})
+
+
+@pytest.mark.parametrize("record", VALID, ids=lambda record: record.__name__)
+def test_a_record_is_frozen_and_compared_by_identity_only(record: type) -> None:
+    made = record(**VALID[record])
+    with pytest.raises((FrozenInstanceError, AttributeError)):
+        setattr(made, fields(record)[0].name, None)
+    assert made == made
+    assert made != record(**VALID[record])
+
+
+def test_the_images_of_a_frame_must_be_as_large_as_its_camera_says() -> None:
+    frame = records.Frame(**VALID[records.Frame])
+    with pytest.raises(ValueError, match=r"Frame\.rgb has shape \(3, 4, 3\); expected \(6, 8, 3\)"):
+        replace(frame, camera=_CAMERA.scaled(2.0))
+
+
+def test_an_observations_mask_must_fill_its_box() -> None:
+    with pytest.raises(ValueError, match=r"Observation\.mask has shape \(2, 4\); expected \(3, 4\)"):
+        records.Observation(**{**VALID[records.Observation], "box_px": (2, 3, 6, 6)})
+
+
+def test_a_view_without_feature_needs_none() -> None:
+    assert records.View(**{**VALID[records.View], "feature": None}).feature is None
+
+
+def test_the_name_of_a_view_is_its_frame_and_its_place_whatever_object_it_shows() -> None:
+    view = records.View(**VALID[records.View])
+    assert view.name == "000007-2-3-6-5"
+    assert replace(view, object_id=99, score=None).name == view.name
+    assert replace(view, frame_index=8).name != view.name
+    assert replace(view, box_px=(2, 3, 6, 6)).name != view.name
