@@ -37,7 +37,7 @@ class RunConfig:
         grace_s: after a stop, this long is waited for jobs that are running.
     """
 
-    workers: int = 1
+    workers: int = 2
     job_timeout_s: float = 60.0
     crop_margin: float = 0.08
     time_jump_s: float = 60.0

@@ -15,14 +15,20 @@ import cv2
 import psutil
 import pytest
 
-from hickory_stream.config import from_dict
+from hickory_stream.config import from_dict, read_config
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.play import play
 from hickory_stream.engine.session import open_map
+from hickory_stream.records import Phase
 from hickory_stream.settings import Settings
+from hickory_stream.testing import RememberingSink
+from players import open_source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    from hickory_stream.records import MapSnapshot, TrackedObject
 
 pytestmark = pytest.mark.timeout(180)
 
@@ -105,23 +111,38 @@ def test_the_manifest_says_what_was_played_and_how(made: Made, short_log: Path) 
     assert manifest.config["shapes"]["fit"]["cells"] == 16
 
 
-def test_a_log_played_three_times_leaves_objects_and_size_as_played_twice(
+def test_a_log_played_again_and_again_leaves_the_objects_and_the_size_of_the_rounds_before(
     short_log: Path, coarse_config: Path, tmp_path: Path
 ) -> None:
-    maps = []
-    for loops in (2, 3):
-        ended = run(
-            *("play", short_log, "--config", coarse_config, "--viewer", "none", "--out", tmp_path / str(loops)),
-            *("--loop", loops, "--workers", 2, "--set", "mapper.mapping.requests.max_failures=0"),
-        )
-        assert ended.status == 0, ended.stderr
-        maps.append(open_map(tmp_path / str(loops)).snapshot)
-    twice, thrice = maps
-    assert abs(len(thrice.objects) - len(twice.objects)) <= 2
-    points = [sum(len(tracked.points_world) for tracked in snapshot.objects) for snapshot in maps]
-    assert points[1] <= 1.1 * points[0]
-    assert len(thrice.submaps[0].observed_space.free) <= 1.1 * len(twice.submaps[0].observed_space.free)
-    assert max(len(tracked.views) for tracked in thrice.objects) <= 9
+    sink = RememberingSink()
+    no_shapes = ("mapper.mapping.requests.max_failures=0",)
+    source = open_source(short_log)
+    play(
+        source,
+        read_config(Settings, coarse_config, no_shapes).mapper,
+        out=tmp_path / "map",
+        overwrite=False,
+        sinks=lambda _: [(sink, True)],
+        rate=None,
+        loops=4,
+        progress=lambda _: None,
+    )
+    source.close()
+    snapshots = {report.index: report.snapshot for report in sink.reports if report.snapshot is not None}
+    ends = [max(index for index in snapshots if index < 24 * rounds) for rounds in (1, 3, 4)]
+    once, thrice, four_times = (confirmed(snapshots[index]) for index in ends)
+    assert abs(len(four_times) - len(once)) <= 3
+    assert abs(len(four_times) - len(thrice)) <= 1
+    sizes = [sum(len(tracked.points_world) for tracked in objects) for objects in (thrice, four_times)]
+    assert sizes[1] <= 1.05 * sizes[0]
+    spaces = [snapshots[index].submaps[0].observed_space for index in ends]
+    assert len(spaces[2].free) <= 1.02 * len(spaces[1].free)
+    assert len(spaces[2].structure) <= 1.02 * len(spaces[1].structure)
+    assert max(len(tracked.views) for tracked in four_times) <= 9
+
+
+def confirmed(snapshot: MapSnapshot) -> list[TrackedObject]:
+    return [tracked for tracked in snapshot.objects if tracked.phase is not Phase.TENTATIVE]
 
 
 # ---- a stop, and a disk that fills -----------------------------------------------------------------------------------
@@ -194,6 +215,20 @@ def test_a_second_signal_cancels_at_once_and_leaves_no_child(
     assert "cancelled" in ended.json()["message"]
     assert not open_map(tmp_path / "map").manifest.finished_cleanly
     assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
+
+
+def test_a_run_that_is_killed_leaves_a_map_that_opens_and_its_children_end(
+    short_log: Path, coarse_config: Path, tmp_path: Path
+) -> None:
+    playing = Playing(short_log, coarse_config, tmp_path / "map", *EAGER, "--set", "disk.every_keyframes=1")
+    children = playing.wait_for_children()
+    playing.me.kill()
+    assert playing.end().status == -signal.SIGKILL
+    saved = open_map(tmp_path / "map")
+    assert saved.snapshot.objects
+    assert not saved.manifest.finished_cleanly
+    _, alive = psutil.wait_procs(children, timeout=60)
+    assert alive == []
 
 
 def test_a_disk_that_fills_up_stops_the_run_with_status_2_and_keeps_what_was_saved(

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.config import from_dict
+from hickory_stream.engine.atomic import disk_errors
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics
 from hickory_stream.engine.session import GLB_ERRORS
@@ -56,13 +57,11 @@ def job_folder(jobs: Path, ticket: int) -> Path:
 
 
 def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeConfig) -> None:
-    """Write what a worker needs."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for view in request.views:
-        for source in crop_files(views, view.name):
-            _link(source, folder / source.name)
-    np.save(folder / "points.npy", request.points_world, allow_pickle=False)
-    np.save(folder / "colors.npy", request.colors, allow_pickle=False)
+    """Write what a worker needs.
+
+    Raises:
+        MapFolderError: the disk refused.
+    """
     job = {
         "views": [view.name for view in request.views],
         "config": dataclasses.asdict(config),
@@ -70,7 +69,14 @@ def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeCon
         "half_extents_m": request.box.half_extents_m.tolist(),
         "support_z_m": request.support_z_m,
     }
-    (folder / JOB).write_text(json.dumps(job))
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for view in request.views:
+            for source in crop_files(views, view.name):
+                _link(source, folder / source.name)
+        np.save(folder / "points.npy", request.points_world, allow_pickle=False)
+        np.save(folder / "colors.npy", request.colors, allow_pickle=False)
+        (folder / JOB).write_text(json.dumps(job))
 
 
 def read_job(folder: Path) -> tuple[ShapeInputs, ShapeConfig]:

@@ -5,10 +5,12 @@ Standard output belongs to the protocol: whatever a reconstructor prints goes to
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 from hickory_stream.engine.jobs import read_job, write_result
 from hickory_stream.ports import NoShape
@@ -16,13 +18,18 @@ from hickory_stream.shapes.build import build_shape, make_reconstructor
 
 
 def main() -> None:
-    """Serve jobs until standard input ends."""
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    """Serve jobs until standard input ends, or nobody takes the answers any more: the run was killed."""
+    answers = os.dup(1)
     os.dup2(2, 1)
-    answers.write(json.dumps({"ready": os.getpid()}) + "\n")
-    for line in sys.stdin:
-        folder = Path(json.loads(line)["job"])
-        answers.write(json.dumps({"done": str(folder), "error": _serve(folder)}) + "\n")
+    with contextlib.suppress(BrokenPipeError):
+        _say(answers, {"ready": os.getpid()})
+        for line in sys.stdin:
+            folder = Path(json.loads(line)["job"])
+            _say(answers, {"done": str(folder), "error": _serve(folder)})
+
+
+def _say(answers: int, message: dict[str, Any]) -> None:
+    os.write(answers, json.dumps(message).encode() + b"\n")
 
 
 def _serve(folder: Path) -> str | None:

@@ -51,8 +51,13 @@ class SinkThread:
         Raises:
             HickoryError: an essential sink has failed.
         """
-        await asyncio.to_thread(self._queue.put, None)
-        await asyncio.to_thread(self._thread.join, None if self._is_essential else _CLOSE_TIMEOUT_S)
+        timeout_s = None if self._is_essential else _CLOSE_TIMEOUT_S
+        try:
+            await asyncio.to_thread(self._queue.put, None, timeout=timeout_s)
+        except queue.Full:
+            logger.warning("%s hangs and is left behind", type(self._sink).__name__)
+            return
+        await asyncio.to_thread(self._thread.join, timeout_s)
         self._raise_if_failed()
 
     @property

@@ -30,15 +30,17 @@ from hickory_stream.events import (
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate
 from hickory_stream.mapping.cloud import cloud_of, without
-from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, next_phase
+from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
 from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge
-from hickory_stream.mapping.observed_space import add, as_record, empty_space
+from hickory_stream.mapping.observed_space import add, add_structure, as_record, empty_space, share_in_structure
 from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
 from hickory_stream.mapping.track import ShapeState, Track, TrackConfig, as_object, bounds_of, box_of, grown, touching
 from hickory_stream.mapping.views import ViewConfig, better, covers_better, score, score_bound, sector_of
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from hickory_stream.records import MaskFeature, Observation, TrackedObject
 
 
@@ -138,10 +140,9 @@ class MapperCore:
         ]
 
         matches = associate(event.observations, self._tracks, self._config.track.voxel_m, self._config.associate)
-        homes = [self._place(event, match) for match in matches]
-        self._vote(event, matches, homes)
-        effects = self._merge_tracks({home for home in homes if home is not None})
-        self._age(event)
+        homes, covered = zip(*(self._place(event, match) for match in matches), strict=True) if matches else ((), ())
+        self._vote(event, matches, homes, covered)
+        effects = [*self._merge_tracks(set(homes)), *self._age(event)]
         self._space = add(self._space, event.space)
 
         candidates, keeps = self._propose_views(event, matches, homes)
@@ -184,8 +185,8 @@ class MapperCore:
             self._clock_ns += max(0, stamp_ns - self._stamp_ns)
         self._stamp_ns = stamp_ns
 
-    def _place(self, event: FrameObserved, match: Match) -> int | None:
-        """Fuse an observation into its track, or make a new one; return the track's id."""
+    def _place(self, event: FrameObserved, match: Match) -> tuple[int, list[int]]:
+        """Fuse an observation into its track, or make a new one; return its id, and the other tracks that it covers."""
         observation = event.observations[match.observation_index]
         seen = cloud_of(observation.points_world, observation.colors, self._config.track.voxel_m)
         others = ", ".join(f"#{i} {iou:.2f}" for i, iou in match.candidates) or "none"
@@ -205,18 +206,17 @@ class MapperCore:
                 bounds=bounds_of(seen.points),
             )
             self._decide("create", track_id, f"mask {observation.box_px}: new; candidates by IoU: {others}")
-            return track_id
+            return track_id, []
         track = self._tracks[match.track_id]
         how = f"IoU {match.iou:.2f}" if match.lies_on == 0 else f"IoU {match.iou:.2f}, {match.lies_on:.0%} lies on it"
         part = " as a part" if match.is_part else ""
         self._decide("associate", track.id, f"mask {observation.box_px}{part}: {how}; candidates by IoU: {others}")
         foreign, covered = foreign_points(seen, track, self._neighbors(track, observation), self._config.merge)
-        self._votes = self._votes.plus(((track.id, other) for other in covered), together=1)
         track = replace(track, last_seen_ns=event.stamp_ns, seen_clock_ns=self._clock_ns, seen_through=0)
         if foreign.mean() < 0.9:
             track = grown(track, without(seen, foreign), track.sightings + (not match.is_part), self._config.track)
         self._tracks[track.id] = track
-        return track.id
+        return track.id, covered
 
     def _neighbors(self, track: Track, observation: Observation) -> list[Track]:
         """Return the other confirmed tracks whose boxes reach into an observation's."""
@@ -224,15 +224,22 @@ class MapperCore:
         near = touching(bounds_of(observation.points_world), ordered)
         return [other for other in near if other.id != track.id and other.sightings >= 2]
 
-    def _vote(self, event: FrameObserved, matches: list[Match], homes: list[int | None]) -> None:
-        """Count the pairs of tracks that this keyframe sees apart: two whole observations with boxes that meet."""
-        whole = [(m.observation_index, home) for m, home in zip(matches, homes, strict=True) if home and not m.is_part]
+    def _vote(
+        self, event: FrameObserved, matches: list[Match], homes: Sequence[int], covered: Sequence[list[int]]
+    ) -> None:
+        """Count the pairs of tracks that this keyframe sees apart, or else together, each pair once.
+
+        Apart: two whole observations with boxes that meet. Small things that touch cover each other's rims, so that
+        only a pair that is not seen apart can be seen together.
+        """
+        whole = [(m.observation_index, home) for m, home in zip(matches, homes, strict=True) if not m.is_part]
         low = np.array([event.observations[i].points_world.min(axis=0) for i, _ in whole]).reshape(-1, 3)
         high = np.array([event.observations[i].points_world.max(axis=0) for i, _ in whole]).reshape(-1, 3)
         slack_m = 0.05
         meet = (low[:, None] <= high[None] + slack_m).all(axis=2) & (low[None] <= high[:, None] + slack_m).all(axis=2)
-        pairs = [(whole[i][1], whole[j][1]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)]
-        self._votes = self._votes.plus(pairs, apart=1)
+        apart = {_pair(whole[i][1], whole[j][1]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)}
+        together = {_pair(home, other) for home, others in zip(homes, covered, strict=True) for other in others}
+        self._votes = self._votes.plus(sorted(apart), apart=1).plus(sorted(together - apart), together=1)
 
     def _merge_tracks(self, changed: set[int]) -> list[Effect]:
         effects: list[Effect] = []
@@ -248,34 +255,45 @@ class MapperCore:
             self._decide("merge", kept_id, f"#{gone_id} is the same: {reason}")
         return effects
 
-    def _age(self, event: FrameObserved) -> None:
+    def _age(self, event: FrameObserved) -> list[Effect]:
+        effects: list[Effect] = []
         for track_id in sorted(self._tracks):
             track = self._tracks[track_id]
+            if is_structure(track, self._config.lifecycle):
+                self._space = add_structure(self._space, track.solid.points)
+                effects += self._drop_track(track, f"{np.round(2 * track.box.half_extents_m, 1)} m: structure")
+                continue
+            if share_in_structure(self._space, track.solid.points) > self._config.lifecycle.structure_share:
+                effects += self._drop_track(track, "a piece of what was found to be structure")
+                continue
             if track.seen_clock_ns != self._clock_ns and self._is_seen_through(track, event):
                 track = replace(track, seen_through=track.seen_through + 1)
             phase = next_phase(track, self._clock_ns, self._config.lifecycle)
             if phase is None:
-                self._drop_track(track, "looked through" if track.seen_through else "never confirmed")
+                effects += self._drop_track(track, "looked through" if track.seen_through else "never confirmed")
                 continue
             if phase is not track.phase:
                 self._decide("phase", track_id, f"{track.phase} -> {phase} after {track.sightings} sightings")
             self._tracks[track_id] = aged(track, phase)
+        return effects
 
     def _is_seen_through(self, track: Track, event: FrameObserved) -> bool:
         keys = keys_of_points(track.cloud.points[:: max(1, len(track.cloud.points) // 200)], self._config.space_voxel_m)
         share = float(contains(event.space.free_keys, keys).mean())
         return share >= self._config.lifecycle.phantom_share
 
-    def _drop_track(self, track: Track, reason: str) -> None:
+    def _drop_track(self, track: Track, reason: str) -> list[Effect]:
         del self._tracks[track.id]
         self._shown.pop(track.id, None)
         self._votes = self._votes.without(track.id)
         self._decide("drop", track.id, f"{reason}, after {track.sightings} sightings")
+        ticket = track.shape_state.open_ticket
+        return [] if ticket is None else [CancelShape(ticket=ticket)]
 
     # ---- views -------------------------------------------------------------------------------------------------------
 
     def _propose_views(
-        self, event: FrameObserved, matches: list[Match], homes: list[int | None]
+        self, event: FrameObserved, matches: list[Match], homes: Sequence[int]
     ) -> tuple[dict[int, View], list[Effect]]:
         """Return the views whose bound beats the best view, by observation, and what is kept for its direction."""
         candidates: dict[int, View] = {}
@@ -380,10 +398,11 @@ class MapperCore:
     # ---- the end -----------------------------------------------------------------------------------------------------
 
     def _source_ended(self) -> list[Effect]:
+        effects: list[Effect] = []
         for track_id in sorted(self._tracks):
             if self._tracks[track_id].phase is Phase.TENTATIVE:
-                self._drop_track(self._tracks[track_id], "never confirmed")
-        effects = [*self._request_shapes(is_final=True), *self._drop_views()]
+                effects += self._drop_track(self._tracks[track_id], "never confirmed")
+        effects += [*self._request_shapes(is_final=True), *self._drop_views()]
         decisions, self._decisions = tuple(self._decisions), []
         return [*effects, Publish(snapshot=self.snapshot(), decisions=decisions, metrics=self._metrics())]
 
@@ -405,6 +424,10 @@ class MapperCore:
         ]
         saved = 1.0 - self._num_features / self._num_masks if self._num_masks else 0.0
         return (*counts, ("core/features_saved", saved), *scores)
+
+
+def _pair(a: int, b: int) -> tuple[int, int]:
+    return min(a, b), max(a, b)
 
 
 def _view_of(event: FrameObserved, observation: Observation, track_id: int) -> View:

@@ -10,6 +10,8 @@
     | dormant   | active    | seen again                                                                 |
     | archived  | active    | seen again                                                                 |
     | any       | (dropped) | `phantom_frames` keyframes looked through the place where it should be      |
+    | any       | structure | its two longest sides are both over `structure_m`: a wall, a row of cupboards |
+    | any       | (dropped) | more than `structure_share` of it lies in such structure                    |
 
 Times are of the core's own clock, which runs on through a jump of the stamps.
 """
@@ -18,6 +20,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from hickory_stream.records import Phase
 
@@ -39,6 +43,8 @@ class LifecycleConfig:
     archive_s: float = 60.0
     phantom_frames: int = 4
     phantom_share: float = 0.7
+    structure_m: float = 2.0
+    structure_share: float = 0.5
 
 
 def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | None:
@@ -53,6 +59,11 @@ def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | 
     if unseen_s > config.archive_s:
         return Phase.ARCHIVED
     return Phase.DORMANT if unseen_s > config.dormant_s else Phase.ACTIVE
+
+
+def is_structure(track: Track, config: LifecycleConfig) -> bool:
+    """Return whether a track has grown into something that is no object."""
+    return bool(np.sort(2 * track.box.half_extents_m)[1] > config.structure_m)
 
 
 def aged(track: Track, phase: Phase) -> Track:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.voxels import contains
+from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.records import ObservedSpace
 
 if TYPE_CHECKING:
@@ -16,11 +16,13 @@ if TYPE_CHECKING:
     from hickory_stream.records import SpaceObservation
 
 _SURE_HITS = 2
+_MOST_HITS = 254
+_NO_OBJECT = 255
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceState:
-    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, capped at 255."""
+    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, 255 where it was an object first."""
 
     voxel_m: float
     free: NDArray[np.int64]
@@ -42,7 +44,7 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     known = contains(state.structure, seen.structure_keys)
     hits = state.hits.copy()
     at = np.searchsorted(state.structure, seen.structure_keys[known])
-    hits[at] = np.minimum(hits[at].astype(np.int64) + 1, 255)
+    hits[at] = np.maximum(hits[at], np.minimum(hits[at].astype(np.int64) + 1, _MOST_HITS))
     keys = np.concatenate([state.structure, seen.structure_keys[~known]])
     hits = np.concatenate([hits, np.ones(int((~known).sum()), dtype=np.uint8)])
     order = np.argsort(keys, kind="stable")
@@ -53,6 +55,23 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
         hits=hits[order],
         floor_z_m=_floor(state.floor_z_m, seen.floor_z_m),
     )
+
+
+def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
+    """Return the space in which the voxels of (N, 3) points surely are structure: what was an object, and is none."""
+    keys = np.unique(keys_of_points(points, state.voxel_m))
+    old = ~contains(keys, state.structure)
+    all_keys = np.concatenate([state.structure[old], keys])
+    hits = np.concatenate([state.hits[old], np.full(len(keys), _NO_OBJECT, dtype=np.uint8)])
+    order = np.argsort(all_keys, kind="stable")
+    return replace(state, structure=all_keys[order], hits=hits[order])
+
+
+def share_in_structure(state: SpaceState, points: NDArray[np.float32]) -> float:
+    """Return the share of (N, 3) points, from about 200 of them, in voxels that `add_structure` made structure."""
+    sure = state.structure[state.hits == _NO_OBJECT]
+    keys = keys_of_points(points[:: max(1, len(points) // 200)], state.voxel_m)
+    return float(contains(sure, keys).mean())
 
 
 def as_record(state: SpaceState) -> ObservedSpace:

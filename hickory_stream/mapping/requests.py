@@ -32,9 +32,9 @@ class RequestConfig:
     max_in_flight: int = 2
     latency_s: float = 1.0
     first_sightings: int = 5
-    min_gain: float = 0.9
-    final_gain: float = 0.15
-    interval_s: float = 6.0
+    min_gain: float = 1.2
+    final_gain: float = 0.3
+    interval_s: float = 8.0
     max_failures: int = 2
 
 

@@ -1,8 +1,8 @@
 """A dense patch descriptor from colour alone, with DINOv2's interface: small, documented, without weights.
 
-Per patch of 14 pixels, at half resolution: a soft histogram of colour in Lab (opponent colours and lightness), one of gradient orientation at
-two scales, and the contrast. A network replaces it later; what rests on it (the variance in S, the mean feature of an
-object) needs only unit-norm patch features.
+Per patch of 14 pixels, at half resolution: a soft histogram of colour in Lab (opponent colours and lightness), and one
+of gradient orientation at two scales. A network replaces it later; what rests on it (the variance in S, the mean
+feature of an object) needs only unit-norm patch features.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def mask_feature(observation: Observation, features: NDArray[np.float32], patch_
     """
     from hickory_stream.records import MaskFeature
 
-    x0, y0, x1, y1 = observation.box_px
+    x0, y0, _, _ = observation.box_px
     ys, xs = np.nonzero(observation.mask)
     rows, columns = (ys + y0) // patch_px, (xs + x0) // patch_px
     weights = np.zeros(features.shape[:2])

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.perception.floating import FloatConfig, holders
+from hickory_stream.perception.floating import FloatConfig, Loose, holders
 from hickory_stream.perception.pieces import measure
-from hickory_stream.perception.rules import RuleConfig, Scene, carriers, is_one_thing, legs, seats
+from hickory_stream.perception.rules import RuleConfig, Scene, bare_planes, carriers, is_back, is_one_thing, legs, seats
 from hickory_stream.perception.seams import contacts_of, seams_of
 from hickory_stream.perception.standing import standing_of
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.seams import Contacts
     from hickory_stream.perception.surface import Surface
 
 
@@ -54,9 +53,10 @@ class Groups:
         """Return (n,) the name of each label's group."""
         return np.array([self._root(i) for i in range(len(self._parent))])
 
-    def numbers(self) -> NDArray[np.int64]:
-        """Return (n,) the groups numbered without gaps, in the order of their names."""
-        return np.unique(self.roots(), return_inverse=True)[1]
+    def numbers(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return (n,) the groups numbered without gaps in the order of their names, and the names (groups,)."""
+        names, numbers = np.unique(self.roots(), return_inverse=True)
+        return numbers, names
 
     def _root(self, i: int) -> int:
         while self._parent[i] != i:
@@ -73,7 +73,7 @@ def join_fragments(
     floor_z_m: float | None,
     config: JoinConfig,
 ) -> NDArray[np.int32]:
-    """Return (h, w) instance labels 1..n: fragments joined by the rules, numbered in the order of their first fragment."""
+    """Return (h, w) instance labels 1..n: joined fragments, numbered in the order of their first fragment."""
     count = int(labels.max()) + 1
     if count == 1:
         return labels
@@ -92,17 +92,22 @@ def join_fragments(
     seams = seams_of(surface, contacts, count)
     groups.unite((seam.a, seam.b) for seam in seams if is_one_thing(scene, seam, config.rules))
     groups.unite(legs(scene, contacts, groups.roots(), config.rules))
-    carrier = carriers(scene, config.rules)
+    is_bare = bare_planes(pieces, groups.roots(), config.rules)
+    groups.unite((seam.a, seam.b) for seam in seams if is_back(scene, seam, is_bare, config.rules))
+    is_carrier = carriers(scene, config.rules)
     for _ in range(config.floating.rounds):
-        numbers = groups.numbers()
+        numbers, first = groups.numbers()
         joined = numbers.astype(np.int32)[labels]
-        standing = standing_of(contacts, np.append(numbers, numbers.max() + 1), heights, level)
         pieces = measure(surface, joined, supports, areas_m2)
-        carries = np.bincount(numbers, weights=carrier, minlength=len(pieces.pixels)) > 0
-        bare_seats = seats(pieces, floor_z_m, config.rules)
-        pairs = holders(surface, joined, standing, pieces, carries, bare_seats, config.floating)
+        loose = Loose(
+            groups=joined,
+            pieces=pieces,
+            standing=standing_of(contacts, np.append(numbers, len(first)), heights, level),
+            carries=np.bincount(numbers, weights=is_carrier, minlength=len(first)) > 0,
+            is_seat=seats(pieces, floor_z_m, config.rules),
+        )
+        pairs = holders(surface, loose, config.floating)
         if not pairs:
-            return joined
-        first = np.unique(numbers, return_index=True)[1]
+            break
         groups.unite((int(first[i]), int(first[j])) for i, j in pairs)
-    return groups.numbers().astype(np.int32)[labels]
+    return groups.numbers()[0].astype(np.int32)[labels]

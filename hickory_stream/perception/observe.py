@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from scipy.ndimage import find_objects
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera, backproject
@@ -26,7 +27,7 @@ class ObserveConfig:
 
     Attributes:
         min_depth_m, max_depth_m: returns outside are unreliable.
-        erode_px: pixels taken off the mask's rim before lifting, where depth mixes two surfaces; thin masks keep theirs.
+        erode_px: pixels taken off a mask's rim before lifting, where depth mixes two surfaces; thin parts keep theirs.
         voxel_m: points are averaged over the cells of this lattice.
         min_neighbors: a point is kept if its 27 cells of three voxels hold at least this many points.
         min_points: observations with fewer points are rejected.
@@ -76,25 +77,19 @@ def mask_area_of(camera: Camera) -> float:
 
 
 def _masks(instances: NDArray[np.int32]) -> list[tuple[tuple[int, int, int, int], NDArray[np.bool_]]]:
-    ys, xs = np.nonzero(instances)
-    names = instances[ys, xs]
-    count = int(names.max()) + 1 if len(names) else 1
-    low = np.full((count, 2), max(instances.shape), dtype=np.int64)
-    high = np.zeros((count, 2), dtype=np.int64)
-    at = np.stack([xs, ys], axis=1)
-    np.minimum.at(low, names, at)
-    np.maximum.at(high, names, at + 1)
+    """Return the box (x0, y0, x1, y1) and the mask within it of each instance, in the order of their labels."""
     masks = []
-    for name in np.unique(names):
-        x0, y0, x1, y1 = int(low[name, 0]), int(low[name, 1]), int(high[name, 0]), int(high[name, 1])
-        masks.append(((x0, y0, x1, y1), instances[y0:y1, x0:x1] == name))
+    for i, place in enumerate(find_objects(instances)):
+        if place is not None:
+            rows, columns = place
+            masks.append(((columns.start, rows.start, columns.stop, rows.stop), instances[place] == i + 1))
     return masks
 
 
 def _lift(
     frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], config: ObserveConfig
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8], float] | str:
-    """Return (points, colours, R_depth), or why there are none. R_depth is the share of the mask with reliable depth."""
+    """Return (points, colours, R_depth), or why there are none; R_depth is the share of the mask with depth."""
     x0, y0, x1, y1 = box_px
     depth = frame.depth_m[y0:y1, x0:x1]
     reliable = mask & (depth >= config.min_depth_m) & (depth <= config.max_depth_m)
@@ -127,11 +122,16 @@ def voxel_means(
 
 
 def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
-    """Return the mask without its rim; where that leaves less than a third, the mask is thin and keeps its rim."""
+    """Return the mask without its rim; what is too thin to have an inside (a leg, a pole, a handle) stays whole."""
+    if erode_px == 0:
+        return mask
     padded = np.pad(mask.astype(np.uint8), erode_px)
     kernel = np.ones((2 * erode_px + 1, 2 * erode_px + 1), dtype=np.uint8)
-    inner = cv2.erode(padded, kernel)[erode_px : erode_px + mask.shape[0], erode_px : erode_px + mask.shape[1]] > 0
-    return inner if 3 * inner.sum() >= mask.sum() else mask
+    inner = cv2.erode(padded, kernel)
+    # Twice as far back as it went: a corner that the erosion took off is no thin part.
+    near = cv2.dilate(inner, kernel, iterations=2)
+    kept = (inner > 0) | ((padded > 0) & (near == 0))
+    return kept[erode_px : erode_px + mask.shape[0], erode_px : erode_px + mask.shape[1]]
 
 
 def _is_dense(points: NDArray[np.float32], counts: NDArray[np.int64], config: ObserveConfig) -> NDArray[np.bool_]:

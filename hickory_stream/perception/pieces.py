@@ -22,7 +22,8 @@ class Pieces:
     """Per fragment (index = label): all arrays are (count, ...), row 0 is nothing.
 
     `pixels`; `lab` (count, 3) the mean colour; `z_low_m` and `z_high_m` the 5th and 95th percentile of height;
-    `area_m2` of surface in view; `support`: the supporting plane that most of it lies in, 0 = none.
+    `area_m2` of surface in view; `support`: the supporting plane that most of it lies in, 0 = none;
+    `center_m` (count, 2): the mean of its points, seen from above.
     """
 
     pixels: NDArray[np.int64]
@@ -31,6 +32,7 @@ class Pieces:
     z_high_m: NDArray[np.float64]
     area_m2: NDArray[np.float64]
     support: NDArray[np.int64]
+    center_m: NDArray[np.float64]
 
     def color_difference(self, a: int, b: int) -> float:
         """Return the distance of two mean colours in Lab, lightness at half weight: shading changes lightness."""
@@ -49,18 +51,21 @@ def measure(
     per = np.maximum(pixels, 1)
     lab_image = lab_of(surface.rgb).reshape(-1, 3)[used]
     lab = np.stack([np.bincount(names, weights=lab_image[:, c], minlength=count) / per for c in range(3)], axis=1)
-    low, high = _percentiles(names, surface.points_world[..., 2].ravel()[used], pixels)
+    points = surface.points_world.reshape(-1, 3)[used]
+    low, high = _percentiles(names, points[:, 2], pixels)
     planes = supports.ravel()[used]
     levels = int(planes.max(initial=0)) + 1
     votes = np.bincount(names.astype(np.int64) * levels + planes, minlength=count * levels).reshape(count, levels)
     most = votes.argmax(axis=1)
+    center = np.stack([np.bincount(names, weights=points[:, c], minlength=count) / per for c in range(2)], axis=1)
     return Pieces(
         pixels=pixels,
         lab=lab,
         z_low_m=low,
         z_high_m=high,
-        area_m2=np.bincount(names, weights=areas_m2.ravel()[used], minlength=count),
+        area_m2=np.bincount(names, weights=areas_m2.ravel()[used], minlength=count).astype(np.float64),
         support=np.where(2 * votes[:, 0] < pixels, most, 0),
+        center_m=center,
     )
 
 

@@ -34,6 +34,7 @@ class RuleConfig:
         seat_low_m, seat_high_m: heights above the floor between which one sits.
         seat_area_m2: a larger plane is no seat.
         back_m: what reaches this far above a seat from its rim is its back, whatever the colours.
+        body_share: a plane to which more than this share of its area is joined is the top of a body, and no seat.
     """
 
     seam_share: float = 0.3
@@ -45,6 +46,7 @@ class RuleConfig:
     seat_high_m: float = 0.6
     seat_area_m2: float = 0.4
     back_m: float = 0.2
+    body_share: float = 0.8
     carrier_area_m2: float = 0.08
 
 
@@ -70,9 +72,7 @@ def is_one_thing(scene: Scene, seam: Seam, config: RuleConfig) -> bool:
         return is_long and color < 0.6 * config.like_color
     if is_plane_a or is_plane_b:
         plane, other = (a, b) if is_plane_a else (b, a)
-        return (is_long or len(seam.points_world) >= 4) and _belongs_to_plane(
-            scene, seam, plane, other, is_long, config
-        )
+        return _belongs_to_plane(scene, seam, plane, other, is_long, config)
     return is_long and color < config.like_color and not _stand_side_by_side(scene.standing, a, b)
 
 
@@ -91,21 +91,39 @@ def carriers(scene: Scene, config: RuleConfig) -> NDArray[np.bool_]:
     return (pieces.support > 0) & (pieces.area_m2 > config.carrier_area_m2) & ~scene.is_seat
 
 
+def is_back(scene: Scene, seam: Seam, is_bare: NDArray[np.bool_], config: RuleConfig) -> bool:
+    """Return whether one fragment is a seat and the other its back, whatever their colours: it rises from the rim.
+
+    `is_bare` (count,): fragments to which little is joined: the top of a box before a higher one is no seat.
+    """
+    for seat, back in ((seam.a, seam.b), (seam.b, seam.a)):
+        if scene.is_seat[seat] and is_bare[seat] and scene.pieces.support[back] == 0:
+            rises = scene.pieces.z_high_m[back] > scene.pieces.z_high_m[seat] + config.back_m
+            # Two posts that meet a seat at its corners make a seam of few pixels and of its whole width.
+            return bool(rises) and len(seam.points_world) >= 4 and _stands_on_rim(scene, seam, seat, config)
+    return False
+
+
+def bare_planes(pieces: Pieces, groups: NDArray[np.int64], config: RuleConfig) -> NDArray[np.bool_]:
+    """Return (count,) to which fragments little else is joined, by its area, in `groups` (count,)."""
+    area_m2 = np.bincount(groups, weights=pieces.area_m2, minlength=len(groups))[groups]
+    return np.asarray(area_m2 - pieces.area_m2 < config.body_share * pieces.area_m2)
+
+
 def _belongs_to_plane(scene: Scene, seam: Seam, plane: int, other: int, is_long: bool, config: RuleConfig) -> bool:
-    """Return whether a fragment hangs below a plane, or rises from its rim as a back does."""
+    """Return whether a fragment hangs below a plane, or rises from its rim in its colour."""
     pieces = scene.pieces
     height = float(pieces.z_high_m[plane] + pieces.z_low_m[plane]) / 2
     if pieces.z_high_m[other] < height + config.below_m:
         return is_long
-    is_back = bool(scene.is_seat[plane]) and pieces.z_high_m[other] > height + config.back_m
-    if pieces.color_difference(plane, other) >= config.like_color and not is_back:
+    if not is_long or pieces.color_difference(plane, other) >= config.like_color:
         return False
     return _stands_on_rim(scene, seam, plane, config)
 
 
 def _stand_side_by_side(standing: Standing, a: int, b: int) -> bool:
     """Return whether two fragments stand on the same thing: then they touch, but each stands for itself."""
-    return any(standing.stands_on(a, c) and standing.stands_on(b, c) for c in np.flatnonzero(standing.on[a]))
+    return any(standing.stands_on(a, c) and standing.stands_on(b, c) for c in map(int, np.flatnonzero(standing.on[a])))
 
 
 def _stands_on_rim(scene: Scene, seam: Seam, plane: int, config: RuleConfig) -> bool:

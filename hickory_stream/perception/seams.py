@@ -81,7 +81,7 @@ def seams_of(surface: Surface, contacts: Contacts, num_labels: int) -> list[Seam
     order = np.argsort(key, kind="stable")
     key, at = key[order], at[order]
     starts = np.flatnonzero(np.diff(key, prepend=-1))
-    ends = np.append(starts[1:], len(key))
+    ends = np.append(starts, len(key))[1:]
     return [
         Seam(a=int(key[i]) // num_labels, b=int(key[i]) % num_labels, points_world=at[i:j])
         for i, j in zip(starts, ends, strict=True)

@@ -64,7 +64,7 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig)
 
 
 def _occupied_keys(frame: Frame, config: SpaceConfig) -> NDArray[np.int64]:
-    """Return the voxels with a return in them, sampled twice as densely: a thin pole is not free for the rays beside it."""
+    """Return the voxels with a return in them, sampled twice as densely: a pole is not free for the rays beside it."""
     step = max(1, config.stride_px // 2)
     camera = frame.camera
     depth = frame.depth_m[::step, ::step]

@@ -82,7 +82,7 @@ def floor_height_m(
 ) -> float | None:
     """Return the floor's height as this frame shows it, or the known height where the frame shows no floor.
 
-    A table that fills the view is told from the floor by the known height: a floor is only ever replaced by a lower one.
+    A table that fills the view is told from the floor by the known height: only a lower floor replaces a floor.
     """
     camera_z = float(surface.world_from_camera[2, 3])
     for plane in planes:

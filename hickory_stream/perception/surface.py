@@ -1,7 +1,7 @@
 """The visible surface of a frame: cleaned depth at working resolution, points and normals in the world.
 
-Planes are linear in inverse depth, and a stereo or structured-light camera has the same noise everywhere in inverse depth:
-normals come from a least-squares plane in inverse depth, twice, the second time over the inliers of the first.
+Planes are linear in inverse depth, and a stereo or structured-light camera has the same noise everywhere in it: normals
+come from a least-squares plane in inverse depth, twice, the second time over the inliers of the first.
 """
 
 from __future__ import annotations

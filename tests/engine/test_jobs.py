@@ -9,7 +9,7 @@ import pytest
 
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.jobs import job_folder, read_job, take_result, write_job, write_result
-from hickory_stream.errors import WorkerError
+from hickory_stream.errors import MapFolderError, WorkerError
 from hickory_stream.geometry.mesh import read_glb, sha256_of
 from hickory_stream.ports import BuiltShape, NoShape
 from hickory_stream.shapes.build import ShapeConfig, build_shape
@@ -69,6 +69,15 @@ def test_a_view_may_be_dropped_while_its_job_waits(
         for file in crop_files(tmp_path / "views", view.name):
             file.unlink()
     assert len(read_job(folder)[0].crops) == len(request_3.views)
+
+
+def test_a_disk_that_refuses_a_job_is_told_as_such(
+    tmp_path: Path, request_3: RequestShape, config: ShapeConfig
+) -> None:
+    (tmp_path / "jobs").mkdir()
+    (tmp_path / "jobs/000001").write_text("in the way")
+    with pytest.raises(MapFolderError, match=r"cannot write .*000001"):
+        written(tmp_path, request_3, config)
 
 
 def test_the_answer_is_the_shape_that_was_built(tmp_path: Path, request_3: RequestShape, config: ShapeConfig) -> None:

@@ -1,0 +1,150 @@
+"""What every reconstructor owes the map, shown on the same views of the same boxes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, get_args
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from hickory_stream.engine.crops import read_crop
+from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.mesh import is_closed, read_glb, sha256_of, volume_m3, write_glb
+from hickory_stream.geometry.rigid import apply, is_rigid
+from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.shapes.build import ReconstructorName, ShapeConfig, make_reconstructor
+from hickory_stream.testing import SCENE_BOXES, BoxReconstructor
+from tests.engine.run_fixtures import scene_request
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import Crop, Reconstructor
+
+# The last of the boxes: which one the inputs are of.
+TRUTH = SCENE_BOXES[-1]
+TRUE_VOLUME_M3 = float(np.prod(np.array(TRUTH.high) - np.array(TRUTH.low)))
+
+
+def reconstructors() -> dict[str, Reconstructor]:
+    ours = {name: make_reconstructor(name, ShapeConfig()) for name in get_args(ReconstructorName)}
+    return {**ours, "box": BoxReconstructor()}
+
+
+@pytest.fixture(params=sorted(reconstructors()))
+def reconstructor(request: pytest.FixtureRequest) -> Reconstructor:
+    return reconstructors()[request.param]
+
+
+@pytest.fixture(scope="module", params=[1, 8])
+def inputs(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ShapeInputs:
+    """A box seen from one place, or from eight along an arc."""
+    views = tmp_path_factory.mktemp("views")
+    asked = scene_request(views, num_views=request.param)
+    return ShapeInputs(
+        crops=tuple(read_crop(views, view.name) for view in asked.views),
+        points_world=asked.points_world,
+        colors=asked.colors,
+        box=asked.box,
+        support_z_m=asked.support_z_m,
+    )
+
+
+def made(reconstructor: Reconstructor, inputs: ShapeInputs) -> Reconstruction:
+    answer = reconstructor.reconstruct(inputs)
+    assert isinstance(answer, Reconstruction), answer
+    return answer
+
+
+def test_it_goes_by_the_name_that_the_configuration_chooses_it_by() -> None:
+    assert {name: reconstructor.name for name, reconstructor in reconstructors().items()} == {
+        name: name for name in (*get_args(ReconstructorName), "box")
+    }
+
+
+def test_the_mesh_is_closed_finite_and_looks_outwards(reconstructor: Reconstructor, inputs: ShapeInputs) -> None:
+    mesh = made(reconstructor, inputs).mesh
+    assert is_closed(mesh)
+    assert np.isfinite(mesh.vertices).all()
+    assert mesh.faces.min() >= 0
+    assert mesh.faces.max() < len(mesh.vertices)
+    assert volume_m3(mesh) > 0
+
+
+def test_every_vertex_has_a_colour_and_says_whether_it_was_seen(
+    reconstructor: Reconstructor, inputs: ShapeInputs
+) -> None:
+    mesh = made(reconstructor, inputs).mesh
+    assert mesh.colors.shape == (len(mesh.vertices), 3)
+    assert mesh.is_seen.shape == (len(mesh.vertices),)
+    # Nobody saw the bottom of a box on the floor, and everybody saw its front.
+    assert 0 < mesh.is_seen.sum() < len(mesh.vertices)
+
+
+def test_the_shape_stands_where_the_object_stands_and_is_about_as_large(
+    reconstructor: Reconstructor, inputs: ShapeInputs
+) -> None:
+    answer = made(reconstructor, inputs)
+    assert is_rigid(answer.world_from_object)
+    vertices_world = apply(answer.world_from_object, answer.mesh.vertices.astype(np.float64))
+    assert (vertices_world.min(axis=0) > np.array(TRUTH.low) - 0.08).all()
+    assert (vertices_world.max(axis=0) < np.array(TRUTH.high) + 0.08).all()
+    assert 0.4 * TRUE_VOLUME_M3 < volume_m3(answer.mesh) < 1.6 * TRUE_VOLUME_M3
+
+
+def test_what_was_seen_lies_where_a_view_or_layer_1_has_a_point(
+    reconstructor: Reconstructor, inputs: ShapeInputs
+) -> None:
+    answer = made(reconstructor, inputs)
+    measured = np.concatenate([inputs.points_world, *(points_of(crop) for crop in inputs.crops)])
+    seen_world = apply(answer.world_from_object, answer.mesh.vertices[answer.mesh.is_seen].astype(np.float64))
+    distances_m, _ = cKDTree(measured).query(seen_world)
+    assert np.quantile(distances_m, 0.95) < 0.03
+
+
+def points_of(crop: Crop) -> NDArray[np.float32]:
+    """Return the (N, 3) points of the mask in the world."""
+    points_camera = backproject(crop.depth_m, crop.camera)[crop.mask & np.isfinite(crop.depth_m)]
+    return np.asarray(apply(crop.world_from_camera, points_camera))
+
+
+def test_the_same_inputs_give_the_same_file_to_the_byte(
+    reconstructor: Reconstructor, inputs: ShapeInputs, tmp_path: Path
+) -> None:
+    files = [tmp_path / "a.glb", tmp_path / "b.glb"]
+    poses = []
+    for file in files:
+        answer = made(reconstructors()[reconstructor.name], inputs)
+        write_glb(answer.mesh, file)
+        poses.append(answer.world_from_object.tobytes())
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert poses[0] == poses[1]
+
+
+def test_the_file_keeps_what_was_seen(reconstructor: Reconstructor, inputs: ShapeInputs, tmp_path: Path) -> None:
+    mesh = made(reconstructor, inputs).mesh
+    write_glb(mesh, tmp_path / "a.glb")
+    again = read_glb(tmp_path / "a.glb")
+    assert is_closed(again)
+    assert again.is_seen.sum() == mesh.is_seen.sum()
+    assert sha256_of(again) == sha256_of(read_glb(tmp_path / "a.glb"))
+
+
+@pytest.mark.parametrize("crops", ["none", "blind"])
+def test_a_hopeless_input_is_no_shape_with_a_reason(
+    reconstructor: Reconstructor, inputs: ShapeInputs, crops: str
+) -> None:
+    blind = tuple(replace(crop, depth_m=np.full_like(crop.depth_m, np.nan)) for crop in inputs.crops)
+    nothing = replace(
+        inputs,
+        crops=() if crops == "none" else blind,
+        points_world=np.zeros((0, 3), np.float32),
+        colors=np.zeros((0, 3), np.uint8),
+    )
+    answer = reconstructor.reconstruct(nothing)
+    assert isinstance(answer, NoShape)
+    assert answer.reason

@@ -1,0 +1,126 @@
+"""What every sink owes the engine, shown on the reports of a real run of two rounds: with shapes and a jump of time."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hickory_stream.engine.session import MapFolder
+from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
+from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink
+from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind
+from hickory_stream.testing import RememberingSink, SlowSink
+from tests.engine.run_fixtures import NO_SHAPES, map_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from hickory_stream.ports import Sink
+    from hickory_stream.records import FrameReport
+
+pytestmark = pytest.mark.timeout(60)
+
+
+def _disk(folder: MapFolder) -> Sink:
+    return DiskSink(folder, DiskSinkConfig(every_keyframes=2))
+
+
+def _rerun_file(folder: MapFolder) -> Sink:
+    rrd = folder.path.parent / "run.rrd"
+    return RerunSink(RerunConfig(), folder.path, rrd, ViewerChoice(kind=ViewerKind.NONE))
+
+
+def _rerun_of_nothing(folder: MapFolder) -> Sink:
+    return RerunSink(RerunConfig(), folder.path, None, ViewerChoice(kind=ViewerKind.NONE))
+
+
+SINKS: dict[str, Callable[[MapFolder], Sink]] = {
+    "disk": _disk,
+    "rerun_file": _rerun_file,
+    "rerun_of_nothing": _rerun_of_nothing,
+    "remembering": lambda _: RememberingSink(),
+    "slow": lambda _: SlowSink(RememberingSink(), 0.001),
+}
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[MapFolder, list[FrameReport]]:
+    sink = RememberingSink()
+    run = map_scene(
+        tmp_path_factory.mktemp("played"), loops=2, sinks=lambda folder: [(sink, True), (_disk(folder), True)]
+    )
+    return run.folder, sink.reports
+
+
+@pytest.fixture(scope="module")
+def undisturbed_digest(tmp_path_factory: pytest.TempPathFactory) -> str | None:
+    return map_scene(tmp_path_factory.mktemp("undisturbed"), *NO_SHAPES).digest
+
+
+@pytest.fixture(params=sorted(SINKS))
+def make_sink(request: pytest.FixtureRequest) -> Callable[[MapFolder], Sink]:
+    return SINKS[request.param]
+
+
+@pytest.fixture
+def folder(played: tuple[MapFolder, list[FrameReport]], tmp_path: Path) -> MapFolder:
+    """A copy of the folder that the reports refer to."""
+    shutil.copytree(played[0].path, tmp_path / "map")
+    return MapFolder(tmp_path / "map", played[0].manifest)
+
+
+def test_the_reports_are_of_every_kind(played: tuple[MapFolder, list[FrameReport]]) -> None:
+    _, reports = played
+    assert any(report.snapshot and any(tracked.shape for tracked in report.snapshot.objects) for report in reports)
+    assert any(b.stamp_ns < a.stamp_ns for a, b in itertools.pairwise(reports))
+    assert reports[-1].frame is None
+    assert reports[-1].snapshot is not None
+
+
+def test_a_sink_takes_every_report_of_a_run(
+    make_sink: Callable[[MapFolder], Sink], folder: MapFolder, played: tuple[MapFolder, list[FrameReport]]
+) -> None:
+    sink = make_sink(folder)
+    for report in played[1]:
+        sink.show(report)
+    sink.close()
+
+
+def test_a_sink_can_be_closed_before_it_was_shown_anything(
+    make_sink: Callable[[MapFolder], Sink], folder: MapFolder
+) -> None:
+    make_sink(folder).close()
+
+
+def test_a_sink_takes_a_map_without_objects_and_a_frame_without_anything(
+    make_sink: Callable[[MapFolder], Sink], folder: MapFolder, played: tuple[MapFolder, list[FrameReport]]
+) -> None:
+    first = played[1][0]
+    assert first.snapshot is not None
+    empty = replace(first, snapshot=replace(first.snapshot, objects=()), observations=(), object_ids=(), decisions=())
+    bare = replace(
+        first,
+        index=1,
+        keyframe_index=None,
+        frame=None,
+        segmentation=None,
+        snapshot=None,
+        observations=(),
+        object_ids=(),
+    )
+    sink = make_sink(folder)
+    for report in (empty, bare):
+        sink.show(report)
+    sink.close()
+
+
+def test_a_sink_on_a_thread_of_its_own_does_not_change_the_map(
+    make_sink: Callable[[MapFolder], Sink], tmp_path: Path, undisturbed_digest: str
+) -> None:
+    run = map_scene(tmp_path, *NO_SHAPES, sinks=lambda folder: [(_disk(folder), True), (make_sink(folder), True)])
+    assert run.digest == undisturbed_digest

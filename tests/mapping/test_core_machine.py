@@ -1,0 +1,249 @@
+"""The core under random events: boxes that come, move a little, are seen in part or as one, and vanish."""
+
+from typing import Any
+
+import numpy as np
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.events import (
+    CancelShape,
+    ComputeFeatures,
+    DropView,
+    Effect,
+    Event,
+    FeaturesReady,
+    KeepView,
+    Publish,
+    RequestShape,
+    ShapeFailed,
+    SourceEnded,
+    TimeJumped,
+)
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.lifecycle import LifecycleConfig
+from hickory_stream.mapping.merge import MergeConfig
+from hickory_stream.mapping.requests import RequestConfig
+from hickory_stream.mapping.track import TrackConfig
+from hickory_stream.records import MapSnapshot
+from tests.mapping.mapping_fixtures import (
+    SECOND_NS,
+    VOXEL_M,
+    box_surface,
+    feature,
+    keyframe,
+    observation,
+    shape_ready,
+    space,
+    told,
+)
+from tests.strategies import unit_share
+
+MAX_IN_FLIGHT = 2
+CONFIG = MappingConfig(
+    track=TrackConfig(voxel_m=VOXEL_M),
+    lifecycle=LifecycleConfig(confirm_sightings=2, tentative_s=3.0, dormant_s=2.0, archive_s=6.0, phantom_frames=2),
+    merge=MergeConfig(min_votes=2),
+    requests=RequestConfig(
+        max_in_flight=MAX_IN_FLIGHT, first_sightings=2, min_gain=0.2, interval_s=1.0, max_failures=2
+    ),
+)
+
+
+def points_at(site: int, kind: str, shift_m: float) -> np.ndarray:
+    """A box at one of four neighbouring places, half of it, or the box and its neighbour as one."""
+    if kind == "pair":
+        return box_surface((0.22 * site + 0.11 + shift_m, 0, 0.1), (0.42, 0.2, 0.2))
+    points = box_surface((0.22 * site + shift_m, 0, 0.1))
+    return points[points[:, 0] < 0.22 * site] if kind == "half" else points
+
+
+sightings = st.lists(
+    st.tuples(
+        st.integers(0, 3),
+        st.sampled_from(["box", "box", "box", "half", "pair"]),
+        st.sampled_from([-0.01, 0.0, 0.0, 0.015]),
+        unit_share,
+        unit_share,
+    ),
+    max_size=3,
+    unique_by=lambda sighting: sighting[0],
+)
+
+
+def arrays_of(value: Any) -> list[np.ndarray]:
+    """Every array within a record, however deep."""
+    if isinstance(value, np.ndarray):
+        return [value]
+    if isinstance(value, tuple):
+        return [array for item in value for array in arrays_of(item)]
+    names = getattr(type(value), "__slots__", ())
+    return [array for name in names if hasattr(value, name) for array in arrays_of(getattr(value, name))]
+
+
+class CoreUnderRandomEvents(RuleBasedStateMachine):
+    def __init__(self) -> None:
+        super().__init__()
+        self.core = MapperCore(CONFIG)
+        self.events: list[Event] = []
+        self.effects: list[Effect] = []
+        self.published: list[tuple[MapSnapshot, str]] = []
+        self.open: dict[int, int] = {}
+        self.kept: set[str] = set()
+        self.dropped: set[str] = set()
+        self.num_frames = 0
+        self.stamp_ns = 0
+
+    def tell(self, event: Event) -> list[Effect]:
+        effects = self.core.handle(event)
+        self.events.append(event)
+        self.effects += effects
+        for effect in effects:
+            self.note(effect)
+        return effects
+
+    def note(self, effect: Effect) -> None:
+        match effect:
+            case KeepView(view=view):
+                assert view.name not in self.kept
+                self.kept.add(view.name)
+            case DropView(name=name):
+                assert name in self.kept - self.dropped
+                self.dropped.add(name)
+            case RequestShape():
+                assert effect.object_id not in self.open.values()
+                assert {view.name for view in effect.views} <= self.kept - self.dropped
+                self.open[effect.ticket] = effect.object_id
+            case CancelShape(ticket=ticket):
+                del self.open[ticket]
+            case Publish(snapshot=snapshot):
+                self.published.append((snapshot, map_digest(snapshot)))
+
+    # ---- what happens ------------------------------------------------------------------------------------------------
+
+    @rule(
+        seen=sightings,
+        gap_s=st.sampled_from([0.25, 1.0, 5.0]),
+        angle_rad=st.floats(0, 6),
+        looked_through=st.sampled_from([None, None, 0, 1, 2, 3]),
+    )
+    def a_keyframe_comes(
+        self, seen: list[tuple[int, str, float, float, float]], gap_s: float, angle_rad: float, looked_through: int | None
+    ) -> None:
+        self.stamp_ns += round(gap_s * SECOND_NS)
+        shown = [
+            observation(i, points_at(site, kind, shift), r_area=area)
+            for i, (site, kind, shift, area, _) in enumerate(seen)
+        ]
+        free = None
+        if looked_through is not None:
+            free = keys_of_points(points_at(looked_through, "box", 0.0), CONFIG.space_voxel_m)
+        event = keyframe(
+            self.num_frames, shown, stamp_ns=self.stamp_ns, seen=space(free=free), angle_rad=angle_rad
+        )
+        self.num_frames += 1
+        effects = self.tell(event)
+        if isinstance(effects[-1], ComputeFeatures):
+            asked = effects[-1]
+            features = tuple(feature(i, seen[i][4]) for i in asked.observation_indices)
+            effects = self.tell(FeaturesReady(frame_index=asked.frame_index, features=features))
+        assert isinstance(effects[-1], Publish)
+        assert len(effects[-1].object_ids) == len(seen)
+
+    @precondition(lambda self: self.open)
+    @rule(which=st.integers(0, 10), is_ready=st.booleans())
+    def a_shape_job_ends(self, which: int, is_ready: bool) -> None:
+        ticket = sorted(self.open)[which % len(self.open)]
+        object_id = self.open.pop(ticket)
+        if is_ready:
+            self.tell(shape_ready(ticket, object_id))
+            assert {o.id: o for o in self.core.snapshot().objects}[object_id].shape is not None
+        else:
+            self.tell(ShapeFailed(ticket=ticket, object_id=object_id, stamp_ns=self.stamp_ns, reason="no points"))
+
+    @precondition(lambda self: self.num_frames > 0)
+    @rule(to_s=st.sampled_from([0, 10_000]))
+    def the_stamps_jump(self, to_s: int) -> None:
+        before = [tracked.id for tracked in self.core.snapshot().objects]
+        self.tell(TimeJumped(from_ns=self.stamp_ns, to_ns=to_s * SECOND_NS))
+        self.stamp_ns = to_s * SECOND_NS
+        assert [tracked.id for tracked in self.core.snapshot().objects] == before
+
+    # ---- what always holds -------------------------------------------------------------------------------------------
+
+    @invariant()
+    def ids_are_unique_sorted_and_not_those_that_were_merged(self) -> None:
+        objects = self.core.snapshot().objects
+        ids = [tracked.id for tracked in objects]
+        assert ids == sorted(set(ids))
+        merged = [gone for tracked in objects for gone in tracked.merged_ids]
+        assert len(merged) == len(set(merged))
+        assert not set(ids) & set(merged)
+
+    @invariant()
+    def every_view_that_is_referred_to_was_kept_and_not_dropped(self) -> None:
+        for tracked in self.core.snapshot().objects:
+            assert {view.name for view in tracked.views} <= self.kept - self.dropped
+            if tracked.best_view is not None:
+                assert any(view is tracked.best_view for view in tracked.views)
+            assert all(view.object_id == tracked.id for view in tracked.views)
+
+    @invariant()
+    def every_kept_view_is_either_referred_to_or_dropped(self) -> None:
+        referred = {view.name for tracked in self.core.snapshot().objects for view in tracked.views}
+        assert self.kept - self.dropped == referred
+
+    @invariant()
+    def no_more_jobs_are_open_than_allowed_and_only_for_objects_that_are_there(self) -> None:
+        assert len(self.open) <= MAX_IN_FLIGHT
+        assert set(self.open.values()) <= {tracked.id for tracked in self.core.snapshot().objects}
+
+    @invariant()
+    def a_box_contains_most_of_the_points_and_sightings_are_in_order(self) -> None:
+        for tracked in self.core.snapshot().objects:
+            assert tracked.box.contains(tracked.points_world, 1e-5).mean() >= 0.7
+            assert tracked.sightings >= 1
+
+    @invariant()
+    def nothing_that_is_shown_can_be_written_to(self) -> None:
+        arrays = arrays_of(self.core.snapshot())
+        assert arrays
+        assert not any(array.flags.writeable for array in arrays)
+
+    @invariant()
+    def memory_is_bounded_by_the_surface(self) -> None:
+        # All that can ever be seen is 1.1 m of a row of boxes: its voxels, once for each object.
+        num_cells = (1.2 / VOXEL_M) * (0.24 / VOXEL_M) ** 2
+        assert all(len(tracked.points_world) <= num_cells for tracked in self.core.snapshot().objects)
+        assert all(len(tracked.views) <= 8 + 1 for tracked in self.core.snapshot().objects)
+
+    def teardown(self) -> None:
+        self.the_end_asks_for_what_is_missing()
+        assert all(map_digest(snapshot) == digest for snapshot, digest in self.published)
+        self.the_same_events_give_the_same_effects()
+
+    def the_end_asks_for_what_is_missing(self) -> None:
+        self.tell(SourceEnded(stamp_ns=self.stamp_ns))
+        self.every_view_that_is_referred_to_was_kept_and_not_dropped()
+        self.every_kept_view_is_either_referred_to_or_dropped()
+        failed = [event.object_id for event in self.events if isinstance(event, ShapeFailed)]
+        for tracked in self.core.snapshot().objects:
+            assert tracked.phase != "tentative"
+            has_or_gets_one = tracked.shape is not None or tracked.id in self.open.values()
+            assert has_or_gets_one or failed.count(tracked.id) >= CONFIG.requests.max_failures
+
+    def the_same_events_give_the_same_effects(self) -> None:
+        again = MapperCore(CONFIG)
+        effects = [effect for event in self.events for effect in again.handle(event)]
+        assert told(effects) == told(self.effects)
+        digests = [map_digest(effect.snapshot) for effect in effects if isinstance(effect, Publish)]
+        assert digests == [digest for _, digest in self.published]
+
+
+CoreUnderRandomEvents.TestCase.settings = settings(
+    max_examples=20, stateful_step_count=14, suppress_health_check=[HealthCheck.too_slow]
+)
+TestTheCoreKeepsItsInvariantsUnderRandomEvents = CoreUnderRandomEvents.TestCase

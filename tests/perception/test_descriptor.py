@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.perception.descriptor import ColorTextureDescriptor, mask_feature
+from hickory_stream.perception.observe import ObserveConfig, observe
+from hickory_stream.records import Segmentation
+
+from perception_scenes import Block, looking, render  # isort: skip
+
+DESCRIPTOR = ColorTextureDescriptor()
+
+
+def observation_of_a_filled_image():
+    wall = Block(low=(1.0, -9.0, -9.0), high=(1.2, 9.0, 9.0), color=(90, 140, 60))
+    frame, shown = render([wall], looking((1.0, 0.0, 0.0), start=(0.0, 0.0, 0.0)))
+    instances = (shown == 0).astype(np.int32)
+    segmentation = Segmentation(instances=instances, structure=shown < 0, floor_z_m=None, rejected=())
+    return frame, observe(frame, segmentation, ObserveConfig())[0][0]
+
+
+@given(height=st.integers(1, 60), width=st.integers(1, 60), seed=st.integers(0, 99))
+def test_features_have_unit_norm_and_one_patch_per_fourteen_pixels_begun(height, width, seed):
+    rgb = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    features = DESCRIPTOR.extract(rgb)
+    assert features.shape == (-(-height // 14), -(-width // 14), DESCRIPTOR.dim)
+    assert features.dtype == np.float32
+    assert np.linalg.norm(features, axis=-1) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_plain_mask_has_no_variance_and_a_pooled_feature_of_unit_norm():
+    frame, observation = observation_of_a_filled_image()
+    feature = mask_feature(observation, DESCRIPTOR.extract(frame.rgb), DESCRIPTOR.patch_px)
+    assert feature.variance == pytest.approx(0.0, abs=1e-6)
+    assert np.linalg.norm(feature.pooled) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_variance_is_at_most_one_and_grows_with_texture(seed):
+    frame, observation = observation_of_a_filled_image()
+    rgb = np.random.default_rng(seed).integers(0, 256, frame.rgb.shape, dtype=np.uint8)
+    rgb[:, : rgb.shape[1] // 2] = (200, 30, 30)
+    variance = mask_feature(observation, DESCRIPTOR.extract(rgb), DESCRIPTOR.patch_px).variance
+    assert 0.01 < variance <= 1.0

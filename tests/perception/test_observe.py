@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from perception_scenes import CAMERA, Block, floor, looking, render
+
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_points
+from hickory_stream.perception.observe import ObserveConfig, mask_area_of, observe
+from hickory_stream.perception.space import SpaceConfig, observe_space
+from hickory_stream.records import Frame, Segmentation
+
+VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
+BOX = Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=(190, 40, 40))
+
+
+def truth(shown, labels):
+    instances = np.zeros(shown.shape, dtype=np.int32)
+    for label, thing in enumerate(labels, start=1):
+        instances[shown == thing] = label
+    return Segmentation(instances=instances, structure=shown == 0, floor_z_m=0.0, rejected=())
+
+
+def with_depth(frame, depth):
+    return Frame(
+        index=0,
+        stamp_ns=0,
+        rgb=frame.rgb,
+        depth_m=depth,
+        camera=frame.camera,
+        world_from_camera=frame.world_from_camera,
+    )
+
+
+def distance_to_box(points, block):
+    outside = np.maximum(np.array(block.low) - points, points - np.array(block.high)).max(axis=1)
+    return np.abs(outside)
+
+
+def test_lifted_points_lie_on_the_true_surface():
+    frame, shown = render([floor(), BOX], VIEW)
+    observations, rejected = observe(frame, truth(shown, [1]), ObserveConfig())
+    assert rejected == ()
+    # A voxel's mean at an edge lies inside by at most a voxel.
+    assert distance_to_box(observations[0].points_world, BOX).max() < 0.01
+    assert (observations[0].colors == BOX.color).all()
+
+
+def test_the_factors_of_a_view_are_shares_of_the_image_and_of_the_mask():
+    frame, shown = render([floor(), BOX], VIEW)
+    depth = frame.depth_m.copy()
+    lost = (shown == 1) & (np.arange(CAMERA.width) % 4 == 0)
+    depth[lost] = np.nan
+    observation = observe(with_depth(frame, depth), truth(shown, [1]), ObserveConfig())[0][0]
+    pixels = int((shown == 1).sum())
+    assert observation.r_area == pixels / (CAMERA.width * CAMERA.height)
+    assert observation.r_depth == pytest.approx(1 - lost.sum() / pixels)
+    assert mask_area_of(CAMERA) == 320 * 240
+
+
+def test_only_what_touches_the_border_is_cut():
+    inside = render([floor(), BOX], VIEW)
+    outside = render([floor(), BOX], looking((0.0, 1.2, 0.3), start=(-2.2, -0.3, 1.5)))
+    assert (outside[1][:, [0, -1]] == 1).any()
+    cut = [observe(frame, truth(shown, [1]), ObserveConfig())[0][0].is_cut for frame, shown in (inside, outside)]
+    assert cut == [False, True]
+
+
+def test_a_thin_leg_is_lifted_with_the_top_it_carries():
+    top = Block(low=(-0.2, -0.2, 0.4), high=(0.2, 0.2, 0.5), color=(1, 2, 3))
+    leg = Block(low=(-0.19, -0.01, 0.0), high=(-0.17, 0.01, 0.4), color=(1, 2, 3))
+    fine = Camera(width=640, height=480, fx=580.0, fy=580.0, cx=319.5, cy=239.5)
+    frame, shown = render([floor(), top, leg], VIEW, fine)
+    whole = np.where(shown == 2, 1, shown)
+    box = observe(frame, truth(whole, [1]), ObserveConfig())[0][0].box
+    assert box.center[2] - box.half_extents_m[2] < 0.05
+
+
+def test_a_mask_without_depth_is_rejected_with_its_reason():
+    frame, shown = render([floor(), BOX], VIEW)
+    depth = np.where(shown == 1, np.nan, frame.depth_m).astype(np.float32)
+    observations, rejected = observe(with_depth(frame, depth), truth(shown, [1]), ObserveConfig())
+    assert observations == ()
+    assert [r.reason for r in rejected] == ["no reliable depth in the mask"]
+
+
+def test_an_image_without_depth_says_nothing_of_space():
+    frame, shown = render([floor()], VIEW)
+    blind = with_depth(frame, np.full_like(frame.depth_m, np.nan))
+    space = observe_space(blind, truth(shown, []), SpaceConfig())
+    assert len(space.free_keys) == len(space.structure_keys) == 0
+
+
+@given(height=st.floats(0.8, 2.0), aim=st.floats(-0.5, 0.5))
+def test_free_voxels_hold_no_sampled_return_and_structure_lies_on_the_floor(height, aim):
+    frame, shown = render([floor(), BOX], looking((0.0, aim, 0.2), start=(-2.0, 0.0, height)))
+    config = SpaceConfig()
+    space = observe_space(frame, truth(shown, [1]), config)
+    u, v = np.meshgrid(np.arange(0, CAMERA.width, 3), np.arange(0, CAMERA.height, 3))
+    z = frame.depth_m[::3, ::3].astype(np.float64)
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    points = (rays * z[..., None])[z < config.max_depth_m]
+    world = points @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]
+    assert not contains(space.free_keys, keys_of_points(world, config.voxel_m)).any()
+    assert (np.diff(space.free_keys) > 0).all()
+    assert (np.diff(space.structure_keys) > 0).all()
+    heights = centers_of_keys(space.structure_keys, config.voxel_m)[:, 2]
+    assert len(heights) > 50
+    assert np.abs(heights).max() < config.voxel_m

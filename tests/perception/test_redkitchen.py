@@ -1,0 +1,36 @@
+import itertools
+
+import numpy as np
+import pytest
+
+from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from players import open_source
+
+
+def box_mask(shape, x0, y0, x1, y1):
+    mask = np.zeros(shape, dtype=bool)
+    mask[y0:y1, x0:x1] = True
+    return mask
+
+
+# Rectangles around the things, drawn by hand on the colour images: x0, y0, x1, y1.
+FRAMES = {
+    0: {"table": (240, 300, 300, 460), "near chair": (165, 120, 235, 345), "far chair": (440, 140, 570, 165)},
+    300: {"left mug": (45, 218, 90, 256), "right mug": (515, 295, 555, 335)},
+}
+
+
+@pytest.mark.parametrize("index", sorted(FRAMES))
+def test_table_chairs_and_mugs_of_a_real_kitchen_are_instances_of_their_own(redkitchen, index):
+    position = sorted(redkitchen.glob("*.color.jpg")).index(redkitchen / f"frame-{index:06d}.color.jpg")
+    source = open_source(str(redkitchen))
+    frame = next(itertools.islice(source.frames(), position, None)).decode()
+    source.close()
+    instances = GeometricSegmenter(GeometricConfig()).segment(frame).instances
+    labels = {}
+    for name, rectangle in FRAMES[index].items():
+        inside = instances[box_mask(instances.shape, *rectangle)]
+        labels[name] = int(np.bincount(inside[inside > 0]).argmax()) if (inside > 0).any() else 0
+        assert labels[name] > 0, f"nothing where the {name} is"
+        assert (inside == labels[name]).mean() > 0.35, f"the {name} is in pieces"
+    assert len(set(labels.values())) == len(labels)

@@ -1,0 +1,146 @@
+import numpy as np
+import pytest
+from perception_scenes import CAMERA, Block, Cylinder, best_iou, floor, looking, render
+
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.records import Frame
+
+VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
+RED, BLUE, GREEN, WOOD, WHITE = (190, 40, 40), (40, 60, 190), (40, 150, 60), (170, 130, 80), (225, 225, 220)
+
+
+def segment(frame):
+    return GeometricSegmenter(GeometricConfig()).segment(frame)
+
+
+def test_a_box_on_a_floor_is_one_instance_and_the_floor_is_structure():
+    frame, shown = render([floor(), Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=RED)], VIEW)
+    result = segment(frame)
+    assert best_iou(result.instances, shown == 1)[0] > 0.85
+    assert result.instances.max() == 1
+    assert result.structure[(shown == 0) & (frame.depth_m < 5.5)].mean() > 0.95
+    assert result.floor_z_m == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("color", [BLUE, RED], ids=["unlike", "alike"])
+def test_two_boxes_apart_on_a_floor_are_two_instances(color):
+    left = Block(low=(-0.15, 0.15, 0.0), high=(0.15, 0.45, 0.35), color=RED)
+    right = Block(low=(-0.15, -0.45, 0.0), high=(0.15, -0.15, 0.35), color=color)
+    frame, shown = render([floor(), left, right], VIEW)
+    instances = segment(frame).instances
+    (iou_left, label_left), (iou_right, label_right) = (best_iou(instances, shown == i) for i in (1, 2))
+    assert min(iou_left, iou_right) > 0.8
+    assert label_left != label_right
+
+
+def test_a_box_before_a_larger_one_of_its_colour_stays_its_own():
+    back = Block(low=(0.1, -0.3, 0.0), high=(0.5, 0.3, 0.5), color=WOOD)
+    front = Block(low=(-0.35, -0.15, 0.0), high=(-0.05, 0.15, 0.25), color=WOOD)
+    frame, shown = render([floor(), back, front], VIEW)
+    instances = segment(frame).instances
+    (iou_back, label_back), (iou_front, label_front) = (best_iou(instances, shown == i) for i in (1, 2))
+    assert min(iou_back, iou_front) > 0.7
+    assert label_back != label_front
+
+
+def test_a_mug_on_a_table_and_the_table_are_two_instances():
+    table = Block(low=(-0.4, -0.6, 0.69), high=(0.4, 0.6, 0.73), color=WOOD)
+    legs = [
+        Block(low=(x - 0.03, y - 0.03, 0.0), high=(x + 0.03, y + 0.03, 0.69), color=WOOD)
+        for x in (-0.35, 0.35)
+        for y in (-0.55, 0.55)
+    ]
+    mug = Cylinder(foot=(-0.1, 0.1, 0.73), radius=0.045, height=0.1, color=WHITE)
+    frame, shown = render([floor(), mug, table, *legs], looking((0.0, 0.0, 0.6), start=(-1.6, -0.2, 1.5)))
+    instances = segment(frame).instances
+    (iou_mug, label_mug), (iou_table, label_table) = (best_iou(instances, m) for m in (shown == 1, shown >= 2))
+    assert iou_mug > 0.7
+    assert iou_table > 0.8
+    assert label_mug != label_table
+
+
+def test_a_chair_of_two_colours_is_one_instance_from_before_and_from_behind():
+    seat = Block(low=(-0.2, -0.2, 0.42), high=(0.2, 0.2, 0.46), color=GREEN)
+    posts = [
+        Block(low=(x - 0.018, y - 0.018, 0.0), high=(x + 0.018, y + 0.018, top), color=WOOD)
+        for x, top in ((-0.182, 0.43), (0.182, 0.88))
+        for y in (-0.182, 0.182)
+    ]
+    slats = [Block(low=(0.172, -0.18, z), high=(0.192, 0.18, z + 0.06), color=WOOD) for z in (0.58, 0.7, 0.82)]
+    for start in ((-1.8, -0.7, 1.4), (1.8, -0.7, 1.4)):
+        frame, shown = render([floor(), seat, *posts, *slats], looking((0.0, 0.0, 0.4), start=start))
+        assert best_iou(segment(frame).instances, shown >= 1)[0] > 0.6
+
+
+def test_a_shade_over_a_pole_is_one_lamp():
+    pole = Cylinder(foot=(0.0, 0.0, 0.0), radius=0.02, height=1.2, color=(90, 90, 95))
+    shade = Cylinder(foot=(0.0, 0.0, 1.12), radius=0.16, height=0.25, color=(215, 205, 185))
+    wall = Block(low=(1.0, -20.0, 0.0), high=(1.2, 20.0, 5.0), color=WHITE)
+    frame, shown = render([floor(), pole, shade, wall], looking((0.0, 0.0, 0.7), start=(-2.2, 0.0, 1.2)))
+    instances = segment(frame).instances
+    label = best_iou(instances, shown == 2)[1]
+    assert label > 0
+    assert (instances[shown == 1] == label).mean() > 0.5
+
+
+def test_leaves_in_the_air_join_into_one_plant():
+    rng = np.random.default_rng(5)
+    leaves = [
+        Block(low=tuple(c - 0.03), high=tuple(c + 0.03), color=GREEN)
+        for c in rng.uniform((-0.12, -0.12, 0.42), (0.12, 0.12, 0.6), (12, 3))
+    ]
+    pot = Cylinder(foot=(0.0, 0.0, 0.0), radius=0.12, height=0.3, color=RED)
+    frame, shown = render([floor(), pot, *leaves], VIEW)
+    instances = segment(frame).instances
+    label = best_iou(instances, shown >= 2)[1]
+    assert label > 0
+    assert (instances[shown >= 2] == label).mean() > 0.8
+
+
+def test_a_wall_and_a_floor_are_structure_and_no_instance():
+    wall = Block(low=(1.0, -20.0, 0.0), high=(1.2, 20.0, 5.0), color=WHITE)
+    frame, shown = render([floor(), wall], VIEW)
+    result = segment(frame)
+    assert result.instances.max() == 0
+    assert result.structure[(shown >= 0) & (frame.depth_m < 5.5)].mean() > 0.95
+
+
+def test_no_pixel_is_both_structure_and_instance_and_labels_have_no_gaps():
+    things = [
+        floor(),
+        *(Cylinder(foot=(0.3 * i, 0.4 * i, 0.0), radius=0.1, height=0.3, color=BLUE) for i in (-1, 0, 1)),
+    ]
+    result = segment(render(things, VIEW)[0])
+    assert not (result.structure & (result.instances > 0)).any()
+    assert set(np.unique(result.instances)) == set(range(int(result.instances.max()) + 1))
+
+
+def test_the_same_frame_gives_the_same_labels():
+    frame, _ = render([floor(), Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=RED)], VIEW)
+    first, second = segment(frame), segment(frame)
+    assert first.instances.tobytes() == second.instances.tobytes()
+    assert first.structure.tobytes() == second.structure.tobytes()
+
+
+def test_a_frame_without_depth_has_no_instances_and_no_floor():
+    frame, _ = render([floor()], VIEW)
+    blind = Frame(
+        index=0,
+        stamp_ns=0,
+        rgb=frame.rgb,
+        depth_m=np.full_like(frame.depth_m, np.nan),
+        camera=CAMERA,
+        world_from_camera=VIEW,
+    )
+    result = segment(blind)
+    assert result.instances.max() == 0
+    assert not result.structure.any()
+    assert result.floor_z_m is None
+
+
+def test_an_image_of_one_pixel_is_segmented():
+    one = Camera(width=1, height=1, fx=1.0, fy=1.0, cx=0.0, cy=0.0)
+    result = segment(render([floor()], VIEW, one)[0])
+    assert result.instances.shape == (1, 1)
+    assert result.instances.max() == 0

@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
+
+from hickory_stream.perception.structure import StructureConfig, floor_height_m, horizontal_planes, pixel_areas_m2
+from hickory_stream.perception.surface import SurfaceConfig, surface_of
+
+VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
+BOX = Block(low=(-0.3, -0.3, 0.0), high=(0.3, 0.3, 0.5), color=(190, 40, 40))
+
+
+def interior(mask, margin=5):
+    inside = mask.copy()
+    for axis in (0, 1):
+        for step in range(-margin, margin + 1):
+            inside &= np.roll(mask, step, axis=axis)
+    return inside
+
+
+def test_normals_of_a_box_and_a_floor_are_those_of_their_faces():
+    frame, shown = render([floor(), BOX], VIEW)
+    surface = surface_of(frame, SurfaceConfig(width_px=CAMERA.width))
+    z = surface.points_world[..., 2]
+    faces = {
+        (0.0, 0.0, 1.0): (shown == 0) & (frame.depth_m < 4.0) | (shown == 1) & (z > 0.499),
+        (-1.0, 0.0, 0.0): (shown == 1) & (surface.points_world[..., 0] < -0.299),
+    }
+    for normal, mask in faces.items():
+        at = interior(mask)
+        assert at.sum() > 200
+        assert np.quantile(surface.normals_world[at] @ np.array(normal), 0.01) > np.cos(np.radians(2.0))
+
+
+def test_points_lie_on_the_true_surface_at_any_working_size():
+    frame, _ = render([floor()], VIEW)
+    for width in (320, 160):
+        surface = surface_of(frame, SurfaceConfig(width_px=width))
+        valid = np.isfinite(surface.depth_m) & (surface.depth_m < 3.0)
+        assert np.abs(surface.points_world[valid][:, 2]).max() < 0.03
+
+
+def test_a_lone_flying_pixel_is_removed_and_a_pole_of_two_pixels_survives():
+    pole = Cylinder(foot=(0.0, 0.0, 0.0), radius=0.008, height=1.0, color=(90, 90, 90))
+    frame, shown = render([floor(), pole], VIEW)
+    depth = frame.depth_m.copy()
+    depth[200, 40] *= 0.8
+    cleaned = surface_of(
+        type(frame)(index=0, stamp_ns=0, rgb=frame.rgb, depth_m=depth, camera=CAMERA, world_from_camera=VIEW),
+        SurfaceConfig(width_px=CAMERA.width),
+    )
+    assert np.isnan(cleaned.depth_m[200, 40])
+    assert np.isfinite(cleaned.depth_m[shown == 1]).mean() > 0.9
+
+
+def test_planes_are_found_at_their_heights_and_with_their_visible_areas():
+    frame, shown = render([floor(), BOX], VIEW)
+    surface = surface_of(frame, SurfaceConfig(width_px=CAMERA.width))
+    planes = horizontal_planes(surface, pixel_areas_m2(surface), min_area_m2=0.05)
+    assert [plane.z_m for plane in planes] == pytest.approx([0.0, 0.5], abs=0.01)
+    assert planes[1].area_m2 == pytest.approx(0.36, rel=0.15)
+
+
+def test_a_known_floor_is_replaced_by_a_lower_one_only():
+    frame, _ = render([floor()], VIEW)
+    surface = surface_of(frame, SurfaceConfig())
+    planes = horizontal_planes(surface, pixel_areas_m2(surface), min_area_m2=0.05)
+    heights = [floor_height_m(surface, planes, known, StructureConfig()) for known in (None, -0.7, 0.4)]
+    assert heights == pytest.approx([0.0, -0.7, 0.0], abs=0.01)
