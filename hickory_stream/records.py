@@ -200,6 +200,7 @@ class View:
     variance: float | None
     feature: NDArray[np.float32] | None
     is_cut: bool = False
+    observation_index: int = 0
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_camera", np.float64, (4, 4))
@@ -208,9 +209,8 @@ class View:
 
     @property
     def name(self) -> str:
-        """The stem of the files that hold its pixels: frame and place in it, which no merge ever changes."""
-        x0, y0, x1, y1 = self.box_px
-        return f"{self.frame_index:06d}-{x0}-{y0}-{x1}-{y1}"
+        """The stem of the files that hold its pixels: frame and observation, which no merge ever changes."""
+        return f"{self.frame_index:06d}-{self.observation_index:03d}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

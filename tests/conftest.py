@@ -51,8 +51,8 @@ def redkitchen() -> Path:
 
 @pytest.fixture(scope="session")
 def short_log(demo_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first four seconds of the demo: 24 frames."""
-    return copy_log(demo_log, tmp_path_factory.mktemp("logs") / "short.mcap", seconds=4.0)
+    """The first three seconds of the demo: 18 frames."""
+    return copy_log(demo_log, tmp_path_factory.mktemp("logs") / "short.mcap", seconds=3.0)
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Hypothesis strategies of the geometry and the records: one place, so that every law meets the same degenerate cases."""
+"""Hypothesis strategies of geometry and records: in one place, so that every law meets the same degenerate cases."""
 
 import numpy as np
 from hypothesis import strategies as st
@@ -42,7 +42,7 @@ def oriented_boxes(draw: st.DrawFn, reach_m: float = 0.6, smallest_m: float = 0.
 
 @st.composite
 def point_sets(draw: st.DrawFn, max_points: int = 40) -> NDArray[np.float64]:
-    """Between one and `max_points` points: a blob, a plane, a line, a spot, with duplicates, near the origin or far away."""
+    """A blob, a plane, a line or a spot of at least one point, some of them twice, near the origin or far away."""
     rng = np.random.default_rng(draw(seeds))
     spread = np.array(
         draw(st.sampled_from([(1, 1, 1), (1, 1, 0), (1, 0, 0), (0, 0, 1), (0, 0, 0), (1, 1e-9, 1), (3, 0.01, 1)]))

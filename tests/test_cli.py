@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.timeout(180)
 
 COMMAND = (sys.executable, "-m", "hickory_stream")
+NUM_FRAMES = 18
 HEAVY = ("numpy", "cv2", "rerun", "numba", "scipy", "trimesh", "open3d", "asyncio")
 
 
@@ -92,7 +93,7 @@ def test_play_with_json_says_what_it_made(made: Made) -> None:
     assert answer["objects"] == len(saved.snapshot.objects) > 5
     assert answer["objects_with_shape"] == sum(tracked.shape is not None for tracked in saved.snapshot.objects) > 5
     assert answer["ledger"] == saved.ledger
-    assert saved.ledger["source"]["frames"] == saved.ledger["frames"]["read"] == 24
+    assert saved.ledger["source"]["frames"] == saved.ledger["frames"]["read"] == NUM_FRAMES
 
 
 def test_progress_goes_to_standard_error_as_a_json_object_per_line(made: Made) -> None:
@@ -101,7 +102,7 @@ def test_progress_goes_to_standard_error_as_a_json_object_per_line(made: Made) -
     frames = [event["frames"] for event in events]
     assert frames == sorted(frames)
     assert [event["phase"] for event in events][-1] == "saving"
-    assert all(event["total"] == 24 for event in events)
+    assert all(event["total"] == NUM_FRAMES for event in events)
 
 
 def test_the_manifest_says_what_was_played_and_how(made: Made, short_log: Path) -> None:
@@ -129,7 +130,7 @@ def test_a_log_played_again_and_again_leaves_the_objects_and_the_size_of_the_rou
     )
     source.close()
     snapshots = {report.index: report.snapshot for report in sink.reports if report.snapshot is not None}
-    ends = [max(index for index in snapshots if index < 24 * rounds) for rounds in (1, 3, 4)]
+    ends = [max(index for index in snapshots if index < NUM_FRAMES * rounds) for rounds in (1, 3, 4)]
     once, thrice, four_times = (confirmed(snapshots[index]) for index in ends)
     assert abs(len(four_times) - len(once)) <= 3
     assert abs(len(four_times) - len(thrice)) <= 1
@@ -193,7 +194,7 @@ def test_a_signal_ends_in_order_with_status_130_and_a_map_that_opens(
     saved = open_map(tmp_path / "map")
     assert not saved.manifest.finished_cleanly
     assert saved.snapshot.objects
-    assert 0 < saved.ledger["frames"]["read"] < 24
+    assert 0 < saved.ledger["frames"]["read"] < NUM_FRAMES
     assert saved.manifest.digest == map_digest(saved.snapshot) == ended.json()["digest"]
     assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
 

@@ -251,9 +251,9 @@ def test_a_view_without_feature_needs_none() -> None:
     assert records.View(**{**VALID[records.View], "feature": None}).feature is None
 
 
-def test_the_name_of_a_view_is_its_frame_and_its_place_whatever_object_it_shows() -> None:
+def test_the_name_of_a_view_is_its_frame_and_its_observation_whatever_object_it_shows() -> None:
     view = records.View(**VALID[records.View])
-    assert view.name == "000007-2-3-6-5"
+    assert view.name == "000007-000"
     assert replace(view, object_id=99, score=None).name == view.name
     assert replace(view, frame_index=8).name != view.name
     assert replace(view, box_px=(2, 3, 6, 6)).name != view.name

@@ -16,21 +16,35 @@ ROOT = Path(__file__).resolve().parent.parent
 def test_the_wheel_plays_a_log_outside_the_checkout(tmp_path: Path, demo_log: Path) -> None:
     wheels, venv, work = tmp_path / "wheels", tmp_path / "venv", tmp_path / "work"
     work.mkdir()
-    _run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", wheels, _clean_copy(tmp_path), cwd=work)
+    _run(
+        sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", wheels, _clean_copy(tmp_path), cwd=work
+    )
     [wheel] = wheels.glob("*.whl")
     _run(sys.executable, "-m", "venv", venv, cwd=work)
     _run(venv / "bin" / "pip", "install", "--quiet", "-c", ROOT / "requirements.lock", wheel, cwd=work)
     log = shutil.copy(demo_log, work / "log.mcap")
 
     played = _run(
-        venv / "bin" / "hickory-stream", "play", log, "--frames", 24, "--out", "map", "--viewer", "none", "--json", cwd=work
+        venv / "bin" / "hickory-stream",
+        "play",
+        log,
+        "--frames",
+        24,
+        "--out",
+        "map",
+        "--viewer",
+        "none",
+        "--json",
+        cwd=work,
     )
     finished = json.loads(played.splitlines()[-1])
     assert finished["finished_cleanly"]
     assert finished["objects_with_shape"] == finished["objects"] > 0
     summary = json.loads(_run(venv / "bin" / "hickory-stream", "inspect", "map", "--json", cwd=work))
     assert summary["digest"] == finished["digest"]
-    where = _run(venv / "bin" / "python", "-c", "import hickory_stream, players; print(hickory_stream.__file__)", cwd=work)
+    where = _run(
+        venv / "bin" / "python", "-c", "import hickory_stream, players; print(hickory_stream.__file__)", cwd=work
+    )
     assert str(venv) in where, "the installed package was used, not the checkout"
 
 

@@ -62,6 +62,7 @@ def _view_values(view: View) -> tuple[Any, ...]:
         view.variance,
         view.feature,
         view.is_cut,
+        view.observation_index,
     )
 
 

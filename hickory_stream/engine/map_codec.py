@@ -161,6 +161,7 @@ def _encode_view(view: View) -> Json:
         "variance": _number(view.variance),
         "feature": _text(view.feature),
         "is_cut": bool(view.is_cut),
+        "observation_index": int(view.observation_index),
     }
 
 
@@ -179,6 +180,7 @@ def _decode_view(entry: Json) -> View:
         variance=_maybe_float(entry["variance"]),
         feature=_float32s(entry["feature"]),
         is_cut=entry["is_cut"],
+        observation_index=entry["observation_index"],
     )
 
 

@@ -112,9 +112,39 @@ def intersection_volume_m3(a: OrientedBox, b: OrientedBox) -> float:
 
 def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the hull's corners in order, counter-clockwise; of collinear points the ends, of one the same twice."""
-    ordered = np.unique(points, axis=0) if len(points) < 64 else points[np.lexsort((points[:, 1], points[:, 0]))]
-    corners = _monotone_chain(ordered)
+    outer = points[_may_be_corner(np.ascontiguousarray(points))]
+    corners = _monotone_chain(outer[np.lexsort((outer[:, 1], outer[:, 0]))])
     return corners if len(corners) > 1 else np.repeat(corners, 2, axis=0)
+
+
+@numba.njit(cache=True)
+def _may_be_corner(points):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return which points are not strictly inside the octagon of extreme points (Akl, Toussaint)."""
+    count = len(points)
+    best = np.full(8, -np.inf)
+    corner = np.zeros((8, 2))
+    for i in range(count):
+        x, y = points[i, 0], points[i, 1]
+        # Extreme in eight directions, counter-clockwise.
+        values = (x, x + y, y, y - x, -x, -x - y, -y, x - y)
+        for k in range(8):
+            if values[k] > best[k]:
+                best[k] = values[k]
+                corner[k] = points[i]
+    keep = np.ones(count, dtype=np.bool_)
+    for i in range(count):
+        inside = True
+        for k in range(8):
+            a, b = corner[k], corner[(k + 1) % 8]
+            same = a[0] == b[0] and a[1] == b[1]
+            if not same and (b[0] - a[0]) * (points[i, 1] - a[1]) - (b[1] - a[1]) * (points[i, 0] - a[0]) <= 0.0:
+                inside = False
+                break
+        keep[i] = not inside
+    # One place only, eight times: every edge was skipped.
+    if (corner[:, 0] == corner[0, 0]).all() and (corner[:, 1] == corner[0, 1]).all():
+        keep[:] = True
+    return keep
 
 
 @numba.njit(cache=True)

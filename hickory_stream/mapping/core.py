@@ -444,4 +444,5 @@ def _view_of(event: FrameObserved, observation: Observation, track_id: int) -> V
         variance=None,
         feature=None,
         is_cut=observation.is_cut,
+        observation_index=observation.index,
     )

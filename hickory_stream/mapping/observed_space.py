@@ -22,7 +22,7 @@ _NO_OBJECT = 255
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceState:
-    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, 255 where it was an object first."""
+    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, 255 where a track was."""
 
     voxel_m: float
     free: NDArray[np.int64]

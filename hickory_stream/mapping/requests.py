@@ -33,7 +33,7 @@ class RequestConfig:
     latency_s: float = 1.0
     first_sightings: int = 5
     min_gain: float = 1.2
-    final_gain: float = 0.3
+    final_gain: float = 0.4
     interval_s: float = 8.0
     max_failures: int = 2
 

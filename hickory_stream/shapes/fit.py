@@ -45,13 +45,13 @@ class FitConfig:
     band_cells: float = 3.0
     num_seeds: int = 4
     num_candidates: int = 4
-    min_gain: float = 0.012
+    min_gain: float = 0.008
     max_primitives: int = 12
     waste_weight: float = 1.5
-    coarse_samples: int = 300
-    coarse_iterations: int = 6
-    fine_samples: int = 800
-    fine_iterations: int = 12
+    coarse_samples: int = 200
+    coarse_iterations: int = 5
+    fine_samples: int = 500
+    fine_iterations: int = 8
     gain_samples: int = 4000
     num_rounds: int = 1
     max_protruding: int = 4
@@ -100,11 +100,12 @@ def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]
 def best_candidate(field: FitField, config: FitConfig) -> NDArray[np.float64] | None:
     """Return the primitive that gains most of what is left; None where nothing is left to begin with."""
     starts = starting_rows(field, config.num_seeds)
-    starts = _best_by_gain(field, starts, config.num_candidates, config.coarse_samples)
+    starts = _best_by_gain(field, starts, config.num_candidates, config.fine_samples)
     coarse = [field.fitted(row, config.coarse_samples, config.coarse_iterations) for row in starts]
     finalists = _best_by_gain(field, coarse, 2, config.fine_samples)
     fine = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in finalists]
-    chosen = _best_by_gain(field, fine + finalists, 1, config.gain_samples)
+    # A grown box lies inside the object: where a fit goes astray, the start itself is the better primitive.
+    chosen = _best_by_gain(field, fine + finalists + starts[:2], 1, config.gain_samples)
     return chosen[0] if chosen else None
 
 

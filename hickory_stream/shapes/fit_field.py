@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from scipy import ndimage
 
-from hickory_stream.shapes.quadric_lm import refined, tangent_distance
+from hickory_stream.shapes.quadric_lm import distances_to, refined, tangent_distance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -87,7 +87,7 @@ class FitField:
         if len(cells) < 11:
             return row
         i, j, k = cells.T
-        return refined(
+        fit = refined(
             row,
             cells.astype(np.float64),
             self._distance[i, j, k].astype(np.float64),
@@ -96,6 +96,29 @@ class FitField:
             iterations=iterations,
             max_log_axis=float(np.log(max(self._object.shape))),
         )
+        return self.trimmed(fit, max_samples)
+
+    def trimmed(self, row: NDArray[np.float64], max_samples: int) -> NDArray[np.float64]:
+        """Return the primitive cut back, along its own axes, to the part of the object that lies in it.
+
+        Distances are only known on the grid: beyond it nothing holds a thin primitive back from growing.
+        """
+        low, high = self._window(row, 1.0)
+        found = np.argwhere(self._distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]] < 0.5) + low
+        cells = found[:: max(1, len(found) // (2 * max_samples))].astype(np.float64)
+        if len(cells) == 0:
+            return row
+        inside = cells[distances_to(row, cells) < 0.5]
+        if len(inside) == 0:
+            return row
+        axes = row[8:17].reshape(3, 3)
+        local = (inside - row[5:8]) @ axes
+        half = np.exp(row[2:5])
+        first, last = np.maximum(local.min(axis=0) - 0.5, -half), np.minimum(local.max(axis=0) + 0.5, half)
+        out = row.copy()
+        out[2:5] = np.log(np.maximum((last - first) / 2, 0.25))
+        out[5:8] = row[5:8] + axes @ ((first + last) / 2)
+        return out
 
     def _window(self, row: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first cells and the ends of the part of the grid within `margin` of the box of a primitive."""

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,6 +77,29 @@ def test_a_sink_that_fails_to_close_is_judged_as_one_that_fails_to_show() -> Non
     asyncio.run(show_all(FailingToClose(), is_essential=False))
     with pytest.raises(MapFolderError, match="the last save failed"):
         asyncio.run(show_all(FailingToClose(), is_essential=True))
+
+
+@pytest.mark.parametrize("num_reports", [1, 17])
+def test_a_sink_for_looking_that_hangs_does_not_keep_the_run_from_ending(
+    num_reports: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released = threading.Event()
+
+    class Hanging(RememberingSink):
+        def show(self, report: FrameReport) -> None:
+            released.wait(20)
+
+    async def show_some() -> None:
+        thread = SinkThread(Hanging(), is_essential=False)
+        for i in range(num_reports):
+            await thread.show(report(i))
+            while i == 0 and thread.backlog:  # noqa: ASYNC110 -- a thread takes it, and tells nobody
+                await asyncio.sleep(0)
+        await thread.close()
+
+    monkeypatch.setattr("hickory_stream.engine.sink_threads._CLOSE_TIMEOUT_S", 0.05)
+    asyncio.run(show_some())
+    released.set()
 
 
 def test_a_sink_that_failed_is_closed_all_the_same() -> None:

@@ -1,4 +1,4 @@
-"""The exact IoU of oriented boxes against closed forms, sampling and an independent polyhedron; the minimal upright box."""
+"""The exact IoU of oriented boxes against closed forms, sampling and a polyhedron; the minimal upright box."""
 
 import math
 
@@ -177,7 +177,7 @@ def test_the_corners_have_the_boxs_volume_and_diagonal(a: OrientedBox) -> None:
     assert distances.max() == pytest.approx(a.diagonal_m, rel=1e-9)
 
 
-# ---- the upright box of minimal footprint -----------------------------------------------------------------------------
+# ---- the upright box of minimal footprint ---------------------------------------------------------------------------
 
 
 @given(point_sets())

@@ -61,5 +61,5 @@ def test_a_cropped_camera_sees_the_same_rays_as_the_pixels_that_it_kept(camera: 
     "wrong", [{"width": 0}, {"height": -1}, {"fx": 0.0}, {"fy": -5.0}, {"fx": np.nan}, {"cx": np.inf}], ids=str
 )
 def test_a_camera_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="camera of|focal lengths"):
+    with pytest.raises(ValueError, match=r"camera of|focal lengths"):
         Camera(**{"width": 4, "height": 4, "fx": 5.0, "fy": 5.0, "cx": 2.0, "cy": 2.0, **wrong})

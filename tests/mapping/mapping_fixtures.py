@@ -102,9 +102,7 @@ def view(frame_index: int, *, score: float | None = None, r_area: float = 0.05, 
 
 def camera_at(angle_rad: float, distance_m: float = 3.0) -> NDArray[np.float64]:
     """world_from_camera of a camera on a circle around the origin; only its place matters to the core."""
-    return from_rotation_translation(
-        np.eye(3), distance_m * np.array([np.cos(angle_rad), np.sin(angle_rad), 0.4])
-    )
+    return from_rotation_translation(np.eye(3), distance_m * np.array([np.cos(angle_rad), np.sin(angle_rad), 0.4]))
 
 
 def space(

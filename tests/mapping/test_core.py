@@ -155,7 +155,7 @@ def test_a_request_carries_what_the_job_needs() -> None:
     assert request.support_z_m == 0.0
 
 
-# ---- shapes -------------------------------------------------------------------------------------------------------------
+# ---- shapes ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_shape_that_is_ready_is_in_the_next_snapshot() -> None:
@@ -182,7 +182,7 @@ def test_a_ticket_ends_once() -> None:
     assert by_id(core.snapshot())[1].shape is None
 
 
-# ---- merging ------------------------------------------------------------------------------------------------------------
+# ---- merging --------------------------------------------------------------------------------------------------------
 
 
 def halves(core: MapperCore) -> list[Effect]:
@@ -247,7 +247,7 @@ def test_the_history_of_a_duplicate_goes_on_in_the_track_that_stays() -> None:
     assert last_publish(effects).object_ids == (one.id,)
 
 
-# ---- what goes, and what comes back ---------------------------------------------------------------------------------------
+# ---- what goes, and what comes back ---------------------------------------------------------------------------------
 
 
 def test_an_object_comes_back_under_its_own_id_after_it_was_dormant_and_archived() -> None:
@@ -280,6 +280,20 @@ def test_an_object_that_is_seen_again_was_not_looked_through() -> None:
     for i in range(3, 12, 3):
         drive(core, [looked_through(i), looked_through(i + 1), frame(i + 2, observation(0, A))])
     assert [tracked.id for tracked in core.snapshot().objects] == [1]
+
+
+def test_an_object_that_grows_into_a_wall_becomes_structure_and_pieces_of_it_are_no_objects() -> None:
+    core = MapperCore(CONFIG)
+    wall = box_surface((0, 0, 1.2), (2.4, 0.04, 2.4))
+    left, right = wall[wall[:, 0] < 0.3], wall[wall[:, 0] > -0.3]
+    drive(core, [frame(0, observation(0, left)), frame(1, observation(0, left)), frame(2, observation(0, right))])
+    drive(core, [frame(3, observation(0, wall)), frame(4, observation(0, right))])
+    snapshot = core.snapshot()
+    assert snapshot.objects == ()
+    structure = snapshot.submaps[0].observed_space.structure
+    assert np.isin(keys_of_points(wall, CONFIG.space_voxel_m), structure).mean() > 0.9
+    drive(core, [frame(5, observation(0, A + np.float32([0, 3, 0])))])
+    assert len(core.snapshot().objects) == 1
 
 
 def test_what_was_seen_once_and_never_again_is_dropped_with_its_view() -> None:
@@ -326,7 +340,7 @@ def test_a_jump_far_ahead_does_not_age_the_map() -> None:
     assert [tracked.phase for tracked in core.snapshot().objects] == [Phase.ACTIVE]
 
 
-# ---- events that do not fit -------------------------------------------------------------------------------------------------
+# ---- events that do not fit -----------------------------------------------------------------------------------------
 
 
 def test_features_that_were_not_asked_for_are_refused() -> None:
@@ -345,7 +359,7 @@ def test_a_keyframe_is_refused_while_features_are_pending() -> None:
         core.handle(frame(1))
 
 
-# ---- laws -------------------------------------------------------------------------------------------------------------------
+# ---- laws -----------------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=20)

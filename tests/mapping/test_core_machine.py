@@ -1,6 +1,6 @@
 """The core under random events: boxes that come, move a little, are seen in part or as one, and vanish."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from hypothesis import HealthCheck, settings
@@ -28,7 +28,6 @@ from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.merge import MergeConfig
 from hickory_stream.mapping.requests import RequestConfig
 from hickory_stream.mapping.track import TrackConfig
-from hickory_stream.records import MapSnapshot
 from tests.mapping.mapping_fixtures import (
     SECOND_NS,
     VOXEL_M,
@@ -41,6 +40,9 @@ from tests.mapping.mapping_fixtures import (
     told,
 )
 from tests.strategies import unit_share
+
+if TYPE_CHECKING:
+    from hickory_stream.records import MapSnapshot
 
 MAX_IN_FLIGHT = 2
 CONFIG = MappingConfig(
@@ -122,7 +124,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
             case Publish(snapshot=snapshot):
                 self.published.append((snapshot, map_digest(snapshot)))
 
-    # ---- what happens ------------------------------------------------------------------------------------------------
+    # ---- what happens -----------------------------------------------------------------------------------------------
 
     @rule(
         seen=sightings,
@@ -131,7 +133,11 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         looked_through=st.sampled_from([None, None, 0, 1, 2, 3]),
     )
     def a_keyframe_comes(
-        self, seen: list[tuple[int, str, float, float, float]], gap_s: float, angle_rad: float, looked_through: int | None
+        self,
+        seen: list[tuple[int, str, float, float, float]],
+        gap_s: float,
+        angle_rad: float,
+        looked_through: int | None,
     ) -> None:
         self.stamp_ns += round(gap_s * SECOND_NS)
         shown = [
@@ -141,9 +147,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         free = None
         if looked_through is not None:
             free = keys_of_points(points_at(looked_through, "box", 0.0), CONFIG.space_voxel_m)
-        event = keyframe(
-            self.num_frames, shown, stamp_ns=self.stamp_ns, seen=space(free=free), angle_rad=angle_rad
-        )
+        event = keyframe(self.num_frames, shown, stamp_ns=self.stamp_ns, seen=space(free=free), angle_rad=angle_rad)
         self.num_frames += 1
         effects = self.tell(event)
         if isinstance(effects[-1], ComputeFeatures):
@@ -172,7 +176,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         self.stamp_ns = to_s * SECOND_NS
         assert [tracked.id for tracked in self.core.snapshot().objects] == before
 
-    # ---- what always holds -------------------------------------------------------------------------------------------
+    # ---- what always holds ------------------------------------------------------------------------------------------
 
     @invariant()
     def ids_are_unique_sorted_and_not_those_that_were_merged(self) -> None:
@@ -244,6 +248,6 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
 
 
 CoreUnderRandomEvents.TestCase.settings = settings(
-    max_examples=20, stateful_step_count=14, suppress_health_check=[HealthCheck.too_slow]
+    max_examples=25, stateful_step_count=18, suppress_health_check=[HealthCheck.too_slow]
 )
 TestTheCoreKeepsItsInvariantsUnderRandomEvents = CoreUnderRandomEvents.TestCase

@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, next_phase
+from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, box_surface, track
 
@@ -70,3 +71,21 @@ def test_ageing_changes_the_phase_and_nothing_else() -> None:
     dormant = aged(TRACK, DORMANT)
     assert dormant.phase is DORMANT
     assert replace(dormant, phase=TRACK.phase).cloud is TRACK.cloud
+
+
+@pytest.mark.parametrize(
+    ("size", "verdict"),
+    [
+        ((3.0, 0.2, 2.4), True),
+        ((2.1, 2.1, 0.05), True),
+        ((3.0, 0.9, 0.75), False),
+        ((0.6, 0.4, 2.5), False),
+        ((0.2, 0.2, 0.2), False),
+    ],
+    ids=["a wall", "a floor", "a long table", "a tall shelf", "a box"],
+)
+def test_what_is_over_two_metres_in_two_directions_is_structure(
+    size: tuple[float, float, float], verdict: bool
+) -> None:
+    corners = np.array([(0, 0, 0), size, (size[0], 0, 0), (0, size[1], size[2])], dtype=np.float32)
+    assert is_structure(track(1, corners), LifecycleConfig(structure_m=2.0)) is verdict

@@ -1,6 +1,5 @@
 """Merging: duplicates become one with both histories, and one bad frame welds nothing."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +34,7 @@ def cloud(points: np.ndarray) -> Cloud:
 
 
 def found(book: VoteBook, *tracks: Track) -> tuple[int, int] | None:
-    known: Mapping[int, Track] = {t.id: t for t in tracks}
+    known = {t.id: t for t in tracks}
     pair = find_pair(known, known, book, CONFIG)
     return pair[:2] if pair is not None else None
 
@@ -78,7 +77,7 @@ def test_a_dropped_track_leaves_no_votes_and_takes_no_others(book: VoteBook, gon
     assert all(after.votes[known] == votes for known, votes in book.votes.items() if gone not in known)
 
 
-# ---- what is a duplicate ----------------------------------------------------------------------------------------------
+# ---- what is a duplicate --------------------------------------------------------------------------------------------
 
 
 def test_tracks_whose_points_coincide_are_one_and_the_lower_id_stays() -> None:
@@ -137,7 +136,7 @@ def test_only_pairs_with_a_changed_track_are_looked_at() -> None:
     assert find_pair(known, [2, 99], VoteBook(), CONFIG) is not None
 
 
-# ---- points of others ---------------------------------------------------------------------------------------------------
+# ---- points of others -----------------------------------------------------------------------------------------------
 
 
 def test_points_on_another_track_are_foreign_and_a_track_that_is_covered_is_named() -> None:
@@ -170,7 +169,7 @@ def test_nothing_is_foreign_where_no_other_track_is() -> None:
     assert covered == []
 
 
-# ---- one track with both histories ------------------------------------------------------------------------------------
+# ---- one track with both histories ----------------------------------------------------------------------------------
 
 
 def two_tracks() -> tuple[Track, Track]:

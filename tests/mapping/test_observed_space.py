@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.mapping.observed_space import SpaceState, add, as_record, empty_space
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.observed_space import (
+    SpaceState,
+    add,
+    add_structure,
+    as_record,
+    empty_space,
+    share_in_structure,
+)
 from hickory_stream.records import SpaceObservation
 from tests.mapping.mapping_fixtures import space
 
@@ -78,3 +86,27 @@ def test_the_floor_goes_down_at_once_and_up_slowly() -> None:
     assert risen is not None
     assert 0.0 < risen < 0.35
     assert floor(*[0.0] * 3, *[0.02] * 60) == pytest.approx(0.02, abs=1e-3)
+
+
+WALL = (np.stack(np.meshgrid(np.arange(20), [3], np.arange(20)), axis=-1).reshape(-1, 3) * 0.05 + 0.02).astype(
+    np.float32
+)
+
+
+def test_an_object_that_turned_out_to_be_structure_is_structure_at_once_and_stays_it() -> None:
+    wall = set(keys_of_points(WALL, 0.05).tolist())
+    state = add_structure(after(space(free=keys_of_points(WALL[:50], 0.05), structure=keys(1, 2))), WALL)
+    assert set(as_record(state).structure.tolist()) == wall
+    assert not set(as_record(state).free.tolist()) & wall
+    for _ in range(300):
+        state = add(state, space(structure=keys_of_points(WALL[:50], 0.05)))
+    assert share_in_structure(state, WALL) == 1.0
+
+
+def test_only_what_was_an_object_counts_as_structure_for_objects() -> None:
+    seen_often = after(*[space(structure=keys_of_points(WALL, 0.05))] * 400)
+    assert share_in_structure(seen_often, WALL) == 0.0
+    beside = WALL + np.array([0, 0.5, 0], dtype=np.float32)
+    state = add_structure(seen_often, WALL)
+    assert share_in_structure(state, beside) == 0.0
+    assert share_in_structure(state, np.concatenate([WALL, beside])) == pytest.approx(0.5, abs=0.02)

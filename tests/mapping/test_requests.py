@@ -104,7 +104,7 @@ def test_an_object_whose_shape_failed_too_often_is_set_aside() -> None:
     assert asked(failed(seen(1), failures=2), is_final=True) == []
 
 
-# ---- what an object stands on ---------------------------------------------------------------------------------------------
+# ---- what an object stands on ---------------------------------------------------------------------------------------
 
 
 def table(track_id: int = 1) -> Track:

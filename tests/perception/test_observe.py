@@ -60,7 +60,7 @@ def test_the_factors_of_a_view_are_shares_of_the_image_and_of_the_mask():
 
 def test_only_what_touches_the_border_is_cut():
     inside = render([floor(), BOX], VIEW)
-    outside = render([floor(), BOX], looking((0.0, 1.2, 0.3), start=(-2.2, -0.3, 1.5)))
+    outside = render([floor(), BOX], looking((0.0, 1.35, 0.3), start=(-2.2, -0.3, 1.5)))
     assert (outside[1][:, [0, -1]] == 1).any()
     cut = [observe(frame, truth(shown, [1]), ObserveConfig())[0][0].is_cut for frame, shown in (inside, outside)]
     assert cut == [False, True]

@@ -53,7 +53,7 @@ def test_a_lone_flying_pixel_is_removed_and_a_pole_of_two_pixels_survives():
 
 
 def test_planes_are_found_at_their_heights_and_with_their_visible_areas():
-    frame, shown = render([floor(), BOX], VIEW)
+    frame, _ = render([floor(), BOX], VIEW)
     surface = surface_of(frame, SurfaceConfig(width_px=CAMERA.width))
     planes = horizontal_planes(surface, pixel_areas_m2(surface), min_area_m2=0.05)
     assert [plane.z_m for plane in planes] == pytest.approx([0.0, 0.5], abs=0.01)
