@@ -256,4 +256,4 @@ def test_the_name_of_a_view_is_its_frame_and_its_observation_whatever_object_it_
     assert view.name == "000007-000"
     assert replace(view, object_id=99, score=None).name == view.name
     assert replace(view, frame_index=8).name != view.name
-    assert replace(view, box_px=(2, 3, 6, 6)).name != view.name
+    assert replace(view, observation_index=1).name != view.name

@@ -112,39 +112,37 @@ def intersection_volume_m3(a: OrientedBox, b: OrientedBox) -> float:
 
 def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the hull's corners in order, counter-clockwise; of collinear points the ends, of one the same twice."""
-    outer = points[_may_be_corner(np.ascontiguousarray(points))]
+    outer = points[_may_be_corner(points)]
     corners = _monotone_chain(outer[np.lexsort((outer[:, 1], outer[:, 0]))])
     return corners if len(corners) > 1 else np.repeat(corners, 2, axis=0)
 
 
-@numba.njit(cache=True)
-def _may_be_corner(points):  # type: ignore[no-untyped-def] # pragma: no cover
+def _may_be_corner(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which points are not strictly inside the octagon of extreme points (Akl, Toussaint)."""
-    count = len(points)
-    best = np.full(8, -np.inf)
-    corner = np.zeros((8, 2))
-    for i in range(count):
-        x, y = points[i, 0], points[i, 1]
-        # Extreme in eight directions, counter-clockwise.
-        values = (x, x + y, y, y - x, -x, -x - y, -y, x - y)
-        for k in range(8):
-            if values[k] > best[k]:
-                best[k] = values[k]
-                corner[k] = points[i]
-    keep = np.ones(count, dtype=np.bool_)
-    for i in range(count):
-        inside = True
-        for k in range(8):
-            a, b = corner[k], corner[(k + 1) % 8]
-            same = a[0] == b[0] and a[1] == b[1]
-            if not same and (b[0] - a[0]) * (points[i, 1] - a[1]) - (b[1] - a[1]) * (points[i, 0] - a[0]) <= 0.0:
-                inside = False
+    x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
+    total, difference = x + y, x - y
+    # Extreme in eight directions, counter-clockwise.
+    values = (x, total, y, -difference, -x, -total, -y, difference)
+    corners = points[[int(np.argmax(value)) for value in values]]
+    edges = np.roll(corners, -1, axis=0) - corners
+    edges, starts = edges[(edges != 0).any(axis=1)], corners[(edges != 0).any(axis=1)]
+    if len(edges) == 0:
+        return np.ones(len(points), dtype=bool)
+    # Left of an edge: edge x (point - start) > 0, which is linear in the point.
+    return np.asarray(
+        ~_left_of_all(x, y, edges[:, 0], edges[:, 1], edges[:, 0] * starts[:, 1] - edges[:, 1] * starts[:, 0])
+    )
+
+
+@numba.njit(cache=True)
+def _left_of_all(x, y, dx, dy, offset):  # type: ignore[no-untyped-def] # pragma: no cover
+    inside = np.ones(len(x), dtype=np.bool_)
+    for i in range(len(x)):
+        for k in range(len(dx)):
+            if dx[k] * y[i] - dy[k] * x[i] <= offset[k]:
+                inside[i] = False
                 break
-        keep[i] = not inside
-    # One place only, eight times: every edge was skipped.
-    if (corner[:, 0] == corner[0, 0]).all() and (corner[:, 1] == corner[0, 1]).all():
-        keep[:] = True
-    return keep
+    return inside
 
 
 @numba.njit(cache=True)

@@ -103,7 +103,7 @@ def _averaged(
     )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _is_near(keys, cloud_keys):  # type: ignore[no-untyped-def] # pragma: no cover
     # A step of one cell along an axis adds a constant to the packed key, and along z neighbours are next to each other
     # in the sorted keys: nine searches serve 27 cells.

@@ -233,8 +233,8 @@ class MapperCore:
         only a pair that is not seen apart can be seen together.
         """
         whole = [(m.observation_index, home) for m, home in zip(matches, homes, strict=True) if not m.is_part]
-        low = np.array([event.observations[i].points_world.min(axis=0) for i, _ in whole]).reshape(-1, 3)
-        high = np.array([event.observations[i].points_world.max(axis=0) for i, _ in whole]).reshape(-1, 3)
+        bounds = np.array([bounds_of(event.observations[i].points_world) for i, _ in whole]).reshape(-1, 2, 3)
+        low, high = bounds[:, 0], bounds[:, 1]
         slack_m = 0.05
         meet = (low[:, None] <= high[None] + slack_m).all(axis=2) & (low[None] <= high[:, None] + slack_m).all(axis=2)
         apart = {_pair(whole[i][1], whole[j][1]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)}

@@ -37,7 +37,7 @@ class LifecycleConfig:
         phantom_share: share of a track's voxels that must be seen free for a keyframe to count as looking through.
     """
 
-    confirm_sightings: int = 3
+    confirm_sightings: int = 4
     tentative_s: float = 8.0
     dormant_s: float = 4.0
     archive_s: float = 60.0

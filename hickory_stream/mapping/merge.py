@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
+from hickory_stream.mapping.carried import is_leg, stands_in
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.track import Track, TrackConfig, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
@@ -154,4 +155,10 @@ def _why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | N
     limit = config.sure_share if votes.apart > votes.together else config.duplicate_share
     if share >= limit:
         return f"{share:.0%} of the smaller cloud lies on the larger one"
+    less, more = (a, b) if a.box.volume_m3 <= b.box.volume_m3 else (b, a)
+    if min(a.sightings, b.sightings) >= config.min_votes:
+        if is_leg(less, more):
+            return "the smaller stands under the larger like a leg"
+        if stands_in(more, less):
+            return "the larger stands in the smaller"
     return None

@@ -29,11 +29,11 @@ class RequestConfig:
         max_failures: after so many failures the object is set aside.
     """
 
-    max_in_flight: int = 2
-    latency_s: float = 1.0
-    first_sightings: int = 5
+    max_in_flight: int = 4
+    latency_s: float = 2.0
+    first_sightings: int = 8
     min_gain: float = 1.2
-    final_gain: float = 0.4
+    final_gain: float = 0.5
     interval_s: float = 8.0
     max_failures: int = 2
 

@@ -98,7 +98,9 @@ def with_cloud(track: Track, cloud: Cloud, sightings: int, config: TrackConfig) 
 
 def bounds_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return (2, 3) the least and greatest coordinates of (N, 3) points."""
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+    # Column by column: a reduction over the rows of (N, 3) is several times slower.
+    columns = [points[:, i] for i in range(3)]
+    return np.array([[c.min() for c in columns], [c.max() for c in columns]])
 
 
 def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: float = 0.03) -> list[Track]:

@@ -116,7 +116,7 @@ def _rises_from(pieces: Pieces, back: int, seat_z_m: float, config: FloatConfig)
     return bool(low < config.back_low_m and high > config.back_high_m)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _gaps(groups, depth, points, floats, reach, limit):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (count, count) the least distance of each floating group to each other group, every other pixel."""
     height, width = groups.shape

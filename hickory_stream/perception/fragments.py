@@ -88,7 +88,7 @@ def fragments_of(
     return _grow_into(labels, usable, surface.depth_m, supports, config.min_pixels)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _creases(points, normals, sigma, reach, cos_crease, step):  # type: ignore[no-untyped-def] # pragma: no cover
     height, width = sigma.shape
     out = np.zeros((height, width), dtype=np.bool_)
@@ -120,7 +120,7 @@ def _creases(points, normals, sigma, reach, cos_crease, step):  # type: ignore[n
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _find(parent, i):  # type: ignore[no-untyped-def] # pragma: no cover
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -128,7 +128,7 @@ def _find(parent, i):  # type: ignore[no-untyped-def] # pragma: no cover
     return i
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _join(depth, points, normals, sigma, structure, supports, creases, step, gap_share):  # type: ignore[no-untyped-def] # pragma: no cover
     height, width = depth.shape
     parent = np.arange(height * width)
@@ -159,7 +159,7 @@ def _join(depth, points, normals, sigma, structure, supports, creases, step, gap
     return labels
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_share):  # type: ignore[no-untyped-def] # pragma: no cover
     a, b = supports[y, x], supports[yy, xx]
     if a != b:  # what stands on a plane and what hangs below it is decided over whole fragments, in `join`
@@ -182,7 +182,7 @@ def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_s
     return out_a < limit or out_b < limit
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _grow_into(labels, usable, depth, supports, min_pixels):  # type: ignore[no-untyped-def] # pragma: no cover
     """Give crease pixels and specks to the neighbouring fragment of the most alike depth, ring by ring."""
     height, width = labels.shape

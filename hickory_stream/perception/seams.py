@@ -88,7 +88,7 @@ def seams_of(surface: Surface, contacts: Contacts, num_labels: int) -> list[Seam
     ]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _contacts(scene, reach):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (K, 3) int64: flat index, flat index of the next labelled pixel to the right or below, 1 if below."""
     height, width = scene.shape

@@ -80,7 +80,7 @@ def _sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     return ordered[np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _free_cells(origin, points, voxel):  # type: ignore[no-untyped-def] # pragma: no cover
     """Collect the cells that rays cross, each once per stretch of rays, up to one voxel before the return."""
     capacity = 4096

@@ -91,7 +91,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
     )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _reduce_depth(depth, factor, height, width, nearest, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
     """Take the lower median of the valid depths of each block: no depth is invented, and what is thin survives."""
     out = np.full((height, width), np.nan, dtype=np.float32)
@@ -114,7 +114,7 @@ def _reduce_depth(depth, factor, height, width, nearest, farthest):  # type: ign
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no cover
     """Remove pixels that fewer than three of their eight neighbours agree with, to 4 % of the depth.
 
@@ -139,7 +139,7 @@ def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no 
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # pragma: no cover
     """Fit 1/z = a u + b v + c over each window; (a, b, c) is the plane's normal in the camera frame."""
     height, width = depth.shape

@@ -45,12 +45,12 @@ class FitConfig:
     band_cells: float = 3.0
     num_seeds: int = 4
     num_candidates: int = 4
-    min_gain: float = 0.008
+    min_gain: float = 0.01
     max_primitives: int = 12
     waste_weight: float = 1.5
     coarse_samples: int = 200
     coarse_iterations: int = 5
-    fine_samples: int = 500
+    fine_samples: int = 800
     fine_iterations: int = 8
     gain_samples: int = 4000
     num_rounds: int = 1
@@ -101,12 +101,16 @@ def best_candidate(field: FitField, config: FitConfig) -> NDArray[np.float64] | 
     """Return the primitive that gains most of what is left; None where nothing is left to begin with."""
     starts = starting_rows(field, config.num_seeds)
     starts = _best_by_gain(field, starts, config.num_candidates, config.fine_samples)
+    return _refined_best(field, starts, config) if starts else None
+
+
+def _refined_best(field: FitField, starts: list[NDArray[np.float64]], config: FitConfig) -> NDArray[np.float64]:
+    """Return the best of the starts (at least one), each fitted coarsely, and of these the best two finely."""
     coarse = [field.fitted(row, config.coarse_samples, config.coarse_iterations) for row in starts]
     finalists = _best_by_gain(field, coarse, 2, config.fine_samples)
     fine = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in finalists]
     # A grown box lies inside the object: where a fit goes astray, the start itself is the better primitive.
-    chosen = _best_by_gain(field, fine + finalists + starts[:2], 1, config.gain_samples)
-    return chosen[0] if chosen else None
+    return _best_by_gain(field, fine + finalists + starts[:2], 1, config.gain_samples)[0]
 
 
 def refitted(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
@@ -166,8 +170,7 @@ def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: Fi
         cells = field.protruding_part(config.protruding_cells)
         if cells is None:
             break
-        fits = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in _component_starts(cells)]
-        best = _best_by_gain(field, fits, 1, config.gain_samples)[0]
+        best = _refined_best(field, _component_starts(cells), config)
         if field.gain(best, config.gain_samples) <= 0:
             break
         rows.append(best)

@@ -147,7 +147,7 @@ def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-u
             return 1.0
     elif (1.0 - u - v - w) * smallest / 1.7320508 > 0.5:
         return 1.0
-    return min(max(0.5 - tangent_distance(row, x, y, z, local, gradient, shape), 0.0), 1.0)
+    return min(max(0.5 - tangent_distance(row, x, y, z, local, gradient, shape, False), 0.0), 1.0)
 
 
 @numba.njit(cache=True)

@@ -32,7 +32,7 @@ class VolumeConfig:
     counts as seen.
     """
 
-    cells: int = 64
+    cells: int = 56
     min_voxel_m: float = 0.004
     max_voxel_m: float = 0.03
     max_faces: int = 20_000

@@ -63,19 +63,19 @@ def distances_to(row: NDArray[np.float64], points: NDArray[np.float64]) -> NDArr
 
 
 @numba.njit(cache=True)
-def _log_gauge(row, px, py, pz, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+def _log_gauge(row, px, py, pz, local, gradient, shape, with_shape):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return ln h at a grid point; fill the local point and, there, the derivatives."""
     dx, dy, dz = px - row[5], py - row[6], pz - row[7]
     # The columns of the rotation are the local axes.
     x = row[8] * dx + row[11] * dy + row[14] * dz
     y = row[9] * dx + row[12] * dy + row[15] * dz
     z = row[10] * dx + row[13] * dy + row[16] * dz
-    return _log_gauge_local(row, x, y, z, local, gradient, shape)
+    return _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape)
 
 
 @numba.njit(cache=True)
-def _log_gauge_local(row, x, y, z, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return ln h at a local point; fill its gradient there and d ln h / d (e1, e2, ln a1, ln a2, ln a3)."""
+def _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return ln h at a local point; fill its gradient there and, if asked, d ln h / d (e1, e2, ln a1, ln a2, ln a3)."""
     e1, e2 = row[0], row[1]
     local[0] = x if abs(x) > 1e-6 else 1e-6
     local[1] = y if abs(y) > 1e-6 else 1e-6
@@ -96,11 +96,12 @@ def _log_gauge_local(row, x, y, z, local, gradient, shape):  # type: ignore[no-u
     gradient[0] = share_r * share_x / local[0]
     gradient[1] = share_r * share_y / local[1]
     gradient[2] = share_z / local[2]
-    shape[0] = 0.5 * _entropy(share_r, share_z)
-    shape[1] = 0.5 * share_r * _entropy(share_x, share_y)
-    shape[2] = -share_r * share_x
-    shape[3] = -share_r * share_y
-    shape[4] = -share_z
+    if with_shape:
+        shape[0] = 0.5 * _entropy(share_r, share_z)
+        shape[1] = 0.5 * share_r * _entropy(share_x, share_y)
+        shape[2] = -share_r * share_x
+        shape[3] = -share_r * share_y
+        shape[4] = -share_z
     return log_h
 
 
@@ -110,14 +111,14 @@ def _entropy(p, q):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True)
-def tangent_distance(row, x, y, z, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+def tangent_distance(row, x, y, z, local, gradient, shape, with_shape):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the signed distance of a point to a tangent plane near it; fill the local point and the derivatives there.
 
     A convex body lies behind its tangent planes: the distance to one bounds the true distance from below outside, from
     above inside. Outside the plane is that of the ray from the centre; inside it is the closest of that and of those
     met along the three axes, or else the rim of a plate would seem to be nearer than its faces.
     """
-    log_h = _log_gauge(row, x, y, z, local, gradient, shape)
+    log_h = _log_gauge(row, x, y, z, local, gradient, shape, with_shape)
     slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
     if log_h >= 0.0:
         return (1.0 - np.exp(-log_h)) / slope
@@ -130,7 +131,7 @@ def tangent_distance(row, x, y, z, local, gradient, shape):  # type: ignore[no-u
     s0 = p0 + (reach if p0 > 0.0 else -reach) * (axis == 0)
     s1 = p1 + (reach if p1 > 0.0 else -reach) * (axis == 1)
     s2 = p2 + (reach if p2 > 0.0 else -reach) * (axis == 2)
-    _log_gauge_local(row, s0, s1, s2, at_axis, at_gradient, at_shape)
+    _log_gauge_local(row, s0, s1, s2, at_axis, at_gradient, at_shape, with_shape)
     at_slope = np.sqrt(at_gradient[0] ** 2 + at_gradient[1] ** 2 + at_gradient[2] ** 2)
     planar = reach * abs(at_gradient[axis]) / at_slope
     if planar < best:
@@ -166,7 +167,7 @@ def _distances(row, points):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty(points.shape[0])
     local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     for n in range(points.shape[0]):
-        out[n] = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape)
+        out[n] = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False)
     return out
 
 
@@ -190,7 +191,7 @@ def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ign
     jacobian = np.empty(11)
     local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     for n in range(points.shape[0]):
-        d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape)
+        d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True)
         if d > OUTER_BAND or d < -band:
             continue
         r = d - targets[n]
@@ -267,7 +268,7 @@ def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
     for _ in range(iterations):
         a, b = _normal_equations(row, points, targets, weights, band, sigma2)
         gain = 0.0
-        for _ in range(6):
+        for _ in range(4):
             lhs = a.copy()
             for p in range(11):
                 lhs[p, p] += damping * a[p, p] + 1e-6 * (a[0, 0] + a[5, 5] + 1.0)
@@ -279,7 +280,7 @@ def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
                 row, damping = candidate, max(damping * 0.3, 1e-6)
                 break
             damping = min(damping * 8.0, 1e6)
-        if gain < 1e-4:
+        if gain < 1e-3:
             break
         sigma2 = min(sigma2, _sigma2(d, targets, weights, band, sigma2))
         cost = _cost(d, targets, weights, band, sigma2)

@@ -59,7 +59,9 @@ def depth_items(frame: Frame) -> list[LogItem]:
     """Return the depth as a 16-bit PNG in millimetres, 0 = no return; what is beyond 65 m is left out."""
     millimetres = np.nan_to_num(frame.depth_m * _MILLIMETRES, nan=0.0, posinf=0.0, neginf=0.0)
     millimetres[(millimetres < 0) | (millimetres > 65535)] = 0.0
-    _, png = cv2.imencode(".png", np.rint(millimetres).astype(np.uint16), [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    # Run lengths only: depth is noise to a compressor, and a better one takes five times as long.
+    quick = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+    _, png = cv2.imencode(".png", np.rint(millimetres).astype(np.uint16), quick)
     image = rr.EncodedDepthImage(blob=png.tobytes(), media_type="image/png", meter=_MILLIMETRES)
     return [LogItem(path=f"{CAMERA}/depth", archetypes=(image,), weight=Weight.HEAVY)]
 
