@@ -55,8 +55,15 @@ class Source(Protocol):
 class Segmenter(Protocol):
     """Finds the instances in a frame."""
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None) -> Segmentation:
-        """Return the instances and the structure of a frame; `prior` is the space as the map knows it so far."""
+    def prepare(self, frame: Frame) -> object:
+        """Return what can be computed of a frame without the map; called ahead, on another thread than `segment`."""
+        ...
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+        """Return the instances and the structure of a frame.
+
+        `prior` is the space as the map knows it so far; `prepared` is what `prepare` returned, or None.
+        """
         ...
 
 

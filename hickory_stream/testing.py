@@ -227,9 +227,14 @@ class InstanceSegmenter:
     def __init__(self, instances: Mapping[int, NDArray[np.int32]]) -> None:
         self._instances = instances
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None) -> Segmentation:
+    def prepare(self, frame: Frame) -> object:
+        """Return nothing: there is nothing to compute ahead."""
+        del frame
+        return None
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
         """Return the instances of the frame's stamp; whatever is none of them and has depth is structure."""
-        del prior
+        del prior, prepared
         instances = self._instances[frame.stamp_ns]
         return Segmentation(instances=instances, structure=(instances == 0) & np.isfinite(frame.depth_m), floor_z_m=0.0)
 

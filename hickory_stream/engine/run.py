@@ -78,10 +78,11 @@ class Progress:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Read:
-    """One frame on its way: `frame` where it is a keyframe; `jump` where time jumped before it."""
+    """One frame on its way: `frame` and what was `prepared` where it is a keyframe; `jump` where time jumped before."""
 
     raw: RawFrame
     frame: Frame | None
+    prepared: object
     jump: TimeJumped | None
 
 
@@ -111,9 +112,11 @@ class Run:
         self._progress = progress
         self._shapes = ShapeQueue(folder, workers, config.shapes)
         self._channel: Channel[_Read] = Channel(_DECODED_AHEAD)
-        # One thread decodes ahead, one perceives and decides: what must come in order stays in order.
+        # One thread reads ahead, one perceives and decides, one writes views: what must come in order stays in order.
         self._reader = ThreadPoolExecutor(1, "read")
         self._thinker = ThreadPoolExecutor(1, "think")
+        self._writer = ThreadPoolExecutor(1, "write")
+        self._writing: asyncio.Future[None] | None = None
         self._stopped = asyncio.Event()
         self._stopped_s = 0.0
         self._snapshot: MapSnapshot | None = None
@@ -172,6 +175,7 @@ class Run:
         finally:
             self._reader.shutdown(wait=True)
             self._thinker.shutdown(wait=True)
+            self._writer.shutdown(wait=True)
 
     # ---- read --------------------------------------------------------------------------------------------------------
 
@@ -188,12 +192,14 @@ class Run:
                     jump = self._jump(last_ns, raw.stamp_ns)
                     last, last_ns = (None if jump else last), raw.stamp_ns
                     await pump.wait(raw.stamp_ns)
-                    frame = None
+                    frame, prepared = None, None
                     if is_keyframe(last, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
                         frame = await self._decoded(raw, index)
                     if frame is not None:
                         last = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                    await self._channel.send(_Read(raw=replace(raw, index=index), frame=frame, jump=jump))
+                        prepared = await self._in(self._reader, self._segmenter.prepare, frame)
+                    raw = replace(raw, index=index)
+                    await self._channel.send(_Read(raw=raw, frame=frame, prepared=prepared, jump=jump))
                 offset = index + 1
         finally:
             await self._channel.close()
@@ -233,18 +239,20 @@ class Run:
             if read.frame is None:
                 await self._show(_plain_report(read.raw))
             else:
-                await self._keyframe(read.raw, read.frame)
+                await self._keyframe(read.raw, read.frame, read.prepared)
             self._tell("mapping")
         if last is not None:
             await self._end(last)
 
-    async def _keyframe(self, raw: RawFrame, frame: Frame) -> None:
+    async def _keyframe(self, raw: RawFrame, frame: Frame, prepared: object) -> None:
         self._num_keyframes += 1
         started = time.perf_counter()
         await self._commit_shapes(frame.stamp_ns)
         waited = time.perf_counter()
         prior = self._snapshot.submaps[0].observed_space if self._snapshot is not None else None
-        perceived = await self._in(self._thinker, perceive, frame, prior, self._segmenter, self._config.perception)
+        perceived = await self._in(
+            self._thinker, perceive, frame, prior, prepared, self._segmenter, self._config.perception
+        )
         if not np.isfinite(frame.depth_m).any():
             self.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
@@ -294,6 +302,7 @@ class Run:
             case DropView():
                 self._folder.drop_view(effect.name)
             case RequestShape():
+                await self._written()
                 await self._shapes.request(effect)
             case CancelShape():
                 self._shapes.cancel(effect.ticket)
@@ -323,7 +332,14 @@ class Run:
                     self._folder.views, keep.view.name, crop_of(frame, observations[keep.observation_index], margin)
                 )
 
-        await self._in(self._thinker, write)
+        await self._written()
+        self._writing = asyncio.get_running_loop().run_in_executor(self._writer, write)
+
+    async def _written(self) -> None:
+        """Return when the pixels of all views that were kept are written; raise what went wrong with them."""
+        if self._writing is not None:
+            writing, self._writing = self._writing, None
+            await writing
 
     async def _commit_shapes(self, stamp_ns: int | None) -> None:
         """Tell the core of the shapes that are due at a stamp, None: of all that are open."""
@@ -354,6 +370,7 @@ class Run:
     async def _end(self, last: RawFrame) -> None:
         """Ask for and wait for the last shapes, and show the finished map as one more keyframe."""
         decisions: tuple[Decision, ...] = ()
+        await self._written()
         if self.is_complete:
             published = await self._handle(SourceEnded(stamp_ns=last.stamp_ns))
             decisions = published.decisions if published is not None else ()

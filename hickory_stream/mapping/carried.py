@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from hickory_stream.geometry.boxes import intersection_volume_m3
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from hickory_stream.mapping.track import Track
@@ -25,8 +24,8 @@ _MIN_POINTS = 10
 def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.2, slender: float = 1.5) -> bool:
     """Return whether a slender thing stands where the larger one stands, with the larger one closely above it.
 
-    Its box is mostly inside the larger one's, it is `slender` times as tall as wide, their bottoms are level, and within
-    `max_gap_m` above its top the larger one goes on. What is seen of a leg ends where the table's edge hides the rest.
+    Its box is mostly inside the larger one's, it is `slender` times as tall as wide, their bottoms are level, and
+    within `max_gap_m` above its top the larger one goes on. A leg is seen up to where the table's edge hides it.
     """
     size = 2 * small.box.half_extents_m
     if size[2] < slender * max(size[0], size[1]) or abs(_bottom_m(small) - _bottom_m(large)) > _SAME_FLOOR_M:

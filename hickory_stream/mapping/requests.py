@@ -22,7 +22,8 @@ class RequestConfig:
     Attributes:
         max_in_flight: jobs that are open at a time.
         latency_s: a result is committed at the first keyframe this long after its request (playback).
-        first_sightings: an object's first shape is asked for after so many sightings.
+        first_sightings: an object's first shape is asked for after so many sightings, or as soon as it is out of view:
+            what is still being looked at will be known better in a moment.
         min_gain: a shape is renewed when new views and new surface add up to this much.
         final_gain: the same when the source has ended.
         interval_s: not sooner after the last request for the same object.
@@ -31,7 +32,7 @@ class RequestConfig:
 
     max_in_flight: int = 4
     latency_s: float = 2.0
-    first_sightings: int = 8
+    first_sightings: int = 20
     min_gain: float = 1.2
     final_gain: float = 0.5
     interval_s: float = 8.0
@@ -97,6 +98,7 @@ def _urgency(track: Track, clock_ns: int, *, is_final: bool, config: RequestConf
         return gain if track.shape is None or gain >= config.final_gain else None
     if state.asked_views and (clock_ns - state.asked_clock_ns) / 1e9 < config.interval_s:
         return None
-    if track.shape is None and track.sightings < config.first_sightings:
+    is_in_view = track.phase is Phase.ACTIVE
+    if track.shape is None and is_in_view and track.sightings < config.first_sightings:
         return None
     return gain if gain >= config.min_gain else None

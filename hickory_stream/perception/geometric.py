@@ -59,10 +59,14 @@ class GeometricSegmenter:
     def __init__(self, config: GeometricConfig) -> None:
         self._config = config
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None) -> Segmentation:
+    def prepare(self, frame: Frame) -> Surface:
+        """Return the surface of a frame: what takes longest of it, and needs no map."""
+        return surface_of(frame, self._config.surface)
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
         config = self._config
-        surface = surface_of(frame, config.surface)
+        surface = prepared if isinstance(prepared, Surface) else self.prepare(frame)
         areas_m2 = pixel_areas_m2(surface)
         planes = horizontal_planes(surface, areas_m2, min_area_m2=config.support_area_m2)
         known_floor = prior.floor_z_m if prior is not None else None

@@ -46,9 +46,14 @@ class Perceived:
     space: SpaceObservation
 
 
-def perceive(frame: Frame, prior: ObservedSpace | None, segmenter: Segmenter, config: PerceptionConfig) -> Perceived:
-    """Return what a keyframe shows, seen with the space that the map knows so far."""
-    segmentation = segmenter.segment(frame, prior)
+def perceive(
+    frame: Frame, prior: ObservedSpace | None, prepared: object, segmenter: Segmenter, config: PerceptionConfig
+) -> Perceived:
+    """Return what a keyframe shows, seen with the space that the map knows so far.
+
+    `prepared` is what the segmenter's `prepare` gave for this frame, None if it was not called.
+    """
+    segmentation = segmenter.segment(frame, prior, prepared)
     observations, rejected = observe(frame, segmentation, config.observe)
     return Perceived(
         segmentation=segmentation,

@@ -111,7 +111,7 @@ def scene_request(views: Path, *, ticket: int = 1, due_ns: int = 0, num_views: i
     kept, points, colors = [], [], []
     for raw in source.frames():
         frame = raw.decode()
-        observation = perceive(frame, None, segmenter, config).observations[-1]
+        observation = perceive(frame, None, None, segmenter, config).observations[-1]
         view = View(
             object_id=3,
             frame_index=frame.index,
