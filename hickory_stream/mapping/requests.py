@@ -31,7 +31,7 @@ class RequestConfig:
     """
 
     max_in_flight: int = 4
-    latency_s: float = 2.0
+    latency_s: float = 4.0
     first_sightings: int = 20
     min_gain: float = 1.2
     final_gain: float = 0.5
