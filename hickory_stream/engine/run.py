@@ -334,6 +334,8 @@ class Run:
 
         await self._written()
         self._writing = asyncio.get_running_loop().run_in_executor(self._writer, write)
+        # A run that ends for another reason does not wait for it: its failure then is no news.
+        self._writing.add_done_callback(lambda writing: writing.cancelled() or writing.exception())
 
     async def _written(self) -> None:
         """Return when the pixels of all views that were kept are written; raise what went wrong with them."""

@@ -35,7 +35,7 @@ class VolumeConfig:
     cells: int = 56
     min_voxel_m: float = 0.004
     max_voxel_m: float = 0.03
-    max_faces: int = 12_000
+    max_faces: int = 20_000
     noise_per_m: float = 0.004
     smoothing: int = 15
     seen_voxels: float = 1.5

@@ -47,7 +47,7 @@ class InflateConfig:
     rule: Literal["per_axis", "single_factor"] = "per_axis"
     r_safe_m: float = 0.02
     g: float = 1.0
-    num_samples: int = 3000
+    num_samples: int = 4000
     num_rounds: int = 3
     num_checks: int = 4000
 
