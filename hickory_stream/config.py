@@ -31,7 +31,8 @@ class RunConfig:
 
     Attributes:
         workers: child processes that build shapes.
-        job_timeout_s: a shape job that takes longer is given up, and marks the run as not reproducible.
+        job_timeout_s: a shape job that takes longer is tried once more, then given up; it depends on the machine:
+            such a run may not be reproducible.
         crop_margin: a kept view shows this share of its box more on every side.
         time_jump_s: stamps that go forward by more than this are a jump of time.
         grace_s: after a stop, this long is waited for jobs that are running.

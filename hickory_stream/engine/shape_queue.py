@@ -1,8 +1,7 @@
 """Shape jobs of a playback: handed to the workers at once, committed by their due stamps.
 
 A result is committed at the first keyframe at or after its due stamp, in the order (due stamp, ticket), and the run
-waits
-for one that is late: so that neither the number nor the speed of workers can change the map.
+waits for one that is late: so that neither the number nor the speed of workers can change the map.
 """
 
 from __future__ import annotations

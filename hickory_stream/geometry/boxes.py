@@ -58,6 +58,12 @@ class OrientedBox:
         local = (points_world - self.center) @ self.world_from_box[:3, :3]
         return np.asarray((np.abs(local) <= self.half_extents_m + margin_m).all(axis=1))
 
+    def is_over_or_under(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
+        """Return for each of (N, 3) points whether it lies in the column of an upright box grown by `margin_m`."""
+        level = np.array(points_world)
+        level[:, 2] = self.center[2]
+        return self.contains(level, margin_m)
+
     def grown(self, margin_m: float) -> OrientedBox:
         """Return the box with every half extent larger by `margin_m`."""
         return OrientedBox(world_from_box=self.world_from_box, half_extents_m=self.half_extents_m + margin_m)

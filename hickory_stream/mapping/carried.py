@@ -11,9 +11,6 @@ from typing import TYPE_CHECKING
 from hickory_stream.geometry.boxes import intersection_volume_m3
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from hickory_stream.mapping.track import Track
 
 _SAME_FLOOR_M = 0.15
@@ -33,7 +30,7 @@ def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.2, slender: float
     if intersection_volume_m3(small.box, large.box) < 0.5 * small.box.volume_m3:
         return False
     top = float(small.bounds[1, 2])
-    above = large.solid.points[_over(small, large.solid.points)][:, 2]
+    above = large.solid.points[small.box.is_over_or_under(large.solid.points, _BESIDE_M)][:, 2]
     near = above[(above > top - 0.05) & (above < top + max_gap_m)]
     return len(near) >= _MIN_POINTS
 
@@ -49,15 +46,8 @@ def stands_in(large: Track, small: Track) -> bool:
     points = large.solid.points
     low, high = float(large.bounds[0, 2]), float(large.bounds[1, 2])
     foot = points[points[:, 2] < low + 0.15 * (high - low)]
-    return len(foot) >= _MIN_POINTS and float(_over(small, foot).mean()) > 0.7
+    return len(foot) >= _MIN_POINTS and float(small.box.is_over_or_under(foot, _BESIDE_M).mean()) > 0.7
 
 
 def _bottom_m(track: Track) -> float:
     return float(track.bounds[0, 2])
-
-
-def _over(track: Track, points: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which of (N, 3) points lie over or under a track's box, to 4 cm."""
-    level = points.copy()
-    level[:, 2] = track.box.center[2]
-    return track.box.contains(level, _BESIDE_M)

@@ -66,19 +66,13 @@ def gain_of(track: Track) -> float:
 def support_height_m(track: Track, others: Iterable[Track], floor_z_m: float | None) -> float | None:
     """Return the height of what an object stands on: another object's top, or the floor; None if unknown."""
     bottom = float(track.box.center[2] - track.box.half_extents_m[2])
-    footprint = track.box.grown(0.03)
     best: float | None = None
     for other in others:
         if other.id == track.id or other.box.center[2] - other.box.half_extents_m[2] > bottom - 0.01:
             continue
         points = other.cloud.points
         near = points[(points[:, 2] > bottom - 0.10) & (points[:, 2] < bottom + 0.03)]
-        lifted = (
-            near
-            + np.array([0, 0, footprint.center[2]], dtype=np.float32)
-            - near * np.array([0, 0, 1], dtype=np.float32)
-        )
-        under = near[footprint.contains(lifted)]
+        under = near[track.box.is_over_or_under(near, 0.03)]
         if len(under) >= 10:
             height = float(np.quantile(under[:, 2], 0.8))
             best = height if best is None else max(best, height)

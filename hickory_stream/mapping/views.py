@@ -1,7 +1,6 @@
 """Best views, lazily: S, its bound, the strategies that it is compared with, and the views kept for their direction.
 
-    S = ln(1 + sigma^2) * R_area^alpha * R_depth^beta                                            (paper, Eq. of the
-    S-score)
+    S = ln(1 + sigma^2) * R_area^alpha * R_depth^beta                        (paper, Eq. of the S-score)
 
 Patch features have unit norm, so that sigma^2, the trace of their covariance, is at most 1 and
 S <= ln 2 * R_area^alpha * R_depth^beta. The features of a mask are computed only where that bound beats the object's
