@@ -67,7 +67,7 @@ def _draw_room(rng: np.random.Generator) -> World | None:
     return World(
         objects=numbered(placed),
         structure=room_structure(rng, half_x, half_y, _HEIGHT_M),
-        interior_m=(-half_x, -half_y, half_x, half_y),
+        rooms_m=((-half_x, -half_y, half_x, half_y),),
         middle_m=middle,
     )
 

@@ -41,14 +41,20 @@ class WorldObject:
 class World:
     """Objects sorted by id, and structure models in the world frame.
 
-    `interior_m` is the walkable rectangle (x0, y0, x1, y1) between the walls, the floor is at z = 0. `middle_m` (x, y)
-    is the place that a walk goes round.
+    `rooms_m` are the rectangles (x0, y0, x1, y1) between the walls of each room, the floor is at z = 0. `middle_m`
+    (x, y) is the place that a walk of one room goes round.
     """
 
     objects: tuple[WorldObject, ...]
     structure: tuple[Model, ...]
-    interior_m: tuple[float, float, float, float]
+    rooms_m: tuple[tuple[float, float, float, float], ...]
     middle_m: tuple[float, float]
+
+    @property
+    def interior_m(self) -> tuple[float, float, float, float]:
+        """The rectangle (x0, y0, x1, y1) around all rooms."""
+        x0, y0, x1, y1 = zip(*self.rooms_m, strict=True)
+        return min(x0), min(y0), max(x1), max(y1)
 
 
 def at_place(x: float, y: float, z: float, yaw_rad: float) -> NDArray[np.float64]:
