@@ -172,6 +172,32 @@ def _render(options: argparse.Namespace) -> int:
     return 0
 
 
+def _evaluate(options: argparse.Namespace) -> int:
+    from hickory_stream.evaluation.explain import DEFINITIONS, as_json, format_evaluation
+
+    if options.explain:
+        print(json.dumps({"definitions": DEFINITIONS}) if options.json else DEFINITIONS)
+        if options.map is None:
+            return 0
+    if options.map is None or options.truth is None:
+        raise InputError("evaluate needs a MAP and --truth DIR, or --explain alone")
+    from hickory_stream.engine.session import open_map
+    from hickory_stream.evaluation.evaluate import evaluate
+    from hickory_stream.evaluation.truth import load_truth
+
+    saved, truth = open_map(options.map), load_truth(options.truth)
+    evaluation = evaluate(saved, truth)
+    if options.html is not None:
+        from hickory_stream.evaluation.page import write_page
+
+        try:
+            write_page(options.html, saved, truth, evaluation)
+        except OSError as error:
+            raise InputError(f"cannot write the page {options.html}: {error.strerror}") from error
+    print(json.dumps(as_json(evaluation), indent=1) if options.json else format_evaluation(evaluation))
+    return 0
+
+
 def _config_dump(options: argparse.Namespace) -> int:
     from hickory_stream.config import to_toml
 
@@ -270,6 +296,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_play(commands.add_parser("play", parents=[common, configured], help="map a recorded log"))
     _add_inspect(commands.add_parser("inspect", parents=[common], help="show what a map holds"))
     _add_render(commands.add_parser("render", parents=[common], help="draw a map; needs no screen"))
+    _add_evaluate(commands.add_parser("evaluate", parents=[common], help="compare a map with truth"))
     config = commands.add_parser("config", help="show or check a configuration").add_subparsers(
         required=True, metavar="ACTION"
     )
@@ -313,6 +340,14 @@ def _add_render(render: argparse.ArgumentParser) -> None:
     render.add_argument("-o", "--out", type=Path, default=Path("map.png"), metavar="PNG")
     render.add_argument("--layers", default="1,2", help="which layers to draw, e.g. 1,2 (default) or 3,4")
     render.add_argument("--size", default="1600x800", metavar="WxH")
+
+
+def _add_evaluate(evaluate: argparse.ArgumentParser) -> None:
+    evaluate.set_defaults(run=_evaluate)
+    evaluate.add_argument("map", type=Path, metavar="MAP", nargs="?")
+    evaluate.add_argument("--truth", type=Path, metavar="DIR", help="the truth folder of the log that was played")
+    evaluate.add_argument("--explain", action="store_true", help="say what every figure means")
+    evaluate.add_argument("--html", type=Path, metavar="PAGE", help="write a page with pictures, worst objects first")
 
 
 if __name__ == "__main__":

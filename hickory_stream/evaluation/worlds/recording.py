@@ -18,10 +18,14 @@ import numpy as np
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, truth_record
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
+from hickory_stream.evaluation.worlds.drift import DriftConfig, drifted
+from hickory_stream.evaluation.worlds.orbit import orbit
 from hickory_stream.evaluation.worlds.parts import model_mesh
+from hickory_stream.evaluation.worlds.person import PERSON_ID, Person, with_person
 from hickory_stream.evaluation.worlds.rendering import Renderer
-from hickory_stream.evaluation.worlds.room import furnished_room
-from hickory_stream.evaluation.worlds.trajectory import NoWalk, Trajectory, WalkConfig, walk_round
+from hickory_stream.evaluation.worlds.scenes import SCENES, make_world
+from hickory_stream.evaluation.worlds.tour import tour
+from hickory_stream.evaluation.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, walk_round
 from hickory_stream.evaluation.worlds.visibility import SeenSurface
 from hickory_stream.evaluation.worlds.zed_log import ZedLog, encode_png
 from hickory_stream.geometry.camera import Camera
@@ -38,15 +42,20 @@ if TYPE_CHECKING:
 
 _START_NS = 1_752_400_000_000_000_000
 _ODOMETRY_HZ = 30
-_ROOMS = 20
+_WORLDS = 20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordingConfig:
     """What is recorded: the same config gives the same bytes."""
 
+    scene: str = "room"
+    """One of `worlds.scenes.SCENES`."""
     seed: int = 7
-    seconds: float = 20.0
+    walk_index: int = 0
+    """Which of the walks through the scene; a room has one for each seed."""
+    seconds: float | None = 20.0
+    """None: as long as the walk through the scene takes, a minute or more."""
     rate_hz: float = 6.0
     width: int = 640
     height: int = 360
@@ -54,19 +63,26 @@ class RecordingConfig:
     color_noise: float = 1.0
     """Standard deviation of the colour noise, in grey levels."""
     jpeg_quality: int = 80
+    drift: DriftConfig | None = None
+    """How the odometry drifts; None: its poses are exact."""
+    person: bool = False
+    """Whether a person walks through the scene, too."""
     walk: WalkConfig = field(default_factory=WalkConfig)
     depth: DepthCameraConfig = field(default_factory=DepthCameraConfig)
 
     def __post_init__(self) -> None:
-        if not (self.seconds > 0 and 0 < self.rate_hz <= 120 and self.seconds * self.rate_hz >= 1):
+        seconds = 60.0 if self.seconds is None else self.seconds
+        if not (seconds > 0 and 0 < self.rate_hz <= 120 and seconds * self.rate_hz >= 1):
             raise ConfigError(
                 f"{self.seconds} s at {self.rate_hz} Hz; expected a positive time and a rate of up to 120 Hz "
                 "that give at least one frame"
             )
         if not (32 <= self.width <= 4096 and 32 <= self.height <= 4096):
             raise ConfigError(f"images of {self.width}x{self.height}; expected 32 to 4096 pixels a side")
-        if self.seed < 0:
-            raise ConfigError(f"seed {self.seed}; expected 0 or more")
+        if self.seed < 0 or self.walk_index < 0:
+            raise ConfigError(f"seed {self.seed}, walk {self.walk_index}; expected 0 or more")
+        if self.scene not in SCENES:
+            raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
 
     @property
     def camera(self) -> Camera:
@@ -134,16 +150,41 @@ def _make(config: RecordingConfig, folder: Path, name: str, progress: Callable[[
 
 
 def _walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's rooms that one can walk round, and the walk."""
-    for attempt in range(_ROOMS):
-        rng = np.random.default_rng([config.seed, 2])
-        world = furnished_room(config.seed, attempt)
-        trajectory = walk_round(world, config.seconds, config.walk, rng)
-        if not isinstance(trajectory, NoWalk):
+    """Return the first of the seed's worlds that one can walk through, and the walk."""
+    for attempt in range(_WORLDS):
+        world = make_world(config.scene, config.seed, attempt)
+        trajectory = _walk(world, config, config.walk_index)
+        # The walk that is recorded must not decide which world of the seed it is.
+        if not isinstance(trajectory, NoWalk) and not isinstance(_walk(world, config, 0), NoWalk):
             return world, trajectory
     raise ConfigError(
-        f"seed {config.seed}: none of {_ROOMS} rooms leaves {config.walk.clearance_m} m to walk; choose another --seed"
+        f"seed {config.seed}: none of {_WORLDS} worlds leaves {config.walk.clearance_m} m to walk; "
+        "choose another --seed"
     )
+
+
+def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory | NoWalk:
+    rng = np.random.default_rng([config.seed, 2, walk_index] if walk_index else [config.seed, 2])
+    if config.scene == "apartment":
+        return tour(world, config.seconds, config.walk, walk_index)
+    if config.scene == "tabletop":
+        return orbit(world, config.seconds, walk_index, rng)
+    return walk_round(world, 60.0 if config.seconds is None else config.seconds, config.walk, rng)
+
+
+def _person(world: World, config: RecordingConfig) -> Person | None:
+    """Return the person of a config: on another walk through the same world, faster than the camera."""
+    if not config.person:
+        return None
+    faster = replace(config.walk, speed_mps=2 * config.walk.speed_mps)
+    if config.scene == "tabletop":
+        track: Trajectory | NoWalk = orbit(world, config.seconds, config.walk_index + 1, np.random.default_rng(0))
+    elif config.scene == "apartment":
+        track = tour(world, config.seconds, faster, config.walk_index + 1)
+    else:
+        seconds = 60.0 if config.seconds is None else config.seconds
+        track = walk_round(world, seconds, faster, np.random.default_rng([config.seed, 5]))
+    return None if isinstance(track, NoWalk) else Person(track=track, ahead_s=3.0)
 
 
 def _write_meshes(world: World, truth_folder: Path) -> tuple[str, ...]:
@@ -166,26 +207,32 @@ def _record(
     """Render and write frame by frame; return the true frames, what was seen, and where each object shows."""
     log_path, truth_folder = targets
     camera, renderer = config.camera, Renderer(world)
-    rng = np.random.default_rng([config.seed, 3])
+    rng = np.random.default_rng([config.seed, 3, config.walk_index] if config.walk_index else [config.seed, 3])
     seen = SeenSurface(
         world, config.depth.min_depth_m, config.depth.max_depth_m, np.random.default_rng([config.seed, 4])
     )
     shown: dict[int, list[int]] = {item.id: [] for item in world.objects}
     frames: list[TruthFrame] = []
-    stamps_ns, every = _stamps_ns(config)
+    stamps_ns, every = _stamps_ns(config, float(trajectory.times_s[-1]))
+    person = _person(world, config)
+    odometry = trajectory
+    if config.drift is not None:
+        odometry = drifted(trajectory, config.drift, np.random.default_rng([config.seed, 6, config.walk_index]))
     num_frames = len(range(0, len(stamps_ns), every))
     with ZedLog(log_path, camera, config.jpeg_quality) as log:
         log.write_static(stamps_ns[0])
         for i, stamp_ns in enumerate(stamps_ns):
             time_s = (stamp_ns - stamps_ns[0]) / 1e9
             world_from_camera = trajectory.pose_at(time_s)
-            log.write_pose(stamp_ns, world_from_camera, _velocity(trajectory, time_s))
+            log.write_pose(stamp_ns, odometry.pose_at(time_s), _velocity(odometry, time_s))
             if i % every:
                 continue
             index = i // every
             rendered = renderer.render(camera, world_from_camera)
+            if person is not None:
+                rendered = with_person(rendered, camera, world_from_camera, person, time_s)
             seen.add(rendered, camera, world_from_camera)
-            for item_id in np.unique(rendered.instances[rendered.instances > 0]):
+            for item_id in np.setdiff1d(rendered.instances, (0, PERSON_ID)):
                 shown[int(item_id)].append(index)
             log.write_images(stamp_ns, *_sensed(rendered, camera, config, rng))
             frame = TruthFrame(
@@ -200,10 +247,11 @@ def _record(
     return frames, seen, shown
 
 
-def _stamps_ns(config: RecordingConfig) -> tuple[list[int], int]:
+def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:
     """Return the stamps of all grabs and how many of them there are to an image."""
+    seconds = walk_s - 2 * STEP_S if config.seconds is None else config.seconds
     every = max(1, int(np.ceil(_ODOMETRY_HZ / config.rate_hz)))
-    num_frames = int(np.floor(config.seconds * config.rate_hz + 1e-9))
+    num_frames = int(np.floor(seconds * config.rate_hz + 1e-9))
     num_grabs = (num_frames - 1) * every + 1
     start_ns = _START_NS + 1_000_003 * config.seed
     return [start_ns + round(i * 1e9 / (config.rate_hz * every)) for i in range(num_grabs)], every

@@ -1,7 +1,7 @@
 """Ray-cast images of a world: lit colour, exact depth, exact instances.
 
-Geometries are numbered with the structure first and the objects after it; colour is sampled four times per pixel, depth
-and instances once, through the pixel's centre.
+Geometries are numbered with the structure first and the objects after it. Depth and instances are sampled once, through
+the pixel's centre; colour four times at edges, and twice, without casting further rays, inside a face.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numba
 import numpy as np
 
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.worlds.scene import World
     from hickory_stream.geometry.camera import Camera
 
-# Height and place of the two lamps under the ceiling, as shares of the half room; the first throws shadows.
+# Place of a room's two lamps under the ceiling, as shares of the half room, and their height; the first throws shadows.
 _MAIN_LIGHT = (0.25, -0.2, 2.45)
 _FILL_LIGHT = (-0.7, 0.6, 2.2)
 _SHADOW = 0.45
@@ -73,14 +72,13 @@ class Renderer:
         self._texture_of_face = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
         counts = [sum(len(part.faces) for part in model.parts) for model, _ in models]
         self._first_face = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        x0, y0, x1, y1 = world.interior_m
-        half = np.array([(x1 - x0) / 2, (y1 - y0) / 2, 1.0])
-        self._lights = np.array([_MAIN_LIGHT, _FILL_LIGHT]) * half
+        self._rooms = np.array(world.rooms_m)
+        self._lamps = _lamps_of(self._rooms)
 
     def render(self, camera: Camera, world_from_camera: NDArray[np.float64]) -> Rendered:
         """Return what the camera sees, without any defect."""
         size = (camera.height, camera.width)
-        rays = _rays(camera, world_from_camera)
+        rays = rays_of(camera, world_from_camera)
         hit = self._cast(rays)
         is_hit = np.isfinite(hit["t_hit"])
         instances = np.zeros(is_hit.shape, dtype=np.uint16)
@@ -88,7 +86,7 @@ class Renderer:
         length = np.linalg.norm(rays[:, 3:], axis=1)
         cosine = np.abs(np.einsum("ij,ij->i", hit["primitive_normals"], rays[:, 3:])) / length
         return Rendered(
-            rgb=self._color(camera, world_from_camera),
+            rgb=self._color(camera, world_from_camera, rays, hit),
             depth_m=np.where(is_hit, hit["t_hit"], np.nan).reshape(size),
             instances=instances.reshape(size),
             cosine=cosine.reshape(size),
@@ -97,39 +95,63 @@ class Renderer:
     def _cast(self, rays: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
         return {key: value.numpy() for key, value in self._scene.cast_rays(self._tensor(rays)).items()}
 
-    def _color(self, camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[np.uint8]:
-        fine = camera.scaled(2.0)
-        rays = _rays(fine, world_from_camera)
-        hit = self._cast(rays)
+    def _color(
+        self,
+        camera: Camera,
+        world_from_camera: NDArray[np.float64],
+        rays: NDArray[np.float32],
+        hit: dict[str, NDArray[Any]],
+    ) -> NDArray[np.uint8]:
+        """Return the image: inside a face the light is that of the pixel's centre, at edges rays are cast for it."""
+        size = (camera.height, camera.width)
+        lamps, is_lit = self._light(rays, hit)
+        table = (self._object_from_world, self._first_face, self._texture_of_face, self._textures)
+        colors, is_edge = _shade_faces(
+            rays.reshape(*size, 6),
+            hit["t_hit"].reshape(size),
+            hit["primitive_normals"].reshape(*size, 3),
+            hit["geometry_ids"].reshape(size),
+            hit["primitive_ids"].reshape(size),
+            is_lit.reshape(size),
+            lamps.reshape(size),
+            self._lamps,
+            *table,
+        )
+        edges = np.flatnonzero(is_edge)
+        fine = rays_of(camera.scaled(2.0), world_from_camera).reshape(size[0], 2, size[1], 2, 6)
+        sub = np.ascontiguousarray(fine.transpose(0, 2, 1, 3, 4).reshape(-1, 4, 6)[edges].reshape(-1, 6))
+        sub_hit = self._cast(sub)
+        sub_lamps, sub_lit = self._light(sub, sub_hit)
+        sub_colors = _shade(
+            sub,
+            sub_hit["t_hit"],
+            sub_hit["primitive_normals"],
+            sub_hit["geometry_ids"],
+            sub_hit["primitive_ids"],
+            sub_lit,
+            sub_lamps,
+            self._lamps,
+            *table,
+        )
+        colors.reshape(-1, 3)[edges] = sub_colors.reshape(-1, 4, 3).mean(axis=1)
+        return (np.clip(colors, 0.0, 1.0) * 255 + 0.5).astype(np.uint8)
+
+    def _light(
+        self, rays: NDArray[np.float32], hit: dict[str, NDArray[Any]]
+    ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Return for each ray the room whose lamps light what it hits, and whether the room's main lamp reaches it."""
         reach: NDArray[np.float32] = np.nan_to_num(hit["t_hit"], posinf=0.0)
         points = rays[:, :3] + reach[:, None] * rays[:, 3:]
-        # Faces look outwards, but a ray may graze one from inside by rounding: light the side that is seen.
         normals = hit["primitive_normals"]
-        normals = np.where(np.einsum("ij,ij->i", normals, rays[:, 3:])[:, None] > 0, -normals, normals)
-        colors = _shade(
-            points,
-            normals,
-            hit["geometry_ids"],
-            hit["primitive_ids"],
-            self._is_lit(points, normals),
-            self._object_from_world,
-            self._first_face,
-            self._texture_of_face,
-            self._textures,
-            self._lights,
-        )
-        image = colors.reshape(fine.height, fine.width, 3)
-        small = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-        return (np.clip(small, 0.0, 1.0) * 255 + 0.5).astype(np.uint8)
-
-    def _is_lit(self, points: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return for each (N, 3) point whether the main light reaches it."""
-        start = points + 0.002 * normals
-        rays = np.concatenate([start, self._lights[0].astype(np.float32) - start], axis=1).astype(np.float32)
-        return ~self._scene.test_occlusions(self._tensor(rays), tfar=1.0).numpy()
+        facing = np.einsum("ij,ij->i", normals, rays[:, 3:])[:, None] > 0
+        start = points + np.where(facing, np.float32(-0.002), np.float32(0.002)) * normals
+        rooms = _nearest_room(start, self._rooms)
+        lamps = self._lamps[rooms, 0].astype(np.float32)
+        shadow = np.concatenate([start, lamps - start], axis=1)
+        return rooms, ~self._scene.test_occlusions(self._tensor(shadow), tfar=1.0).numpy()
 
 
-def _rays(camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
+def rays_of(camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return (H * W, 6) rays in the world whose parameter is the depth along the optical axis."""
     u = (np.arange(camera.width) - camera.cx) / camera.fx
     v = (np.arange(camera.height) - camera.cy) / camera.fy
@@ -141,32 +163,150 @@ def _rays(camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[np.
     return rays.reshape(-1, 6)
 
 
+def _lamps_of(rooms_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (R, 2, 3) places of the main and the fill lamp of each room."""
+    middle, half = (rooms_m[:, :2] + rooms_m[:, 2:]) / 2, (rooms_m[:, 2:] - rooms_m[:, :2]) / 2
+    lamps = np.empty((len(rooms_m), 2, 3))
+    for i, place in enumerate((_MAIN_LIGHT, _FILL_LIGHT)):
+        lamps[:, i, :2] = middle + half * place[:2]
+        lamps[:, i, 2] = place[2]
+    return lamps
+
+
+@numba.njit(cache=True)
+def _nearest_room(points, rooms):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return for each (N, 3) point the index of the room that it is in, or nearest to."""
+    nearest = np.zeros(len(points), dtype=np.intp)
+    for i in range(len(points)):
+        best = np.inf
+        for r in range(len(rooms)):
+            dx = max(rooms[r, 0] - points[i, 0], 0.0, points[i, 0] - rooms[r, 2])
+            dy = max(rooms[r, 1] - points[i, 1], 0.0, points[i, 1] - rooms[r, 3])
+            if dx * dx + dy * dy < best:
+                best = dx * dx + dy * dy
+                nearest[i] = r
+    return nearest
+
+
+@numba.njit(cache=True)
+def _shade_faces(  # type: ignore[no-untyped-def] # pragma: no cover
+    rays,
+    t_hit,
+    normals,
+    geometry,
+    primitive,
+    is_lit,
+    room,
+    lamps,
+    object_from_world,
+    first_face,
+    texture_of_face,
+    textures,
+):
+    """Return (H, W, 3) float32 colours, and (H, W) whether a pixel lies at an edge of faces, textures or shadows.
+
+    Away from edges the texture is sampled twice in a pixel, on the plane of its face, and the light once.
+    """
+    height, width = t_hit.shape
+    colors = np.zeros((height, width, 3), dtype=np.float32)
+    is_edge = np.zeros((height, width), dtype=np.bool_)
+    for v in range(height):
+        for u in range(width):
+            g = geometry[v, u]
+            if g >= len(first_face):
+                is_edge[v, u] = True
+                continue
+            texture = texture_of_face[first_face[g] + primitive[v, u]]
+            nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+            edge = False
+            for dv in range(-1, 2):
+                for du in range(-1, 2):
+                    y, x = min(max(v + dv, 0), height - 1), min(max(u + du, 0), width - 1)
+                    k = geometry[y, x]
+                    if (
+                        k != g
+                        or is_lit[y, x] != is_lit[v, u]
+                        or texture_of_face[first_face[k] + primitive[y, x]] != texture
+                        or nx * normals[y, x, 0] + ny * normals[y, x, 1] + nz * normals[y, x, 2] < 0.9
+                    ):
+                        edge = True
+            ray = rays[v, u]
+            cosine = nx * ray[3] + ny * ray[4] + nz * ray[5]
+            if edge or abs(cosine) < 0.05:
+                is_edge[v, u] = True
+                continue
+            t = t_hit[v, u]
+            px, py, pz = ray[0] + t * ray[3], ray[1] + t * ray[4], ray[2] + t * ray[5]
+            light = _light_at(px, py, pz, nx, ny, nz, cosine, is_lit[v, u], lamps[room[v, u]])
+            across, below = rays[v, min(u + 1, width - 1)], rays[min(v + 1, height - 1), u]
+            red, green, blue = 0.0, 0.0, 0.0
+            for sign in (-0.25, 0.25):
+                dx = ray[3] + sign * (across[3] - ray[3]) - sign * (below[3] - ray[3])
+                dy = ray[4] + sign * (across[4] - ray[4]) - sign * (below[4] - ray[4])
+                dz = ray[5] + sign * (across[5] - ray[5]) - sign * (below[5] - ray[5])
+                k = t * cosine / (nx * dx + ny * dy + nz * dz)
+                r, g2, b = _albedo_at(
+                    ray[0] + k * dx, ray[1] + k * dy, ray[2] + k * dz, object_from_world[g], textures[texture]
+                )
+                red, green, blue = red + r, green + g2, blue + b
+            colors[v, u, 0], colors[v, u, 1], colors[v, u, 2] = red * light / 2, green * light / 2, blue * light / 2
+    return colors, is_edge
+
+
 @numba.njit(cache=True)
 def _shade(  # type: ignore[no-untyped-def] # pragma: no cover
-    points, normals, geometry, primitive, is_lit, object_from_world, first_face, texture_of_face, textures, lights
+    rays,
+    t_hit,
+    normals,
+    geometry,
+    primitive,
+    is_lit,
+    room,
+    lamps,
+    object_from_world,
+    first_face,
+    texture_of_face,
+    textures,
 ):
-    """Return the (N, 3) float32 colours of hits: texture times ambient light and two lamps; black without a hit."""
-    colors = np.zeros((len(points), 3), dtype=np.float32)
-    for i in range(len(points)):
+    """Return the (N, 3) float32 colours of hits; black without a hit."""
+    colors = np.zeros((len(rays), 3), dtype=np.float32)
+    for i in range(len(rays)):
         g = geometry[i]
         if g >= len(first_face):
             continue
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        m = object_from_world[g]
-        ox = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-        oy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-        oz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-        red, green, blue = albedo(ox, oy, oz, textures[texture_of_face[first_face[g] + primitive[i]]])
-        light = 0.50 + 0.10 * normals[i, 2]
-        for k in range(2):
-            dx, dy, dz = lights[k, 0] - x, lights[k, 1] - y, lights[k, 2] - z
-            distance = (dx * dx + dy * dy + dz * dz) ** 0.5
-            cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) / distance
-            strength = (0.95 if k == 0 else 0.4) / (0.6 + 0.16 * distance * distance)
-            if k == 0 and not is_lit[i]:
-                strength *= _SHADOW
-            light += strength * max(cosine, 0.0)
-        # A soft shoulder instead of clipping keeps texture in what is close to a lamp.
-        light = light if light < 1.0 else 1.0 + 0.35 * (light - 1.0)
+        t, ray = t_hit[i], rays[i]
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        x, y, z = ray[0] + t * ray[3], ray[1] + t * ray[4], ray[2] + t * ray[5]
+        texture = textures[texture_of_face[first_face[g] + primitive[i]]]
+        red, green, blue = _albedo_at(x, y, z, object_from_world[g], texture)
+        cosine = nx * ray[3] + ny * ray[4] + nz * ray[5]
+        light = _light_at(x, y, z, nx, ny, nz, cosine, is_lit[i], lamps[room[i]])
         colors[i, 0], colors[i, 1], colors[i, 2] = red * light, green * light, blue * light
     return colors
+
+
+@numba.njit(cache=True)
+def _albedo_at(x, y, z, m, texture):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the texture's colour at a point of the world; `m` is object_from_world."""
+    ox = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+    oy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+    oz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+    return albedo(ox, oy, oz, texture)
+
+
+@numba.njit(cache=True)
+def _light_at(x, y, z, nx, ny, nz, cosine, is_lit, lamps):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return ambient light and that of a room's two lamps on the side of a face that the ray comes from."""
+    # Faces look outwards, but a ray may graze one from inside by rounding: light the side that is seen.
+    side = -1.0 if cosine > 0 else 1.0
+    light = 0.50 + 0.10 * side * nz
+    for k in range(2):
+        dx, dy, dz = lamps[k, 0] - x, lamps[k, 1] - y, lamps[k, 2] - z
+        distance = (dx * dx + dy * dy + dz * dz) ** 0.5
+        towards = side * (dx * nx + dy * ny + dz * nz) / distance
+        strength = (0.95 if k == 0 else 0.4) / (0.6 + 0.16 * distance * distance)
+        if k == 0 and not is_lit:
+            strength *= _SHADOW
+        light += strength * max(towards, 0.0)
+    # A soft shoulder instead of clipping keeps texture in what is close to a lamp.
+    return light if light < 1.0 else 1.0 + 0.35 * (light - 1.0)

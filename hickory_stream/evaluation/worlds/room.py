@@ -5,39 +5,22 @@ The groups go to the walls in an order that the seed draws; a draw in which anyt
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.worlds import furniture, small_things
+from hickory_stream.evaluation.worlds.placing import REST_M, Wall, stood_on, walls_of
 from hickory_stream.evaluation.worlds.scene import Placement, World, at_place, numbered
 from hickory_stream.evaluation.worlds.structure import room_structure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.worlds.parts import Model, Surface
-
-# What rests on something hovers by half a millimetre: where two surfaces coincide, a ray may hit either.
-_REST_M = 0.0005
 _ATTEMPTS = 200
 _HEIGHT_M = 2.6
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Wall:
-    """A wall seen from the room: `world_from_wall` has its origin mid-wall on the floor, x into the room, y along."""
-
-    world_from_wall: NDArray[np.float64]
-
-    def place(self, model: Model, *, away_m: float, along_m: float, turn_rad: float = 0.0) -> Placement:
-        """Return the model with its back `away_m` from the wall, `along_m` from the wall's middle."""
-        x = away_m - float(model.bounds_m()[0, 0])
-        return Placement(model=model, world_from_object=self.world_from_wall @ at_place(x, along_m, _REST_M, turn_rad))
 
 
 def furnished_room(seed: int, attempt: int = 0) -> World:
@@ -58,7 +41,7 @@ def _draw_room(rng: np.random.Generator) -> World | None:
     half_x, half_y = float(rng.uniform(2.6, 2.8)), float(rng.uniform(2.3, 2.5))
     middle = (float(rng.uniform(-0.12, 0.12)), float(rng.uniform(-0.12, 0.12)))
     groups = (_sitting_group, _shelf_group, _desk_group, _box_group)
-    walls = _walls(half_x, half_y)
+    walls = walls_of((-half_x, -half_y, half_x, half_y))
     placed = _dining_group(rng, middle)
     for i, j in enumerate(rng.permutation(len(walls))):
         placed += groups[i](rng, walls[int(j)])
@@ -72,15 +55,6 @@ def _draw_room(rng: np.random.Generator) -> World | None:
     )
 
 
-def _walls(half_x: float, half_y: float) -> list[_Wall]:
-    return [
-        _Wall(world_from_wall=at_place(-half_x, 0.0, 0.0, 0.0)),
-        _Wall(world_from_wall=at_place(half_x, 0.0, 0.0, np.pi)),
-        _Wall(world_from_wall=at_place(0.0, -half_y, 0.0, np.pi / 2)),
-        _Wall(world_from_wall=at_place(0.0, half_y, 0.0, -np.pi / 2)),
-    ]
-
-
 def _all_fit(placed: Sequence[Placement], half_x: float, half_y: float) -> bool:
     for i, one in enumerate(placed):
         corners = np.concatenate([part.vertices for part in one.model.parts])
@@ -92,7 +66,7 @@ def _all_fit(placed: Sequence[Placement], half_x: float, half_y: float) -> bool:
 
 def _dining_group(rng: np.random.Generator, middle: tuple[float, float]) -> list[Placement]:
     """Return the table with its long side along the room, three chairs pushed in, and what stands on it."""
-    world_from_table = at_place(*middle, _REST_M, np.pi / 2 + float(rng.uniform(-0.05, 0.05)))
+    world_from_table = at_place(*middle, REST_M, np.pi / 2 + float(rng.uniform(-0.05, 0.05)))
     table = Placement(model=furniture.table(rng), world_from_object=world_from_table)
     edge = float(table.model.bounds_m()[1, 0])
     placed = [table]
@@ -105,10 +79,10 @@ def _dining_group(rng: np.random.Generator, middle: tuple[float, float]) -> list
         table_from_chair = at_place(side * out, y + float(rng.uniform(-0.03, 0.03)), 0.0, yaw)
         placed.append(Placement(model=model, world_from_object=world_from_table @ table_from_chair))
     things = [small_things.bowl(rng), small_things.book_stack(rng), small_things.bottle(rng), small_things.mug(rng)]
-    return placed + _stood_on(rng, table, table.model.surfaces[0], things)
+    return placed + stood_on(rng, table, table.model.surfaces[0], things)
 
 
-def _sitting_group(rng: np.random.Generator, wall: _Wall) -> list[Placement]:
+def _sitting_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
     side = 1 if rng.random() < 0.5 else -1
     sofa = wall.place(furniture.sofa(rng), away_m=float(rng.uniform(0.02, 0.06)), along_m=-0.2 * side)
     end = -0.2 * side + side * float(sofa.model.bounds_m()[1, 1])
@@ -116,70 +90,37 @@ def _sitting_group(rng: np.random.Generator, wall: _Wall) -> list[Placement]:
     return [sofa, wall.place(furniture.lamp(rng), away_m=float(rng.uniform(0.06, 0.12)), along_m=along)]
 
 
-def _shelf_group(rng: np.random.Generator, wall: _Wall) -> list[Placement]:
+def _shelf_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
     side = 1 if rng.random() < 0.5 else -1
     shelf = wall.place(furniture.shelf(rng), away_m=0.012, along_m=-0.35 * side)
     surfaces = shelf.model.surfaces
-    placed = [shelf, *_stood_on(rng, shelf, surfaces[3], [small_things.book_row(rng)], turn_rad=0.0)]
-    placed += _stood_on(rng, shelf, surfaces[2], [small_things.small_box(rng)], turn_rad=0.1)
+    placed = [shelf, *stood_on(rng, shelf, surfaces[3], [small_things.book_row(rng)], turn_rad=0.0)]
+    placed += stood_on(rng, shelf, surfaces[2], [small_things.small_box(rng)], turn_rad=0.1)
     plant = furniture.plant(rng)
     along = -0.35 * side + side * (float(shelf.model.bounds_m()[1, 1]) + float(rng.uniform(0.45, 0.6)))
     return [*placed, wall.place(plant, away_m=0.03, along_m=along)]
 
 
-def _desk_group(rng: np.random.Generator, wall: _Wall) -> list[Placement]:
+def _desk_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
     side = 1 if rng.random() < 0.5 else -1
     desk = wall.place(furniture.desk(rng), away_m=float(rng.uniform(0.02, 0.05)), along_m=0.2 * side)
     surface = desk.model.surfaces[0]
     x, y = surface.center_m[0] - surface.half_m[0] + 0.12, float(rng.uniform(-0.12, 0.12))
-    desk_from_monitor = at_place(x, y, surface.center_m[2] + _REST_M, float(rng.uniform(-0.15, 0.15)))
+    desk_from_monitor = at_place(x, y, surface.center_m[2] + REST_M, float(rng.uniform(-0.15, 0.15)))
     monitor = Placement(model=small_things.monitor(rng), world_from_object=desk.world_from_object @ desk_from_monitor)
-    mug = _stood_on(rng, desk, surface, [small_things.mug(rng)], beside=[monitor])
+    mug = stood_on(rng, desk, surface, [small_things.mug(rng)], beside=[monitor])
     along = 0.2 * side - side * (float(desk.model.bounds_m()[1, 1]) + float(rng.uniform(0.24, 0.34)))
     return [desk, monitor, *mug, wall.place(furniture.bin_(rng), away_m=float(rng.uniform(0.08, 0.2)), along_m=along)]
 
 
-def _box_group(rng: np.random.Generator, wall: _Wall) -> list[Placement]:
+def _box_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
     """Return a box with a smaller one on it, a third a few centimetres beside them, and a chair with space around."""
     side = 1 if rng.random() < 0.5 else -1
     lower = wall.place(small_things.box(rng), away_m=float(rng.uniform(0.04, 0.1)), along_m=0.75 * side)
-    upper = _stood_on(rng, lower, lower.model.surfaces[0], [small_things.small_box(rng)], turn_rad=0.3)
+    upper = stood_on(rng, lower, lower.model.surfaces[0], [small_things.small_box(rng)], turn_rad=0.3)
     beside = small_things.box(rng)
     reach = float(lower.model.bounds_m()[1, 1] + beside.bounds_m()[1, 1]) + float(rng.uniform(0.04, 0.1))
     second = wall.place(beside, away_m=float(rng.uniform(0.03, 0.1)), along_m=side * (0.75 - reach))
     turn = float(rng.uniform(-0.5, 0.5))
     chair = wall.place(furniture.chair(rng), away_m=float(rng.uniform(0.25, 0.4)), along_m=-0.75 * side, turn_rad=turn)
     return [lower, *upper, second, chair]
-
-
-def _stood_on(
-    rng: np.random.Generator,
-    support: Placement,
-    surface: Surface,
-    models: Sequence[Model],
-    *,
-    turn_rad: float = np.pi,
-    beside: Sequence[Placement] = (),
-) -> list[Placement]:
-    """Return the models standing on a surface at random, at least 4 cm apart, turned by up to `turn_rad`.
-
-    A model that finds no place in 60 draws stays away.
-    """
-    placed: list[Placement] = []
-    for model in models:
-        lower, upper = model.bounds_m()
-        if upper[2] > surface.headroom_m:
-            continue
-        reach = np.maximum(np.abs(lower[:2]), np.abs(upper[:2]))
-        # Something turned freely needs its radius, something straight its half width.
-        need = reach if turn_rad < 0.5 else np.full(2, float(np.linalg.norm(reach)) * 0.85)
-        room = np.maximum(np.asarray(surface.half_m) - need, 0.0)
-        for _ in range(60):
-            x, y = surface.center_m[:2] + room * rng.uniform(-1, 1, size=2)
-            yaw = float(rng.uniform(-turn_rad, turn_rad))
-            support_from_model = at_place(float(x), float(y), surface.center_m[2] + _REST_M, yaw)
-            one = Placement(model=model, world_from_object=support.world_from_object @ support_from_model)
-            if one.fits([*placed, *beside], 0.04):
-                placed.append(one)
-                break
-    return placed

@@ -1,18 +1,15 @@
-"""A person's walk through a world, and where that person looks.
-
-The walk is a closed round about the middle of the room along the line of best clearance. The gaze is planned a few
-looks ahead: it turns to what has been looked at least, and to new sides of it, never faster than a head turns.
-"""
+"""A person's walk through a world: a closed round about the middle of a room along the line of best clearance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter1d, map_coordinates
+from scipy.ndimage import gaussian_filter1d
 
-from hickory_stream.evaluation.worlds.scene import part_boxes
+from hickory_stream.evaluation.worlds.clearance import clearance_of
+from hickory_stream.evaluation.worlds.gaze import gaze
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import from_rotation_translation, interpolate
 
@@ -21,10 +18,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.evaluation.worlds.scene import World
 
-_STEP_S = 1 / 60
-_DECISION_S = 1.2
-_CELL_M = 0.04
-_LOOKAHEAD = 3
+STEP_S = 1 / 60
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,44 +67,24 @@ def walk_round(world: World, seconds: float, config: WalkConfig, rng: np.random.
     if rng.random() < 0.5:
         loop = loop[::-1]
     loop = np.roll(loop, int(rng.integers(len(loop))), axis=0)
-    times_s = np.arange(0.0, seconds + 2 * _STEP_S, _STEP_S)
+    times_s = np.arange(0.0, seconds + 2 * STEP_S, STEP_S)
     positions = _along_loop(loop, config.speed_mps * times_s)
-    yaw, pitch = _gaze(world, positions, config)
-    return Trajectory(times_s=times_s, world_from_camera=_camera_poses(times_s, positions, yaw, pitch, config))
-
-
-def clearance_map(world: World) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the distance (nx, ny) to the nearest wall or object below 1.8 m, and the (2,) origin of its 4 cm grid."""
-    x0, y0, x1, y1 = world.interior_m
-    xs, ys = np.arange(x0, x1, _CELL_M), np.arange(y0, y1, _CELL_M)
-    grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
-    is_free = np.ones(len(grid), dtype=bool)
-    for item in world.objects:
-        for box in part_boxes(item.model, item.world_from_object):
-            if box.center[2] - box.half_extents_m[2] < 1.8:
-                level = np.column_stack([grid, np.full(len(grid), box.center[2])])
-                is_free &= ~box.contains(level)
-    inside = np.pad(is_free.reshape(len(xs), len(ys)), 1)
-    return distance_transform_edt(inside)[1:-1, 1:-1] * _CELL_M, np.array([x0, y0])
+    yaw, pitch = gaze(world, positions, STEP_S, config)
+    return Trajectory(times_s=times_s, world_from_camera=camera_poses(times_s, positions, yaw, pitch, config))
 
 
 def _clear_loop(world: World) -> tuple[NDArray[np.float64], float]:
     """Return (360, 2) points round the middle on the ridge of the clearance map, and the least clearance on it."""
-    clearance, origin = clearance_map(world)
+    clearance = clearance_of(world)
     radii = np.arange(0.6, 2.6, 0.03)
     angles = 2 * np.pi * np.arange(360) / 360
     outward = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     points = np.asarray(world.middle_m) + radii[None, :, None] * outward[:, None]
-    value = _sampled(clearance, origin, points) - 0.15 * np.abs(radii - 1.4)[None]
+    value = clearance.at(points) - 0.15 * np.abs(radii - 1.4)[None]
     ridge = radii[np.argmax(value, axis=1)]
     smooth = gaussian_filter1d(ridge, 14.0, mode="wrap")
     loop = np.asarray(world.middle_m) + smooth[:, None] * outward
-    return loop, float(_sampled(clearance, origin, loop).min())
-
-
-def _sampled(field: NDArray[Any], origin: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    cells = (points - origin) / _CELL_M
-    return np.asarray(map_coordinates(field, np.moveaxis(cells, -1, 0), order=1, mode="constant", cval=0.0))
+    return loop, float(clearance.at(loop).min())
 
 
 def _along_loop(loop: NDArray[np.float64], distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -121,101 +95,7 @@ def _along_loop(loop: NDArray[np.float64], distances_m: NDArray[np.float64]) -> 
     return np.stack([np.interp(on, arc, closed[:, i]) for i in range(2)], axis=1)
 
 
-def _gaze(
-    world: World, positions: NDArray[np.float64], config: WalkConfig
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return smooth (N,) yaw and pitch angles of the optical axis."""
-    steps = round(_DECISION_S / _STEP_S)
-    attention = _Attention(world)
-    yaw = _heading(np.asarray(world.middle_m) - positions[0])
-    knots = [yaw]
-    pitches = [attention.pitch(positions[0], yaw, config.eye_height_m)]
-    turn = np.radians(config.max_yaw_rate_dps) * _DECISION_S
-    stops = positions[steps::steps]
-    for i, position in enumerate(stops):
-        yaw += turn * attention.best_turn(stops[i : i + _LOOKAHEAD], yaw, turn)
-        knots.append(yaw)
-        pitches.append(attention.pitch(position, yaw, config.eye_height_m))
-        attention.look(position, yaw)
-    at = np.arange(len(positions)) / steps
-    sigma = 0.45 / _STEP_S
-    # Linear between the decisions and then blurred: the rate stays within that of the steps.
-    smooth_yaw, smooth_pitch = (
-        gaussian_filter1d(np.interp(at, np.arange(len(values)), values), sigma, mode="nearest")
-        for values in (knots, pitches)
-    )
-    return smooth_yaw, smooth_pitch
-
-
-def _heading(direction: NDArray[np.float64]) -> float:
-    return float(np.arctan2(direction[1], direction[0]))
-
-
-class _Attention:
-    """What has been looked at from where: how much is still to be gained by a look."""
-
-    _TURNS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-    _SIDES = 8
-
-    def __init__(self, world: World) -> None:
-        centers, sizes = [], []
-        for item in world.objects:
-            lower, upper = item.model.bounds_m()
-            centers.append((item.world_from_object @ [*(lower + upper) / 2, 1.0])[:3])
-            sizes.append(float(np.linalg.norm(upper - lower)))
-        self._centers = np.array(centers)
-        # Beyond this distance a look gains less: small things must be seen from close by.
-        self._reach_m = np.clip(1.2 + np.array(sizes), 1.5, 2.6)
-        # What stands together is seen together: a laid table must not outweigh a lone lamp.
-        apart = np.linalg.norm(self._centers[:, None] - self._centers[None], axis=2)
-        self._weights = 1.0 / (apart < 0.7).sum(axis=1)
-        self._looks = np.zeros((len(centers), self._SIDES))
-
-    def best_turn(self, stops: NDArray[np.float64], yaw: float, turn_rad: float) -> float:
-        """Return the turn in -1..1 that starts the best sequence of looks from the next few stops."""
-        return self._search(stops, yaw, turn_rad)[1]
-
-    def _search(self, stops: NDArray[np.float64], yaw: float, turn_rad: float) -> tuple[float, float]:
-        if len(stops) == 0:
-            return 0.0, 0.0
-        options = []
-        for turn in self._TURNS:
-            looked = yaw + turn * turn_rad
-            later, _ = self._search(stops[1:], looked, turn_rad)
-            options.append((float(self._gains(stops[0], looked).sum()) + later - 0.05 * abs(turn), turn))
-        return max(options, key=lambda option: option[0])
-
-    def _view(self, position: NDArray[np.float64], yaw: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return for each object how well it is seen (N,), 0 when out of sight, and from which side (N,)."""
-        offset = self._centers[:, :2] - position
-        distance = np.linalg.norm(offset, axis=1)
-        bearing = np.arctan2(offset[:, 1], offset[:, 0])
-        off_axis = np.abs(np.angle(np.exp(1j * (bearing - yaw))))
-        quality = np.minimum(1.0, (self._reach_m / np.maximum(distance, 1e-3)) ** 2)
-        quality[(off_axis > np.radians(34)) | (distance < 0.8)] = 0.0
-        side = np.floor(np.mod(bearing, 2 * np.pi) / (2 * np.pi) * self._SIDES).astype(np.int64) % self._SIDES
-        return quality, side
-
-    def _gains(self, position: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
-        """Return (N,) what a look adds to each object."""
-        quality, side = self._view(position, yaw)
-        novelty = 1.0 / (1.0 + 2.0 * self._looks[np.arange(len(side)), side] + self._looks.sum(axis=1))
-        return quality * novelty * self._weights
-
-    def look(self, position: NDArray[np.float64], yaw: float) -> None:
-        """Note that one looked that way from there."""
-        quality, side = self._view(position, yaw)
-        self._looks[np.arange(len(side)), side] += quality
-
-    def pitch(self, position: NDArray[np.float64], yaw: float, eye_height_m: float) -> float:
-        """Return the pitch (negative = down) that centres what is worth looking at there, within -30..-8 degrees."""
-        weight = self._gains(position, yaw) + 1e-3
-        distance = np.linalg.norm(self._centers[:, :2] - position, axis=1)
-        angles = np.arctan2(self._centers[:, 2] - eye_height_m, distance)
-        return float(np.clip((weight * angles).sum() / weight.sum(), np.radians(-30), np.radians(-8)))
-
-
-def _camera_poses(
+def camera_poses(
     times_s: NDArray[np.float64],
     positions: NDArray[np.float64],
     yaw: NDArray[np.float64],

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.open3d_import import import_open3d
+from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.worlds.parts import model_mesh
 from hickory_stream.geometry.camera import project
-from hickory_stream.geometry.mesh import Mesh, sample_surface
 from hickory_stream.geometry.rigid import apply, invert
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 
 _SAMPLES = 1500
 _AGREEMENT_M = 0.02
-_DIRECTIONS = 48
 
 
 class SeenSurface:
@@ -59,23 +57,3 @@ class SeenSurface:
     def fraction(self, object_id: int) -> float:
         """Return the share of the object's samples seen so far."""
         return float(self._is_seen[self._ids == object_id].mean())
-
-
-def exposed_samples(
-    mesh: Mesh, count: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return (N, 3) surface samples, N <= count, that some direction outside sees, and their (N, 3) normals."""
-    o3d = import_open3d()
-    points, faces = sample_surface(mesh, count, rng)
-    a, b, c = (mesh.vertices[mesh.faces[faces, i]].astype(np.float64) for i in range(3))
-    normals = np.cross(b - a, c - a)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    directions = rng.standard_normal((_DIRECTIONS, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    outward = directions[None] * np.sign(normals @ directions.T)[..., None]
-    start = np.broadcast_to((points + 1e-4 * normals)[:, None], outward.shape)
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(np.array(mesh.vertices)), o3d.core.Tensor(mesh.faces.astype(np.uint32)))
-    rays = np.concatenate([start, outward], axis=2).astype(np.float32)
-    is_exposed = ~scene.test_occlusions(o3d.core.Tensor(rays)).numpy().all(axis=1)
-    return points[is_exposed], normals[is_exposed]

@@ -1,0 +1,264 @@
+"""A map against truth: detection, surfaces, containment, poses and masks, each as `evaluate --explain` defines it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.engine.crops import read_crop
+from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.exposed import exposed_samples
+from hickory_stream.evaluation.match import Score, meshes_of, score_map
+from hickory_stream.evaluation.pose_error import PoseError, pose_error
+from hickory_stream.evaluation.purity import purity
+from hickory_stream.evaluation.seen_samples import seen_samples
+from hickory_stream.evaluation.surface_score import SAMPLES, TrueSurface, diameter_m, surface_score
+from hickory_stream.evaluation.truth import instances_of, mesh_of, structure_meshes
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.superquadric import implicit_value
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.evaluation.match import TruthScore
+    from hickory_stream.evaluation.surface_score import SurfaceScore
+    from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
+    from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import TrackedObject
+
+_SAME_STAMP_NS = 1_000_000
+_SAME_WORLD_M = 2.0
+_LOOSE_ADD_S, _STRICT_ADD_S = 0.1, 0.05
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObjectEvaluation:
+    """What became of one true object that counts.
+
+    `map_id` is its match at IoU 0.25 and `track_ids` all objects that lie mostly on it. Surface figures are those of
+    the match's layer 2: F1 0 and ADD-S None without one. `contained` is the share of its seen samples in the match's
+    layer 4, None without one.
+    """
+
+    truth_id: int
+    kind: str
+    diameter_m: float
+    seen_fraction: float
+    map_id: int | None
+    iou: float
+    track_ids: tuple[int, ...]
+    f1_1cm: float
+    f1_5pct: float
+    add_s_m: float | None
+    contained: float | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Evaluation:
+    """A map against truth; means are over the true objects that count, `matched_*` over those that have a match.
+
+    `containment` is over all seen samples of objects with layer 4, None where there are none; `poses` and
+    `mask_purity` None where the map keeps no view.
+    """
+
+    num_truth: int
+    num_objects: int
+    recall_25: float
+    precision_25: float
+    recall_50: float
+    precision_50: float
+    tracks_per_object: float
+    f1_1cm: float
+    f1_5pct: float
+    matched_f1_5pct: float
+    adds_10: float
+    adds_05: float
+    containment: float | None
+    poses: PoseError | None
+    mask_purity: float | None
+    median_diameter_m: float
+    objects: tuple[ObjectEvaluation, ...]
+    stray_ids: tuple[int, ...]
+
+
+def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
+    """Return how a map compares with truth.
+
+    Raises:
+        RecordingError: the truth is not of this map's log, or a file of it is missing or damaged.
+        MapFolderError: a mesh or a view of the map cannot be read.
+    """
+    frames = _frames_of_views(saved, truth)
+    meshes = meshes_of(saved)
+    detection = score_map(saved.snapshot, meshes, truth)
+    surfaces = {item.id: _true_surface(truth, item) for item in truth.objects}
+    seen = seen_samples(truth, surfaces, structure_meshes(truth))
+    by_id = {tracked.id: tracked for tracked in saved.snapshot.objects}
+    rows = tuple(
+        _object_row(row, by_id, meshes, surfaces[row.truth_id], seen[row.truth_id])
+        for row in detection.truth
+        if row.counts
+    )
+    return _summary(detection, rows, _contained(rows, seen), _poses(frames), _mask_purity(saved, truth, frames))
+
+
+def placed_mesh(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> Mesh | None:
+    """Return layer 2 of an object in the world, None where it has none."""
+    if tracked.shape is None or tracked.id not in meshes:
+        return None
+    return _moved(meshes[tracked.id], tracked.shape.world_from_object)
+
+
+def true_mesh_world(truth: Truth, item: TruthObject) -> Mesh:
+    """Return the mesh of a true object in the world."""
+    return _moved(mesh_of(truth, item), item.world_from_object)
+
+
+def is_inside(primitives: Superquadrics, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of (N, 3) points lie in the union of primitives."""
+    inside = np.zeros(len(points), dtype=bool)
+    for i in range(len(primitives)):
+        inside |= implicit_value(primitives, i, points) <= 1.0
+    return inside
+
+
+def _moved(mesh: Mesh, world_from_object: NDArray[np.float64]) -> Mesh:
+    vertices = apply(world_from_object, mesh.vertices.astype(np.float64)).astype(np.float32)
+    return Mesh(vertices=vertices, faces=mesh.faces, colors=mesh.colors, is_seen=mesh.is_seen)
+
+
+def _true_surface(truth: Truth, item: TruthObject) -> TrueSurface:
+    mesh = true_mesh_world(truth, item)
+    samples, _ = exposed_samples(mesh, SAMPLES, np.random.default_rng(item.id))
+    return TrueSurface(mesh=mesh, samples=samples.astype(np.float64))
+
+
+def _object_row(
+    row: TruthScore,
+    by_id: Mapping[int, TrackedObject],
+    meshes: Mapping[int, Mesh],
+    true: TrueSurface,
+    seen: NDArray[np.bool_],
+) -> ObjectEvaluation:
+    tracked = by_id[row.map_id] if row.map_id is not None else None
+    mesh = placed_mesh(tracked, meshes) if tracked is not None else None
+    score: SurfaceScore | None = None
+    contained = None
+    if tracked is not None and mesh is not None and tracked.shape is not None:
+        score = surface_score(true, mesh, np.random.default_rng(row.truth_id))
+        if seen.any() and len(tracked.shape.inflated):
+            contained = float(is_inside(tracked.shape.inflated, true.samples[seen]).mean())
+    return ObjectEvaluation(
+        truth_id=row.truth_id,
+        kind=row.kind,
+        diameter_m=diameter_m(true.mesh.vertices),
+        seen_fraction=row.seen_fraction,
+        map_id=row.map_id,
+        iou=row.iou,
+        track_ids=row.track_ids,
+        f1_1cm=score.f1_1cm if score is not None else 0.0,
+        f1_5pct=score.f1_5pct if score is not None else 0.0,
+        add_s_m=score.add_s_m if score is not None else None,
+        contained=contained,
+    )
+
+
+def _summary(
+    detection: Score,
+    rows: tuple[ObjectEvaluation, ...],
+    containment: float | None,
+    poses: PoseError | None,
+    mask_purity: float | None,
+) -> Evaluation:
+    matched = [row.f1_5pct for row in rows if row.map_id is not None]
+
+    def success(limit: float) -> float:
+        return float(np.mean([row.add_s_m is not None and row.add_s_m < limit * row.diameter_m for row in rows]))
+
+    return Evaluation(
+        num_truth=detection.num_truth,
+        num_objects=detection.num_objects,
+        recall_25=detection.recall_25,
+        precision_25=detection.precision_25,
+        recall_50=detection.recall_50,
+        precision_50=detection.precision_50,
+        tracks_per_object=detection.tracks_per_object,
+        f1_1cm=float(np.mean([row.f1_1cm for row in rows])),
+        f1_5pct=float(np.mean([row.f1_5pct for row in rows])),
+        matched_f1_5pct=float(np.mean(matched)) if matched else 0.0,
+        adds_10=success(_LOOSE_ADD_S),
+        adds_05=success(_STRICT_ADD_S),
+        containment=containment,
+        poses=poses,
+        mask_purity=mask_purity,
+        median_diameter_m=float(np.median([row.diameter_m for row in rows])),
+        objects=rows,
+        stray_ids=detection.stray_ids,
+    )
+
+
+def _contained(rows: tuple[ObjectEvaluation, ...], seen: Mapping[int, NDArray[np.bool_]]) -> float | None:
+    weights = [(int(seen[row.truth_id].sum()), row.contained) for row in rows if row.contained is not None]
+    total = sum(count for count, _ in weights)
+    return sum(count * share for count, share in weights) / total if total else None
+
+
+def _frames_of_views(saved: SavedMap, truth: Truth) -> list[tuple[NDArray[np.float64], TruthFrame, str]]:
+    """Return (world_from_camera in the map, true frame, name) of every kept view.
+
+    Raises:
+        RecordingError: no view has a true frame of its stamp, or the cameras are elsewhere.
+    """
+    views = {view.name: view for tracked in saved.snapshot.objects for view in tracked.views}
+    stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
+    found = []
+    for name in sorted(views):
+        view = views[name]
+        i = int(np.argmin(np.abs(stamps - view.stamp_ns))) if len(stamps) else -1
+        if i >= 0 and abs(int(stamps[i]) - view.stamp_ns) <= _SAME_STAMP_NS:
+            found.append((view.world_from_camera, truth.frames[i], name))
+    if views and not found:
+        first = min(view.stamp_ns for view in views.values())
+        span = f"{stamps[0] / 1e9:.3f} s to {stamps[-1] / 1e9:.3f} s" if len(stamps) else "no frames"
+        raise RecordingError(
+            f"{truth.folder} is not the truth of the log of {saved.folder}: the map's first view is of "
+            f"{first / 1e9:.3f} s, the truth has {span}; name the truth folder beside the log that was played"
+        )
+    if found:
+        apart = np.median([np.linalg.norm(pose[:3, 3] - frame.world_from_camera[:3, 3]) for pose, frame, _ in found])
+        if apart > _SAME_WORLD_M:
+            raise RecordingError(
+                f"{truth.folder} is of another world than {saved.folder}: at equal stamps the cameras are "
+                f"{apart:.1f} m apart; name the truth folder beside the log that was played"
+            )
+    return found
+
+
+def _poses(frames: list[tuple[NDArray[np.float64], TruthFrame, str]]) -> PoseError | None:
+    by_index = {frame.index: (pose[:3, 3], frame.world_from_camera[:3, 3]) for pose, frame, _ in frames}
+    if not by_index:
+        return None
+    found, true = zip(*(by_index[i] for i in sorted(by_index)), strict=True)
+    return pose_error(np.array(found), np.array(true))
+
+
+def _mask_purity(
+    saved: SavedMap, truth: Truth, frames: list[tuple[NDArray[np.float64], TruthFrame, str]]
+) -> float | None:
+    boxes = {view.name: view.box_px for tracked in saved.snapshot.objects for view in tracked.views}
+    by_frame: dict[int, list[str]] = {}
+    true_frames = {frame.index: frame for _, frame, _ in frames}
+    for _, frame, name in frames:
+        by_frame.setdefault(frame.index, []).append(name)
+    shares = []
+    for index, names in by_frame.items():
+        instances = instances_of(truth, true_frames[index])
+        shares += [purity(read_crop(saved.views, name).mask, boxes[name], instances) for name in names]
+    known = [share for share in shares if share is not None]
+    return float(np.mean(known)) if known else None

@@ -1,0 +1,110 @@
+"""What every figure of `evaluate` means, in words, and a result as text."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
+
+DEFINITIONS = """\
+box          The gravity-aligned box of an object's layer 2, of its layer 1 where it has none; of a true object, that of
+             its mesh. Tentative tracks are no objects.
+counts       A true object counts if the log shows at least 30 % of its surface. One that was seen less is ignored on
+             both sides: it is not missed, and what was made of it is no false object.
+match        One-to-one pairs of true objects and objects with the largest sum of OBB IoUs, each at least the threshold.
+recall       Share of the true objects that count that are matched, at IoU 0.25 and at 0.5.
+precision    Share of the objects that are matched, at IoU 0.25 and at 0.5; objects of ignored truth are left out.
+tracks       Objects for each true object that has any: all objects of whose points more than half lie within 3 cm of
+             it, and nearer to it than to any other true object.
+F1           Harmonic mean of recall (true surface samples within a distance of the placed mesh of layer 2) and
+             precision (samples of that mesh within it of the true mesh), at 1 cm and at 5 % of the true diameter; the
+             samples are of what of the union of the true parts can be seen from outside. A true object without a match
+             at IoU 0.25, or whose match has no layer 2, scores 0. `matched` is the mean over those that have a match.
+diameter d   The largest distance between two points of the true mesh.
+ADD-S        Mean distance from the true surface samples to the placed mesh; a success below 0.1 d (0.05 d). No match or
+             no layer 2 is a failure.
+containment  Share of the true surface samples that were seen (their pixel shows the object, from 0.3 to 8 m, nothing in
+             between) that lie in the union of the inflated superquadrics of the match.
+ATE          RMSE of the camera positions of the kept views against the true ones: as placed, and after the best rigid
+             alignment.
+mask purity  Share of a kept view's mask that shows its most frequent true instance (the background is one), averaged
+             over the kept views."""
+
+
+def as_json(evaluation: Evaluation) -> dict[str, Any]:
+    """Return an evaluation for machines."""
+    return dataclasses.asdict(evaluation)
+
+
+def format_evaluation(evaluation: Evaluation) -> str:
+    """Return an evaluation as a table of true objects, worst first, and its figures."""
+    lines = [
+        f"{'true object':<22}{'d':>7}{'seen':>7}{'match':>8}{'IoU':>7}{'F1 5%':>7}{'ADD-S/d':>9}{'inside':>9}  tracks"
+    ]
+    for row in worst_first(evaluation):
+        match = f"#{row.map_id}" if row.map_id is not None else "-"
+        add_s = f"{row.add_s_m / row.diameter_m:.3f}" if row.add_s_m is not None else "-"
+        inside = f"{row.contained:.4f}" if row.contained is not None else "-"
+        tracks = " ".join(f"#{i}" for i in row.track_ids) or "-"
+        name = f"{row.truth_id} {row.kind}"
+        lines.append(
+            f"{name:<22}{row.diameter_m:>7.2f}{row.seen_fraction:>7.2f}{match:>8}{row.iou:>7.2f}{row.f1_5pct:>7.2f}"
+            f"{add_s:>9}{inside:>9}  {tracks}"
+        )
+    strays = " ".join(f"#{i}" for i in evaluation.stray_ids) or "none"
+    lines += [
+        "",
+        f"objects on no true object: {strays}",
+        "",
+        *(f"{name:<24}{text}" for name, text in figures(evaluation)),
+    ]
+    return "\n".join(lines)
+
+
+def figures(evaluation: Evaluation) -> list[tuple[str, str]]:
+    """Return the figures of an evaluation with their names, as text."""
+    e = evaluation
+    rows = [
+        ("true objects / objects", f"{e.num_truth} / {e.num_objects}"),
+        ("recall 0.25 / 0.5", f"{e.recall_25:.3f} / {e.recall_50:.3f}"),
+        ("precision 0.25 / 0.5", f"{e.precision_25:.3f} / {e.precision_50:.3f}"),
+        ("tracks per true object", f"{e.tracks_per_object:.3f}"),
+        ("F1 5 % / 1 cm", f"{e.f1_5pct:.3f} / {e.f1_1cm:.3f}"),
+        ("F1 5 % of the matched", f"{e.matched_f1_5pct:.3f}"),
+        ("ADD-S < 0.1 d / 0.05 d", f"{e.adds_10:.3f} / {e.adds_05:.3f}"),
+        ("containment", f"{e.containment:.5f}" if e.containment is not None else "no layer 4"),
+    ]
+    if e.poses is not None:
+        rows.append(("ATE placed / aligned", f"{e.poses.ate_m:.4f} m / {e.poses.ate_aligned_m:.4f} m"))
+    if e.mask_purity is not None:
+        rows.append(("mask purity", f"{e.mask_purity:.3f}"))
+    return rows
+
+
+def worst_first(evaluation: Evaluation) -> list[ObjectEvaluation]:
+    """Return the true objects with the worst surface first; among the missed, the best seen first."""
+    return sorted(evaluation.objects, key=lambda row: (row.f1_5pct, -row.seen_fraction, row.truth_id))
+
+
+def verdict(row: ObjectEvaluation) -> str:
+    """Return in a phrase what became of a true object."""
+    told = []
+    if row.map_id is None:
+        told.append("missed" if not row.track_ids else "found, but its box is off")
+    elif row.add_s_m is None:
+        told.append("found, without a shape")
+    elif row.f1_5pct < 0.7:
+        told.append("poor shape")
+    elif row.f1_5pct < 0.9:
+        told.append("fair shape")
+    else:
+        told.append("good")
+    if row.map_id is not None and row.map_id not in row.track_ids:
+        told.append("its match lies mostly on something else")
+    if len(row.track_ids) > 1:
+        told.append(f"in {len(row.track_ids)} pieces")
+    if row.contained is not None and row.contained < 0.999:
+        told.append(f"{1 - row.contained:.2%} sticks out of layer 4")
+    return "; ".join(told)

@@ -1,0 +1,39 @@
+"""The surface of an object as one sees it from outside.
+
+The parts of a true object may overlap: what of one part lies inside another (where a leg meets its table) is no surface
+of their union, and is left out.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.evaluation.open3d_import import import_open3d
+from hickory_stream.geometry.mesh import Mesh, sample_surface
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_DIRECTIONS = 48
+
+
+def exposed_samples(
+    mesh: Mesh, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return (N, 3) surface samples, N <= count, that some direction outside sees, and their (N, 3) normals."""
+    o3d = import_open3d()
+    points, faces = sample_surface(mesh, count, rng)
+    a, b, c = (mesh.vertices[mesh.faces[faces, i]].astype(np.float64) for i in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    directions = rng.standard_normal((_DIRECTIONS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    outward = directions[None] * np.sign(normals @ directions.T)[..., None]
+    start = np.broadcast_to((points + 1e-4 * normals)[:, None], outward.shape)
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(o3d.core.Tensor(np.array(mesh.vertices)), o3d.core.Tensor(mesh.faces.astype(np.uint32)))
+    rays = np.concatenate([start, outward], axis=2).astype(np.float32)
+    is_exposed = ~scene.test_occlusions(o3d.core.Tensor(rays)).numpy().all(axis=1)
+    return points[is_exposed], normals[is_exposed]

@@ -1,0 +1,52 @@
+"""Recordings that are made when they are first asked for, and kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
+from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+WORLDS_VERSION = 1
+"""To be raised by whoever changes what a config gives: older recordings are then made anew."""
+
+
+def cache_folder() -> Path:
+    """Return where recordings are kept: $HICKORY_CACHE, or a folder of the user's cache."""
+    named = os.environ.get("HICKORY_CACHE")
+    return Path(named) if named else Path.home() / ".cache" / "hickory-stream" / "recordings"
+
+
+def cached_recording(
+    config: RecordingConfig,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[Path, Truth]:
+    """Return the log and the truth of a config; made if they are not there yet.
+
+    Raises:
+        ConfigError: the config gives no world that can be walked.
+        OSError: the folder cannot be written.
+    """
+    folder = cache_folder() if folder is None else folder
+    name = recording_name(config)
+    truth_folder, log = folder / f"{name}.truth", folder / f"{name}.mcap"
+    # The log is moved to its place after the truth.
+    if log.is_file() and (truth_folder / TRUTH_FILE).is_file():
+        return log, load_truth(truth_folder)
+    return log, make_recording(config, folder, name, progress)
+
+
+def recording_name(config: RecordingConfig) -> str:
+    """Return the name of a config's recording: what it shows, in words, and a hash of all of the config."""
+    told = json.dumps([WORLDS_VERSION, dataclasses.asdict(config)], sort_keys=True)
+    digest = hashlib.sha256(told.encode()).hexdigest()[:10]
+    return f"{config.scene}-{config.seed}-walk{config.walk_index}-{digest}"

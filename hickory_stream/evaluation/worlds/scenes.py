@@ -1,0 +1,29 @@
+"""The scenes by name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.evaluation.worlds.apartment import apartment
+from hickory_stream.evaluation.worlds.room import furnished_room
+from hickory_stream.evaluation.worlds.tabletop import tabletop
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hickory_stream.evaluation.worlds.scene import World
+
+_SCENES: dict[str, Callable[[int, int], World]] = {"room": furnished_room, "apartment": apartment, "tabletop": tabletop}
+SCENES = tuple(_SCENES)
+
+
+def make_world(scene: str, seed: int, attempt: int = 0) -> World:
+    """Return a world of a seed; `attempt` numbers the worlds of one seed.
+
+    Raises:
+        ConfigError: there is no such scene, or no draw of the seed fits.
+    """
+    if scene not in _SCENES:
+        raise ConfigError(f"scene {scene!r}; expected one of {', '.join(SCENES)}")
+    return _SCENES[scene](seed, attempt)
