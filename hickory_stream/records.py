@@ -323,7 +323,7 @@ class MapSnapshot:
 class Decision:
     """One decision and its reason, for people who ask why.
 
-    `kind` is one of associate, create, merge, phase, view, shape, reject, drop; `text` names the candidates and
+    `kind` is one of associate, create, merge, split, phase, view, shape, reject, drop; `text` names the candidates and
     numbers.
     """
 

@@ -30,10 +30,14 @@ class AssociateConfig:
     Attributes:
         min_iou: least IoU of the oriented boxes.
         min_lies_on: least share of a partial view's points that lie on the track.
+        settled_sightings, swollen: an observation whose box is `swollen` times that of a track which was seen so often
+            is the track and more; it is not fused into it unless that repeats itself.
     """
 
     min_iou: float = 0.2
     min_lies_on: float = 0.55
+    settled_sightings: int = 5
+    swollen: float = 2.2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,12 +66,17 @@ def associate(
     """
     ordered = [tracks[i] for i in sorted(tracks)]
     ious: dict[int, dict[int, float]] = {}
+    swollen: dict[int, set[int]] = {}
     for observation in observations:
         near = touching(bounds_of(observation.points_world), ordered)
         row = {track.id: box_iou(observation.box, track.box) for track in near}
         ious[observation.index] = {track_id: iou for track_id, iou in row.items() if iou > 0}
+        swollen[observation.index] = {track.id for track in near if is_swollen(observation, track, config)}
     ranked = sorted(
-        (-iou, track_id, index) for index, row in ious.items() for track_id, iou in row.items() if iou >= config.min_iou
+        (-iou, track_id, index)
+        for index, row in ious.items()
+        for track_id, iou in row.items()
+        if iou >= config.min_iou and track_id not in swollen[index]
     )
     by_observation: dict[int, int] = {}
     taken: set[int] = set()
@@ -83,7 +92,9 @@ def associate(
         lies_on = 0.0
         is_part = False
         if track_id is None and row:
-            track_id, lies_on = _lies_on_most(observation, [tracks[i] for i in sorted(row)], voxel_m)
+            track_id, lies_on = _lies_on_most(
+                observation, [tracks[i] for i in sorted(row) if i not in swollen[observation.index]], voxel_m
+            )
             if lies_on < config.min_lies_on:
                 track_id = None
             else:
@@ -101,6 +112,20 @@ def associate(
             )
         )
     return matches
+
+
+def is_swollen(observation: Observation, track: Track, config: AssociateConfig) -> bool:
+    """Return whether an observation is a well known track and something else beside it.
+
+    A track that has been seen often has its size. Each such observation is a doubt about it; after as many as a fifth
+    of its sightings, and three, the track is believed to be larger after all.
+    """
+    return (
+        track.sightings >= config.settled_sightings
+        and track.doubts < 3 + track.sightings // 5
+        and observation.box.volume_m3 > config.swollen * track.box.volume_m3
+        and intersection_volume_m3(observation.box, track.box) > 0.5 * track.box.volume_m3
+    )
 
 
 def _lies_on_most(observation: Observation, tracks: Sequence[Track], voxel_m: float) -> tuple[int | None, float]:

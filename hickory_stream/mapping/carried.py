@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hickory_stream.geometry.boxes import intersection_volume_m3
+from hickory_stream.mapping.cloud import is_near
 
 if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
@@ -16,9 +19,14 @@ if TYPE_CHECKING:
 _SAME_FLOOR_M = 0.15
 _BESIDE_M = 0.04
 _MIN_POINTS = 10
+_TOUCH_SHARE = 0.03
+_FOOT_CELL_M = 0.02
+_RING_M = 0.04
+_RISE_M = 0.025
+_CORNER_M = 0.06
 
 
-def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.2, slender: float = 1.5) -> bool:
+def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float = 1.5) -> bool:
     """Return whether a slender thing stands where the larger one stands, with the larger one closely above it.
 
     Its box is mostly inside the larger one's, it is `slender` times as tall as wide, their bottoms are level, and
@@ -27,7 +35,7 @@ def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.2, slender: float
     size = 2 * small.box.half_extents_m
     if size[2] < slender * max(size[0], size[1]) or abs(_bottom_m(small) - _bottom_m(large)) > _SAME_FLOOR_M:
         return False
-    if intersection_volume_m3(small.box, large.box) < 0.5 * small.box.volume_m3:
+    if intersection_volume_m3(small.box, large.box.grown(_CORNER_M)) < 0.5 * small.box.volume_m3:
         return False
     top = float(small.bounds[1, 2])
     above = large.solid.points[small.box.is_over_or_under(large.solid.points, _BESIDE_M)][:, 2]
@@ -47,6 +55,62 @@ def stands_in(large: Track, small: Track) -> bool:
     low, high = float(large.bounds[0, 2]), float(large.bounds[1, 2])
     foot = points[points[:, 2] < low + 0.15 * (high - low)]
     return len(foot) >= _MIN_POINTS and float(small.box.is_over_or_under(foot, _BESIDE_M).mean()) > 0.7
+
+
+def is_on_foot(upper: Track, lower: Track) -> bool:
+    """Return whether the upper thing would float but for the lower one, which is its foot: a seat on its swivel foot.
+
+    The upper one's lowest points lie over the lower one, closely above its top, and no surface goes on around them that
+    it could stand on.
+    """
+    gap = float(upper.bounds[0, 2] - lower.bounds[1, 2])
+    if not -0.2 < gap < 0.12 or float(upper.bounds[0, 2] - lower.bounds[0, 2]) < 0.1:
+        return False
+    points = upper.solid.points
+    low, high = float(upper.bounds[0, 2]), float(upper.bounds[1, 2])
+    foot = points[points[:, 2] < low + max(0.03, 0.15 * (high - low))]
+    if len(foot) < _MIN_POINTS or float(lower.box.is_over_or_under(foot, _BESIDE_M).mean()) < 0.7:
+        return False
+    # A pot on a counter has the counter under it, but it does not cover it.
+    if float(upper.box.is_over_or_under(lower.solid.points, _CORNER_M).mean()) < 0.8:
+        return False
+    return not _stands_on(upper, lower)
+
+
+def is_inner_part(
+    small: Track, large: Track, *, inside: float = 0.8, max_volume: float = 0.3, was_one: bool = False
+) -> bool:
+    """Return whether a piece belongs to the larger thing around it: inside its box, touching it, not standing on it.
+
+    The panel of a desk, the board of a shelf, the foot of a chair. What stands in a shelf has a board under it, and
+    what stands under a desk does not touch it. `was_one`: their points were of one track, so that they did touch.
+    """
+    box = large.box.grown(0.02)
+    if small.box.volume_m3 > max_volume * large.box.volume_m3:
+        return False
+    if intersection_volume_m3(small.box, box) < inside * small.box.volume_m3:
+        return False
+    if not was_one:
+        keys = small.solid.keys
+        if float(is_near(keys[:: max(1, len(keys) // 600)], large.solid).mean()) < _TOUCH_SHARE:
+            return False
+    return not _stands_on(small, large)
+
+
+def _stands_on(small: Track, large: Track) -> bool:
+    """Return whether the larger thing goes on level around the foot of the smaller one, whose support it hides.
+
+    What does not rise above that level is a piece of it.
+    """
+    low, high = float(small.bounds[0, 2]), float(small.bounds[1, 2])
+    around = large.solid.points[small.box.is_over_or_under(large.solid.points, _RING_M)]
+    around = around[(around[:, 2] > low - 0.04) & (around[:, 2] < low + 0.02)]
+    if len(around) < _MIN_POINTS or high - float(np.median(around[:, 2])) < _RISE_M:
+        return False
+    cells = np.unique(np.floor(around[:, :2] / _FOOT_CELL_M), axis=0)
+    x, y = 2 * small.box.half_extents_m[:2]
+    ring = 2 * _RING_M * float(x + y + 2 * _RING_M)
+    return len(cells) * _FOOT_CELL_M**2 > 0.2 * ring
 
 
 def _bottom_m(track: Track) -> float:

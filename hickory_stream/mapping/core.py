@@ -28,13 +28,33 @@ from hickory_stream.events import (
     TimeJumped,
 )
 from hickory_stream.geometry.voxels import contains, keys_of_points
-from hickory_stream.mapping.associate import AssociateConfig, Match, associate
-from hickory_stream.mapping.cloud import cloud_of, without
+from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
+from hickory_stream.mapping.carried import is_inner_part
+from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, solid_part, without
 from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
-from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge
-from hickory_stream.mapping.observed_space import add, add_structure, as_record, empty_space, share_in_structure
+from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge, why_one
+from hickory_stream.mapping.observed_space import (
+    FlushConfig,
+    add,
+    add_structure,
+    as_record,
+    empty_space,
+    is_flush,
+    share_in_structure,
+)
+from hickory_stream.mapping.parts import Part, PartConfig, Parts, moved_to, with_keyframe
 from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
-from hickory_stream.mapping.track import ShapeState, Track, TrackConfig, as_object, bounds_of, box_of, grown, touching
+from hickory_stream.mapping.track import (
+    ShapeState,
+    Track,
+    TrackConfig,
+    as_object,
+    bounds_of,
+    box_of,
+    grown,
+    touching,
+    with_cloud,
+)
 from hickory_stream.mapping.views import ViewConfig, better, covers_better, score, score_bound, sector_of
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
@@ -52,8 +72,10 @@ class MappingConfig:
     associate: AssociateConfig = field(default_factory=AssociateConfig)
     lifecycle: LifecycleConfig = field(default_factory=LifecycleConfig)
     merge: MergeConfig = field(default_factory=MergeConfig)
+    parts: PartConfig = field(default_factory=PartConfig)
     views: ViewConfig = field(default_factory=ViewConfig)
     requests: RequestConfig = field(default_factory=RequestConfig)
+    flush: FlushConfig = field(default_factory=FlushConfig)
     space_voxel_m: float = 0.05
 
 
@@ -73,6 +95,7 @@ class MapperCore:
         self._config = config
         self._tracks: dict[int, Track] = {}
         self._votes = VoteBook()
+        self._parts: Parts = {}
         self._space = empty_space(config.space_voxel_m)
         self._clock_ns = 0
         self._stamp_ns: int | None = None
@@ -140,9 +163,13 @@ class MapperCore:
         ]
 
         matches = associate(event.observations, self._tracks, self._config.track.voxel_m, self._config.associate)
-        homes, covered = zip(*(self._place(event, match) for match in matches), strict=True) if matches else ((), ())
+        self._doubt(event, matches)
+        clouds = [self._cloud_of(event.observations[match.observation_index]) for match in matches]
+        placed = [self._place(event, match, seen) for match, seen in zip(matches, clouds, strict=True)]
+        homes, covered = zip(*placed, strict=True) if placed else ((), ())
         self._vote(event, matches, homes, covered)
-        effects = [*self._merge_tracks(set(homes)), *self._age(event)]
+        self._note_parts(event, matches, homes, clouds)
+        effects = [*self._merge_tracks({*homes, *self._promote_parts(event, set(homes))}), *self._age(event)]
         self._space = add(self._space, event.space)
 
         candidates, keeps = self._propose_views(event, matches, homes)
@@ -185,26 +212,17 @@ class MapperCore:
             self._clock_ns += max(0, stamp_ns - self._stamp_ns)
         self._stamp_ns = stamp_ns
 
-    def _place(self, event: FrameObserved, match: Match) -> tuple[int, list[int]]:
+    def _cloud_of(self, observation: Observation) -> Cloud:
+        return cloud_of(observation.points_world, observation.colors, self._config.track.voxel_m)
+
+    def _place(self, event: FrameObserved, match: Match, seen: Cloud) -> tuple[int, list[int]]:
         """Fuse an observation into its track, or make a new one; return its id, and the other tracks that it covers."""
         observation = event.observations[match.observation_index]
-        seen = cloud_of(observation.points_world, observation.colors, self._config.track.voxel_m)
         others = ", ".join(f"#{i} {iou:.2f}" for i, iou in match.candidates) or "none"
         if match.track_id is None:
             track_id = self._next_id
             self._next_id += 1
-            self._tracks[track_id] = Track(
-                id=track_id,
-                phase=Phase.TENTATIVE,
-                sightings=1,
-                first_seen_ns=event.stamp_ns,
-                last_seen_ns=event.stamp_ns,
-                seen_clock_ns=self._clock_ns,
-                cloud=seen,
-                solid=seen,
-                box=box_of(seen.points, self._config.track),
-                bounds=bounds_of(seen.points),
-            )
+            self._tracks[track_id] = self._new_track(track_id, event.stamp_ns, seen, 1)
             self._decide("create", track_id, f"mask {observation.box_px}: new; candidates by IoU: {others}")
             return track_id, []
         track = self._tracks[match.track_id]
@@ -217,6 +235,80 @@ class MapperCore:
             track = grown(track, without(seen, foreign), track.sightings + (not match.is_part), self._config.track)
         self._tracks[track.id] = track
         return track.id, covered
+
+    def _new_track(self, track_id: int, stamp_ns: int, cloud: Cloud, sightings: int) -> Track:
+        return Track(
+            id=track_id,
+            phase=Phase.TENTATIVE,
+            sightings=sightings,
+            first_seen_ns=stamp_ns,
+            last_seen_ns=stamp_ns,
+            seen_clock_ns=self._clock_ns,
+            cloud=cloud,
+            solid=cloud,
+            box=box_of(cloud.points, self._config.track),
+            bounds=bounds_of(cloud.points),
+        )
+
+    def _note_parts(
+        self, event: FrameObserved, matches: list[Match], homes: Sequence[int], clouds: Sequence[Cloud]
+    ) -> None:
+        """Remember what was seen as a part of a track, and what was seen as one with it."""
+        apart, whole = [], []
+        for match, home, cloud in zip(matches, homes, clouds, strict=True):
+            (apart if match.is_part else whole).append((home, cloud))
+        self._parts = with_keyframe(self._parts, event.frame_index, apart, whole, self._config.parts)
+
+    def _promote_parts(self, event: FrameObserved, hosts: set[int]) -> list[int]:
+        """Make objects of the parts that are some; return their ids."""
+        promoted = []
+        for host_id in sorted(hosts & self._parts.keys()):
+            for part in self._parts[host_id]:
+                if part.is_object(self._config.parts) and (new := self._promoted(event, host_id, part)) is not None:
+                    promoted.append(new)
+                    self._parts[host_id] = tuple(other for other in self._parts[host_id] if other is not part)
+        return promoted
+
+    def _promoted(self, event: FrameObserved, host_id: int, part: Part) -> int | None:
+        """Make a track of a part and take its points off the host; None where how it stands says that it belongs."""
+        host = self._tracks[host_id]
+        rest = without(host.cloud, is_near(host.cloud.keys, part.cloud))
+        if len(rest.keys) < self._config.parts.min_voxels:
+            return None
+        cloud = solid_part(part.cloud, len(part.frames))
+        new = self._new_track(self._next_id, event.stamp_ns, cloud, len(part.frames))
+        size = np.sort(2 * new.box.half_extents_m)
+        if size[0] < self._config.parts.min_size_m or size[1] < 2 * self._config.parts.min_size_m:
+            return None
+        # The kept views of the host in which the part was not yet seen apart show both.
+        coverage = tuple((sector, view) for sector, view in host.coverage if view.frame_index in part.frames)
+        best = host.best_view if host.best_view is not None and host.best_view.frame_index in part.frames else None
+        left = replace(with_cloud(host, rest, host.sightings, self._config.track), coverage=coverage, best_view=best)
+        pair = _pair(host_id, new.id)
+        votes = self._votes.plus([pair], apart=len(part.frames)).plus([pair], together=part.together)
+        small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
+        belongs = is_inner_part(small, large, inside=0.55, max_volume=0.5, was_one=True)
+        if belongs or why_one(left, new, votes, self._config.merge) is not None:
+            return None
+        self._next_id += 1
+        self._votes = votes
+        self._tracks[host_id], self._tracks[new.id] = left, replace(new, is_promoted=True)
+        self._decide(
+            "split", new.id, f"seen apart from #{host_id} in {len(part.frames)} keyframes, as one in {part.together}"
+        )
+        return new.id
+
+    def _doubt(self, event: FrameObserved, matches: list[Match]) -> None:
+        """Count for each settled track near an observation that is it and more; one that is seen as itself is sure."""
+        seen = {match.track_id for match in matches}
+        for match in matches:
+            observation = event.observations[match.observation_index]
+            for track_id, _ in match.candidates:
+                track = self._tracks[track_id]
+                if track_id not in seen and is_swollen(observation, track, self._config.associate):
+                    self._tracks[track_id] = replace(track, doubts=track.doubts + 1)
+        for track_id in sorted(i for i in seen if i is not None):
+            self._tracks[track_id] = replace(self._tracks[track_id], doubts=0)
 
     def _neighbors(self, track: Track, observation: Observation) -> list[Track]:
         """Return the other confirmed tracks whose boxes reach into an observation's."""
@@ -235,7 +327,7 @@ class MapperCore:
         whole = [(m.observation_index, home) for m, home in zip(matches, homes, strict=True) if not m.is_part]
         bounds = np.array([bounds_of(event.observations[i].points_world) for i, _ in whole]).reshape(-1, 2, 3)
         low, high = bounds[:, 0], bounds[:, 1]
-        slack_m = 0.05
+        slack_m = 0.15
         meet = (low[:, None] <= high[None] + slack_m).all(axis=2) & (low[None] <= high[:, None] + slack_m).all(axis=2)
         apart = {_pair(whole[i][1], whole[j][1]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)}
         together = {_pair(home, other) for home, others in zip(homes, covered, strict=True) for other in others}
@@ -248,6 +340,7 @@ class MapperCore:
             kept, gone = self._tracks[kept_id], self._tracks.pop(gone_id)
             self._tracks[kept_id] = merge(kept, gone, self._config.track, self._config.views)
             self._votes = self._votes.merged(kept_id, gone_id)
+            self._parts = moved_to(self._parts, kept_id, gone_id)
             self._shown.pop(gone_id, None)
             changed = (changed - {gone_id}) | {kept_id}
             if gone.shape_state.open_ticket is not None:
@@ -259,9 +352,13 @@ class MapperCore:
         effects: list[Effect] = []
         for track_id in sorted(self._tracks):
             track = self._tracks[track_id]
-            if is_structure(track, self._config.lifecycle):
+            if is_structure(track, self._space.floor_z_m, self._config.lifecycle):
                 self._space = add_structure(self._space, track.solid.points)
                 effects += self._drop_track(track, f"{np.round(2 * track.box.half_extents_m, 1)} m: structure")
+                continue
+            if self._is_more_wall(track):
+                self._space = add_structure(self._space, track.solid.points)
+                effects += self._drop_track(track, "flat, and the wall goes on around it")
                 continue
             if share_in_structure(self._space, track.solid.points) > self._config.lifecycle.structure_share:
                 effects += self._drop_track(track, "a piece of what was found to be structure")
@@ -277,6 +374,12 @@ class MapperCore:
             self._tracks[track_id] = aged(track, phase)
         return effects
 
+    def _is_more_wall(self, track: Track) -> bool:
+        """Return whether a track is flush with structure; asked where it settles or comes to rest."""
+        is_settling = track.phase is Phase.TENTATIVE and track.sightings >= self._config.lifecycle.confirm_sightings
+        is_resting = track.phase is Phase.ACTIVE and self._clock_ns - track.seen_clock_ns > 1e9
+        return (is_settling or is_resting) and is_flush(self._space, track.box, self._config.flush)
+
     def _is_seen_through(self, track: Track, event: FrameObserved) -> bool:
         keys = keys_of_points(track.cloud.points[:: max(1, len(track.cloud.points) // 200)], self._config.space_voxel_m)
         share = float(contains(event.space.free_keys, keys).mean())
@@ -286,6 +389,7 @@ class MapperCore:
         del self._tracks[track.id]
         self._shown.pop(track.id, None)
         self._votes = self._votes.without(track.id)
+        self._parts.pop(track.id, None)
         self._decide("drop", track.id, f"{reason}, after {track.sightings} sightings")
         ticket = track.shape_state.open_ticket
         return [] if ticket is None else [CancelShape(ticket=ticket)]

@@ -11,6 +11,7 @@
     | archived  | active    | seen again                                                                 |
     | any       | (dropped) | `phantom_frames` keyframes looked through the place where it should be      |
     | any       | structure | its two longest sides are both over `structure_m`: a wall, a row of cupboards |
+    | confirmed | structure | an upright slab from the floor to `wall_top_m`: a wall between two doors       |
     | any       | (dropped) | more than `structure_share` of it lies in such structure                    |
 
 Times are of the core's own clock, which runs on through a jump of the stamps.
@@ -34,6 +35,8 @@ class LifecycleConfig:
     """The numbers of the table.
 
     Attributes:
+        wall_foot_m, wall_top_m, wall_thickness_m: an upright slab that begins at most this high above the floor, ends
+            at least that high, and is thinner, is a piece of a wall.
         phantom_share: share of a track's voxels that must be seen free for a keyframe to count as looking through.
     """
 
@@ -44,6 +47,9 @@ class LifecycleConfig:
     phantom_frames: int = 4
     phantom_share: float = 0.7
     structure_m: float = 2.0
+    wall_foot_m: float = 0.5
+    wall_top_m: float = 1.25
+    wall_thickness_m: float = 0.22
     structure_share: float = 0.5
 
 
@@ -61,9 +67,22 @@ def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | 
     return Phase.DORMANT if unseen_s > config.dormant_s else Phase.ACTIVE
 
 
-def is_structure(track: Track, config: LifecycleConfig) -> bool:
-    """Return whether a track has grown into something that is no object."""
-    return bool(np.sort(2 * track.box.half_extents_m)[1] > config.structure_m)
+def is_structure(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
+    """Return whether a track has grown into something that is no object: too large, or a piece of a wall."""
+    size = 2 * track.box.half_extents_m
+    if np.sort(size)[1] > config.structure_m:
+        return True
+    return track.sightings >= config.confirm_sightings and _is_piece_of_wall(track, floor_z_m, config)
+
+
+def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
+    """Return whether a track is an upright slab from near the floor to above one's waist: a wall between two doors."""
+    size = 2 * track.box.half_extents_m
+    low, high = float(track.bounds[0, 2]), float(track.bounds[1, 2])
+    if floor_z_m is None or low > floor_z_m + config.wall_foot_m or high < floor_z_m + config.wall_top_m:
+        return False
+    thickness, width = float(min(size[:2])), float(max(size[:2]))
+    return thickness < config.wall_thickness_m and width > 2 * thickness
 
 
 def aged(track: Track, phase: Phase) -> Track:

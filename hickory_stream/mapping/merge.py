@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
-from hickory_stream.mapping.carried import is_leg, stands_in
+from hickory_stream.geometry.voxels import contains
+from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, stands_in
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.track import Track, TrackConfig, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
@@ -97,7 +98,8 @@ def foreign_points(
         on_other = is_near(cloud.keys, other.cloud)
         if not on_other.any():
             continue
-        on_own = is_near(cloud.keys, own.cloud) if on_own is None else on_own
+        # In the very voxel: a track that takes what is merely near creeps into its neighbour keyframe by keyframe.
+        on_own = contains(own.cloud.keys, cloud.keys) if on_own is None else on_own
         foreign |= on_other & ~on_own
         if on_other.sum() >= config.covers_share * min(len(other.solid.keys), len(cloud.keys)):
             covered.append(other.id)
@@ -113,7 +115,7 @@ def find_pair(
         if i not in tracks:
             continue
         for other in touching(tracks[i].bounds, ordered):
-            if other.id != i and (reason := _why_one(tracks[i], other, book, config)) is not None:
+            if other.id != i and (reason := why_one(tracks[i], other, book, config)) is not None:
                 return min(i, other.id), max(i, other.id), reason
     return None
 
@@ -142,7 +144,8 @@ def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: View
     )
 
 
-def _why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | None:
+def why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | None:
+    """Return why two tracks are one object, None where nothing says so."""
     # Touching pieces have boxes that meet: a few centimetres of slack let them.
     if intersection_volume_m3(a.box.grown(0.03), b.box.grown(0.03)) <= 0.0:
         return None
@@ -159,6 +162,11 @@ def _why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | N
     if min(a.sightings, b.sightings) >= config.min_votes:
         if is_leg(less, more):
             return "the smaller stands under the larger like a leg"
-        if stands_in(more, less):
+        if not less.is_promoted and stands_in(more, less):
             return "the larger stands in the smaller"
+        upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
+        if not less.is_promoted and is_on_foot(upper, lower):
+            return "the lower is the foot of the upper"
+        if not less.is_promoted and is_inner_part(less, more):
+            return "the smaller is a part inside the larger"
     return None

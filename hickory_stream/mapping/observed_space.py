@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_cells, keys_of_points
 from hickory_stream.records import ObservedSpace
 
 if TYPE_CHECKING:
@@ -18,6 +19,21 @@ if TYPE_CHECKING:
 _SURE_HITS = 2
 _MOST_HITS = 254
 _NO_OBJECT = 255
+# As far as cells are numbered.
+_FAR = 1 << 20
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FlushConfig:
+    """When a flat thing is more of the wall around it: sizes, and the share of its border along which the wall goes on.
+
+    Structure counts up to `reach_m` beyond the border, in the thing's own plane.
+    """
+
+    thickness_m: float = 0.12
+    min_size_m: float = 0.2
+    reach_m: float = 0.1
+    border_share: float = 0.25
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -72,6 +88,31 @@ def share_in_structure(state: SpaceState, points: NDArray[np.float32]) -> float:
     sure = state.structure[state.hits == _NO_OBJECT]
     keys = keys_of_points(points[:: max(1, len(points) // 200)], state.voxel_m)
     return float(contains(sure, keys).mean())
+
+
+def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
+    """Return whether a flat thing lies in the plane of structure that goes on around it: more of the same wall."""
+    half = box.half_extents_m
+    thin = int(np.argmin(half))
+    wide = np.delete(half, thin)
+    if 2 * half[thin] > config.thickness_m or 2 * wide.min() < config.min_size_m:
+        return False
+    sure = state.structure[state.hits >= _SURE_HITS]
+    centers = centers_of_keys(_near(sure, box, state.voxel_m, config.reach_m), state.voxel_m)
+    around = np.full(3, config.reach_m)
+    around[thin] = state.voxel_m / 2
+    grown = OrientedBox(world_from_box=box.world_from_box, half_extents_m=half + around)
+    num_around = int(grown.contains(centers).sum() - box.contains(centers).sum())
+    return num_around * state.voxel_m > config.border_share * 4 * float(wide.sum())
+
+
+def _near(keys: NDArray[np.int64], box: OrientedBox, voxel_m: float, reach_m: float) -> NDArray[np.int64]:
+    """Return the sorted keys whose voxels may lie within `reach_m` of a box; they are ordered by x first."""
+    x = box.corners_world()[:, 0]
+    low, high = int(np.floor((x.min() - reach_m) / voxel_m)), int(np.floor((x.max() + reach_m) / voxel_m)) + 1
+    least = np.array([[low, -_FAR, -_FAR], [high, -_FAR, -_FAR]])
+    first, last = np.searchsorted(keys, keys_of_cells(least))
+    return keys[first:last]
 
 
 def as_record(state: SpaceState) -> ObservedSpace:

@@ -49,7 +49,8 @@ class Track:
     `seen_clock_ns` is the core's own clock, which runs on through a jump of the stamps. `solid` is the part of the
     cloud that is surely surface, of which the box and the `bounds` (2, 3) are made: the least and greatest coordinates
     of the cloud, for a first look at whether two things can touch. `coverage` holds kept views by the sector they look
-    from. `seen_through` counts keyframes that looked through the place where the object should be.
+    from. `seen_through` counts keyframes that looked through the place where the object should be, `doubts` those in
+    a row that saw it and more beside it as one. `is_promoted`: it was a part of another track, and is known to be none.
     """
 
     id: int
@@ -68,6 +69,8 @@ class Track:
     shape_state: ShapeState = ShapeState()
     merged_ids: tuple[int, ...] = ()
     seen_through: int = 0
+    doubts: int = 0
+    is_promoted: bool = False
 
     @property
     def views(self) -> tuple[View, ...]:
