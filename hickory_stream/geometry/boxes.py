@@ -140,7 +140,7 @@ def _may_be_corner(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _left_of_all(x, y, dx, dy, offset):  # type: ignore[no-untyped-def] # pragma: no cover
     inside = np.ones(len(x), dtype=np.bool_)
     for i in range(len(x)):
@@ -151,7 +151,7 @@ def _left_of_all(x, y, dx, dy, offset):  # type: ignore[no-untyped-def] # pragma
     return inside
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _monotone_chain(points):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the convex hull of points sorted by x, then y (Andrew's monotone chain)."""
     count = len(points)
@@ -174,7 +174,7 @@ def _monotone_chain(points):  # type: ignore[no-untyped-def] # pragma: no cover
     return hull[: max(size, 1)].copy()
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _clip(polygon, count, normal, offset, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
     """Keep the part of a convex polygon with normal . p <= offset + tolerance; in place, returns the new count."""
     out = np.empty_like(polygon)
@@ -193,7 +193,7 @@ def _clip(polygon, count, normal, offset, tolerance):  # type: ignore[no-untyped
     return kept
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
     """Sum the cones, seen from the origin, of the faces of one box that lie inside the other."""
     total = 0.0
@@ -221,7 +221,7 @@ def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tol
     return total
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _separated(half_a, half_b, rotation, offset, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return whether a face direction of either box separates them, or leaves them only touching."""
     for i in range(3):
@@ -233,7 +233,7 @@ def _separated(half_a, half_b, rotation, offset, tolerance):  # type: ignore[no-
     return False
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _intersection_volume(half_a, half_b, rotation, offset):  # type: ignore[no-untyped-def] # pragma: no cover
     # A face that the boxes share (same plane, same side) must be counted once: the faces of a are clipped by b with a
     # small tolerance outwards, those of b by a with the same tolerance inwards.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numba
 import numpy as np
 
 if TYPE_CHECKING:
@@ -45,6 +46,24 @@ def contains(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDAr
         return np.zeros(len(queries), dtype=bool)
     at = np.searchsorted(sorted_keys, queries)
     return sorted_keys[np.minimum(at, len(sorted_keys) - 1)] == queries
+
+
+def difference(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the sorted keys of `a` that are not in `b`, both sorted: one walk along both."""
+    return np.asarray(_difference(a, b))
+
+
+@numba.njit(cache=True, nogil=True)
+def _difference(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty(len(a), dtype=np.int64)
+    n, j = 0, 0
+    for i in range(len(a)):
+        while j < len(b) and b[j] < a[i]:
+            j += 1
+        if j == len(b) or b[j] != a[i]:
+            out[n] = a[i]
+            n += 1
+    return out[:n].copy()
 
 
 def dilate(keys: NDArray[np.int64]) -> NDArray[np.int64]:

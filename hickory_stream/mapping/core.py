@@ -40,7 +40,8 @@ from hickory_stream.mapping.observed_space import (
     as_record,
     empty_space,
     is_flush,
-    share_in_structure,
+    known_no_object,
+    share_in,
 )
 from hickory_stream.mapping.parts import Part, PartConfig, Parts, moved_to, with_keyframe
 from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
@@ -350,17 +351,20 @@ class MapperCore:
 
     def _age(self, event: FrameObserved) -> list[Effect]:
         effects: list[Effect] = []
+        no_object = known_no_object(self._space)
         for track_id in sorted(self._tracks):
             track = self._tracks[track_id]
             if is_structure(track, self._space.floor_z_m, self._config.lifecycle):
                 self._space = add_structure(self._space, track.solid.points)
+                no_object = known_no_object(self._space)
                 effects += self._drop_track(track, f"{np.round(2 * track.box.half_extents_m, 1)} m: structure")
                 continue
             if self._is_more_wall(track):
                 self._space = add_structure(self._space, track.solid.points)
+                no_object = known_no_object(self._space)
                 effects += self._drop_track(track, "flat, and the wall goes on around it")
                 continue
-            if share_in_structure(self._space, track.solid.points) > self._config.lifecycle.structure_share:
+            if share_in(no_object, track.solid.points, self._space.voxel_m) > self._config.lifecycle.structure_share:
                 effects += self._drop_track(track, "a piece of what was found to be structure")
                 continue
             if track.seen_clock_ns != self._clock_ns and self._is_seen_through(track, event):

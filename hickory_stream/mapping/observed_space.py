@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.boxes import OrientedBox
-from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_cells, keys_of_points
+from hickory_stream.geometry.voxels import centers_of_keys, contains, difference, keys_of_cells, keys_of_points
 from hickory_stream.records import ObservedSpace
 
 if TYPE_CHECKING:
@@ -83,11 +83,14 @@ def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
     return replace(state, structure=all_keys[order], hits=hits[order])
 
 
-def share_in_structure(state: SpaceState, points: NDArray[np.float32]) -> float:
-    """Return the share of (N, 3) points, from about 200 of them, in voxels that `add_structure` made structure."""
-    sure = state.structure[state.hits == _NO_OBJECT]
-    keys = keys_of_points(points[:: max(1, len(points) // 200)], state.voxel_m)
-    return float(contains(sure, keys).mean())
+def known_no_object(state: SpaceState) -> NDArray[np.int64]:
+    """Return the sorted keys of the voxels that `add_structure` made structure."""
+    return np.asarray(state.structure[state.hits == _NO_OBJECT])
+
+
+def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: float) -> float:
+    """Return the share of (N, 3) points, from about 200 of them, in voxels of sorted keys."""
+    return float(contains(keys, keys_of_points(points[:: max(1, len(points) // 200)], voxel_m)).mean())
 
 
 def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
@@ -120,7 +123,7 @@ def as_record(state: SpaceState) -> ObservedSpace:
     structure = state.structure[state.hits >= _SURE_HITS]
     return ObservedSpace(
         voxel_m=state.voxel_m,
-        free=state.free[~contains(structure, state.free)],
+        free=difference(state.free, structure),
         structure=structure,
         floor_z_m=state.floor_z_m,
     )

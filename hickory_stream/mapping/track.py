@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from hickory_stream.records import ObjectShape
 
 
+_BOX_POINTS = 10_000
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackConfig:
     """How a track keeps its points and its box.
@@ -116,7 +119,8 @@ def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: floa
 
 
 def box_of(points: NDArray[np.float32], config: TrackConfig) -> OrientedBox:
-    """Return the gravity-aligned box of a cloud without its stray points."""
+    """Return the gravity-aligned box of a cloud without its stray points; of a large cloud every nth point will do."""
+    points = points[:: max(1, len(points) // _BOX_POINTS)]
     return gravity_aligned_box(points[in_company(points)], config.voxel_m)
 
 

@@ -91,9 +91,9 @@ def _free_cells(origin, points, voxel):  # type: ignore[no-untyped-def] # pragma
     for i in range(len(points)):
         delta = points[i] - origin
         length = np.sqrt((delta * delta).sum())
-        steps = int((length - voxel) / (0.5 * voxel))
+        steps = int((length - voxel) / (0.7 * voxel))
         for k in range(1, steps):
-            t = k * 0.5 * voxel / length
+            t = k * 0.7 * voxel / length
             x = np.int64(np.floor((origin[0] + t * delta[0]) / voxel))
             y = np.int64(np.floor((origin[1] + t * delta[1]) / voxel))
             z = np.int64(np.floor((origin[2] + t * delta[2]) / voxel))

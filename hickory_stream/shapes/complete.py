@@ -122,7 +122,7 @@ def _large_pieces(solid: NDArray[np.bool_], min_share: float) -> NDArray[np.bool
     return np.asarray((sizes >= min_share * sizes.max())[labels] & solid)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _first_known(states, step, first):  # type: ignore[no-untyped-def] # pragma: no cover
     """Fill `first` with the first known state met from each voxel along `step`; UNKNOWN where the block ends first."""
     nx, ny, nz = states.shape

@@ -129,7 +129,7 @@ class FitField:
         return low, high
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the share of a cell within a primitive, linear near its surface; `axes` = exp(row[2:5])."""
     dx, dy, dz = x - row[5], y - row[6], z - row[7]
@@ -150,7 +150,7 @@ def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-u
     return min(max(0.5 - tangent_distance(row, x, y, z, local, gradient, shape, False), 0.0), 1.0)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty((high[0] - low[0], high[1] - low[1], high[2] - low[2]), np.float32)
     local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
@@ -163,7 +163,7 @@ def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no c
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
     local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     axes = np.exp(row[2:5])
@@ -183,7 +183,7 @@ def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignor
     return total * stride
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the (N, 3) cells that tell a fit something: of those deep inside, which all say the same, one in eight."""
     out = np.empty((distance.size, 3), np.int64)
@@ -199,7 +199,7 @@ def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma
     return out[:count].copy()
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _within(cells, low, high, max_samples):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the cells within a window, every n-th where there are more than about `max_samples`."""
     chosen = np.empty(len(cells), np.int64)

@@ -62,7 +62,7 @@ def distances_to(row: NDArray[np.float64], points: NDArray[np.float64]) -> NDArr
     return np.asarray(_distances(row, points))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _log_gauge(row, px, py, pz, local, gradient, shape, with_shape):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return ln h at a grid point; fill the local point and, there, the derivatives."""
     dx, dy, dz = px - row[5], py - row[6], pz - row[7]
@@ -73,7 +73,7 @@ def _log_gauge(row, px, py, pz, local, gradient, shape, with_shape):  # type: ig
     return _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return ln h at a local point; fill its gradient there and, if asked, d ln h / d (e1, e2, ln a1, ln a2, ln a3)."""
     e1, e2 = row[0], row[1]
@@ -105,12 +105,12 @@ def _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape):  # type:
     return log_h
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _entropy(p, q):  # type: ignore[no-untyped-def] # pragma: no cover
     return -(p * np.log(max(p, 1e-300)) + q * np.log(max(q, 1e-300)))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def tangent_distance(row, x, y, z, local, gradient, shape, with_shape):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the signed distance of a point to a tangent plane near it; fill the local point and the derivatives there.
 
@@ -141,7 +141,7 @@ def tangent_distance(row, x, y, z, local, gradient, shape, with_shape):  # type:
     return -best
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _nearest_along_axes(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the axis along which the surface is nearest to an inner point, and how far away it is."""
     e1, e2 = row[0], row[1]
@@ -162,7 +162,7 @@ def _nearest_along_axes(row, x, y, z):  # type: ignore[no-untyped-def] # pragma:
     return best_axis, max(best, 0.0)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _distances(row, points):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty(points.shape[0])
     local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
@@ -171,7 +171,7 @@ def _distances(row, points):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _cost(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the robust cost of distances `d`: the negative log likelihood of the mixture, up to constants."""
     total = 0.0
@@ -184,7 +184,7 @@ def _cost(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # 
     return total
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
     a = np.zeros((11, 11))
     b = np.zeros(11)
@@ -219,7 +219,7 @@ def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ign
     return a, b
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _stepped(row, step, max_log_axis):  # type: ignore[no-untyped-def] # pragma: no cover
     out = row.copy()
     for p in range(2):
@@ -241,7 +241,7 @@ def _stepped(row, step, max_log_axis):  # type: ignore[no-untyped-def] # pragma:
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _sigma2(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the mixture's variance, the maximisation step; never below half a cell squared."""
     total, count = 0.0, 0.0
@@ -256,7 +256,7 @@ def _sigma2(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] 
     return max(total / max(count, 1e-9), 0.25)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
     row, points, distances, weights, band, iterations, max_log_axis
 ):

@@ -75,7 +75,7 @@ def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDA
     return np.asarray(np.sign(sign) * winding / 3)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
     """Add to each cell the mean of the oriented crossings ahead and behind along the first axis."""
     nx, ny, nz = out.shape
@@ -116,7 +116,7 @@ def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
                 out[i, j, k] += 0.5 * total
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _band(corners, squared, band):  # type: ignore[no-untyped-def] # pragma: no cover
     """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one."""
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
@@ -134,7 +134,7 @@ def _band(corners, squared, band):  # type: ignore[no-untyped-def] # pragma: no 
                         squared[i, j, k] = d
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _squared_distance(x, y, z, t):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the squared distance from a point to a triangle (Ericson, Real-Time Collision Detection, 5.1.5)."""
     abx, aby, abz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]

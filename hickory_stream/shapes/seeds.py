@@ -29,7 +29,7 @@ def principal_axes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.asarray(axes)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _grow(solid, seed, min_fill):  # type: ignore[no-untyped-def] # pragma: no cover
     box = np.empty((2, 3), np.int64)
     box[0], box[1] = seed, seed

@@ -93,7 +93,7 @@ def _judged(mirrored: NDArray[np.float64], views: list[DepthView], tolerance_m: 
     return float(on_surface.mean()), float(in_free.mean())
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _against(points, depth, mask, intrinsics, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
     """Compare camera points with a depth image: 1 on the object's surface, 2 in free space, 0 hidden or unknown."""
     fx, fy, cx, cy = intrinsics

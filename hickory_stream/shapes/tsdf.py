@@ -103,7 +103,7 @@ def smoothed_depth(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], noise_
     return np.asarray(_smooth(depth_m, mask, noise_per_m))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _smooth(depth, mask, noise_per_m):  # type: ignore[no-untyped-def] # pragma: no cover
     height, width = depth.shape
     out = np.full_like(depth, np.nan)
@@ -123,7 +123,7 @@ def _smooth(depth, mask, noise_per_m):  # type: ignore[no-untyped-def] # pragma:
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _cosine(depth, intrinsics):  # type: ignore[no-untyped-def] # pragma: no cover
     """The cosine between surface normal and optical axis, in 0.25..1: from distances along the axis to true ones."""
     height, width = depth.shape
@@ -148,7 +148,7 @@ def _cosine(depth, intrinsics):  # type: ignore[no-untyped-def] # pragma: no cov
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _carving_depth(depth):  # type: ignore[no-untyped-def] # pragma: no cover
     """The nearest depth among 3 x 3 pixels: what is safely free, also beside an edge."""
     height, width = depth.shape
@@ -166,7 +166,7 @@ def _carving_depth(depth):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _inner(mask):  # type: ignore[no-untyped-def] # pragma: no cover
     """The pixels whose four neighbours are in the mask too: the others may hold a depth from behind the object."""
     height, width = mask.shape
@@ -183,7 +183,7 @@ def _inner(mask):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _integrate(  # type: ignore[no-untyped-def] # pragma: no cover
     total, near, free, camera_from_grid, voxel, depth, cosine, carve, mask, inner, intrinsics, noise_per_m, trust
 ):

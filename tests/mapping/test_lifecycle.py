@@ -88,4 +88,4 @@ def test_what_is_over_two_metres_in_two_directions_is_structure(
     size: tuple[float, float, float], verdict: bool
 ) -> None:
     corners = np.array([(0, 0, 0), size, (size[0], 0, 0), (0, size[1], size[2])], dtype=np.float32)
-    assert is_structure(track(1, corners), LifecycleConfig(structure_m=2.0)) is verdict
+    assert is_structure(track(1, corners), None, LifecycleConfig(structure_m=2.0)) is verdict

@@ -14,7 +14,8 @@ from hickory_stream.mapping.observed_space import (
     add_structure,
     as_record,
     empty_space,
-    share_in_structure,
+    known_no_object,
+    share_in,
 )
 from hickory_stream.records import SpaceObservation
 from tests.mapping.mapping_fixtures import space
@@ -100,13 +101,13 @@ def test_an_object_that_turned_out_to_be_structure_is_structure_at_once_and_stay
     assert not set(as_record(state).free.tolist()) & wall
     for _ in range(300):
         state = add(state, space(structure=keys_of_points(WALL[:50], 0.05)))
-    assert share_in_structure(state, WALL) == 1.0
+    assert share_in(known_no_object(state), WALL, state.voxel_m) == 1.0
 
 
 def test_only_what_was_an_object_counts_as_structure_for_objects() -> None:
     seen_often = after(*[space(structure=keys_of_points(WALL, 0.05))] * 400)
-    assert share_in_structure(seen_often, WALL) == 0.0
+    assert share_in(known_no_object(seen_often), WALL, seen_often.voxel_m) == 0.0
     beside = WALL + np.array([0, 0.5, 0], dtype=np.float32)
     state = add_structure(seen_often, WALL)
-    assert share_in_structure(state, beside) == 0.0
-    assert share_in_structure(state, np.concatenate([WALL, beside])) == pytest.approx(0.5, abs=0.02)
+    assert share_in(known_no_object(state), beside, state.voxel_m) == 0.0
+    assert share_in(known_no_object(state), np.concatenate([WALL, beside]), state.voxel_m) == pytest.approx(0.5, abs=0.02)

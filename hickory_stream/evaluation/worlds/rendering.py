@@ -173,7 +173,7 @@ def _lamps_of(rooms_m: NDArray[np.float64]) -> NDArray[np.float64]:
     return lamps
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _nearest_room(points, rooms):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return for each (N, 3) point the index of the room that it is in, or nearest to."""
     nearest = np.zeros(len(points), dtype=np.intp)
@@ -188,7 +188,7 @@ def _nearest_room(points, rooms):  # type: ignore[no-untyped-def] # pragma: no c
     return nearest
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _shade_faces(  # type: ignore[no-untyped-def] # pragma: no cover
     rays,
     t_hit,
@@ -253,7 +253,7 @@ def _shade_faces(  # type: ignore[no-untyped-def] # pragma: no cover
     return colors, is_edge
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _shade(  # type: ignore[no-untyped-def] # pragma: no cover
     rays,
     t_hit,
@@ -285,7 +285,7 @@ def _shade(  # type: ignore[no-untyped-def] # pragma: no cover
     return colors
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _albedo_at(x, y, z, m, texture):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the texture's colour at a point of the world; `m` is object_from_world."""
     ox = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
@@ -294,7 +294,7 @@ def _albedo_at(x, y, z, m, texture):  # type: ignore[no-untyped-def] # pragma: n
     return albedo(ox, oy, oz, texture)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _light_at(x, y, z, nx, ny, nz, cosine, is_lit, lamps):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return ambient light and that of a room's two lamps on the side of a face that the ray comes from."""
     # Faces look outwards, but a ray may graze one from inside by rounding: light the side that is seen.

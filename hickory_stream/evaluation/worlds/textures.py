@@ -53,7 +53,7 @@ def colors_at(texture: Texture, points_object: NDArray[np.float64]) -> NDArray[n
     return (albedo * 255 + 0.5).astype(np.uint8)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _colors_at(points, row):  # type: ignore[no-untyped-def] # pragma: no cover
     colors = np.empty((len(points), 3))
     for i in range(len(points)):
@@ -61,7 +61,7 @@ def _colors_at(points, row):  # type: ignore[no-untyped-def] # pragma: no cover
     return colors
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def albedo(x, y, z, row):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the colour (r, g, b) in 0..1 of a table row at a point of the object's frame."""
     pattern, period, axis = int(row[0]), row[7], int(row[8])
@@ -90,7 +90,7 @@ def albedo(x, y, z, row):  # type: ignore[no-untyped-def] # pragma: no cover
     return min(max(red, 0.0), 1.0), min(max(green, 0.0), 1.0), min(max(blue, 0.0), 1.0)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _planks(along, a, b, period):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the share of the second colour of boards that run along an axis: own tone, grain, dark joints."""
     board = math.floor(a / period)
@@ -103,7 +103,7 @@ def _planks(along, a, b, period):  # type: ignore[no-untyped-def] # pragma: no c
     return 0.15 + 0.35 * tone + 0.2 * value_noise(along * 4.0, a * 60.0, b * 60.0)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def value_noise(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return smooth noise in 0..1 with features of size 1: random values on the integer lattice, blended."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
@@ -119,7 +119,7 @@ def value_noise(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
     return total
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _lattice(ix, iy, iz):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return a value in 0..1 that looks random, of three integers."""
     h = (ix * 374761393 + iy * 668265263 + iz * 1440662683) & 0xFFFFFFFF
