@@ -42,6 +42,7 @@ from hickory_stream.mapping.observed_space import (
     is_flush,
     known_no_object,
     share_in,
+    sure_structure,
 )
 from hickory_stream.mapping.parts import Part, PartConfig, Parts, moved_to, with_keyframe
 from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
@@ -373,13 +374,25 @@ class MapperCore:
             if phase is None:
                 effects += self._drop_track(track, "looked through" if track.seen_through else "never confirmed")
                 continue
+            if phase is Phase.DORMANT and track.phase is Phase.ACTIVE:
+                track = self._without_wall(track)
             if phase is not track.phase:
                 self._decide("phase", track_id, f"{track.phase} -> {phase} after {track.sightings} sightings")
             self._tracks[track_id] = aged(track, phase)
         return effects
 
+    def _without_wall(self, track: Track) -> Track:
+        """Return a track without what of it lies in structure, if that is more than a seam at a wall."""
+        config = self._config.lifecycle
+        wall = sure_structure(self._space, config.wall_hits)
+        in_wall = contains(wall, keys_of_points(track.cloud.points, self._space.voxel_m))
+        if not config.wall_share < float(in_wall.mean()) < 0.9:
+            return track
+        self._decide("split", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
+        return with_cloud(track, without(track.cloud, in_wall), track.sightings, self._config.track)
+
     def _is_more_wall(self, track: Track) -> bool:
-        """Return whether a track is flush with structure; asked where it settles or comes to rest."""
+        """Return whether a track is flush with structure; asked where it settles or rests."""
         is_settling = track.phase is Phase.TENTATIVE and track.sightings >= self._config.lifecycle.confirm_sightings
         is_resting = track.phase is Phase.ACTIVE and self._clock_ns - track.seen_clock_ns > 1e9
         return (is_settling or is_resting) and is_flush(self._space, track.box, self._config.flush)
@@ -508,6 +521,7 @@ class MapperCore:
     def _source_ended(self) -> list[Effect]:
         effects: list[Effect] = []
         for track_id in sorted(self._tracks):
+            self._tracks[track_id] = self._without_wall(self._tracks[track_id])
             if self._tracks[track_id].phase is Phase.TENTATIVE:
                 effects += self._drop_track(self._tracks[track_id], "never confirmed")
         effects += [*self._request_shapes(is_final=True), *self._drop_views()]

@@ -37,6 +37,8 @@ class LifecycleConfig:
     Attributes:
         wall_foot_m, wall_top_m, wall_thickness_m: an upright slab that begins at most this high above the floor, ends
             at least that high, and is thinner, is a piece of a wall.
+        wall_share, wall_hits: of a track that comes to rest with more of its points than this in voxels that so many
+            keyframes saw as structure, these points are taken away: a frame took the wall behind it for a piece of it.
         phantom_share: share of a track's voxels that must be seen free for a keyframe to count as looking through.
     """
 
@@ -51,6 +53,8 @@ class LifecycleConfig:
     wall_top_m: float = 1.25
     wall_thickness_m: float = 0.22
     structure_share: float = 0.5
+    wall_share: float = 0.15
+    wall_hits: int = 4
 
 
 def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | None:

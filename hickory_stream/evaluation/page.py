@@ -1,0 +1,170 @@
+"""The page of an evaluation: every true object beside what was made of it, worst first; one file, no network."""
+
+from __future__ import annotations
+
+import base64
+import html
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from hickory_stream.engine.atomic import write_atomically
+from hickory_stream.engine.crops import read_crop
+from hickory_stream.evaluation.close_up import close_up_of, draw
+from hickory_stream.evaluation.evaluate import placed_mesh, true_mesh_world
+from hickory_stream.evaluation.explain import figures, verdict, worst_first
+from hickory_stream.evaluation.match import meshes_of
+from hickory_stream.evaluation.raycast import Surface
+from hickory_stream.evaluation.render_parts import superquadric_surfaces
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.evaluation.close_up import CloseUp
+    from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
+    from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.records import TrackedObject
+
+_STYLE = """
+:root { color-scheme: light dark; --ink: #1d2330; --soft: #667; --line: #d5d9e2; --card: #fff; --back: #f3f4f7; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e7e9ee; --soft: #9aa3b5; --line: #343b4a; --card: #1e232e; --back: #14171e; }
+}
+body { font: 15px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--back); margin: 2rem auto;
+  max-width: 1180px; padding: 0 1rem; }
+h1 { font-size: 1.5rem; margin: 0 0 .2rem; } h2 { font-size: 1.15rem; margin: 2rem 0 .6rem; }
+p.soft, td.soft, figcaption { color: var(--soft); }
+table { border-collapse: collapse; } td { padding: .12rem 1.2rem .12rem 0; }
+td.n { font-variant-numeric: tabular-nums; }
+section { background: var(--card); border: 1px solid var(--line); border-radius: 8px; padding: .8rem 1rem;
+  margin: .7rem 0; }
+section header { display: flex; gap: 1rem; align-items: baseline; flex-wrap: wrap; }
+section header b { font-size: 1.05rem; }
+.bad { border-left: 5px solid #c8452f; } .fair { border-left: 5px solid #d9a13a; }
+.good { border-left: 5px solid #4b9a5b; }
+.row { display: flex; gap: .7rem; flex-wrap: wrap; margin-top: .6rem; }
+figure { margin: 0; } figure img { width: 200px; height: 200px; object-fit: contain; border-radius: 6px;
+  background: #eceef2; display: block; } figcaption { font-size: .82rem; text-align: center; }
+"""
+
+
+def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation) -> None:
+    """Write the page.
+
+    Raises:
+        MapFolderError: a view or a mesh of the map cannot be read, or the page cannot be written.
+        RecordingError: a true mesh cannot be read.
+    """
+    by_id = {tracked.id: tracked for tracked in saved.snapshot.objects}
+    meshes = meshes_of(saved)
+    true = {item.id: true_mesh_world(truth, item) for item in truth.objects}
+    cards = [_card(row, saved, by_id, meshes, true[row.truth_id]) for row in worst_first(evaluation)]
+    strays = [_stray(by_id[i], saved, meshes) for i in evaluation.stray_ids]
+    table = "".join(
+        f"<tr><td class=soft>{html.escape(name)}</td><td class=n>{html.escape(text)}</td></tr>"
+        for name, text in figures(evaluation)
+    )
+    body = (
+        f"<h1>{html.escape(saved.folder.name)} against {html.escape(truth.folder.name)}</h1>"
+        f"<p class=soft>What the figures mean: <code>hickory-stream evaluate --explain</code></p><table>{table}</table>"
+        f"<h2>True objects, worst first</h2>{''.join(cards)}"
+    )
+    if strays:
+        body += f"<h2>Objects on no true object</h2>{''.join(strays)}"
+    page = (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>{html.escape(saved.folder.name)}: evaluation</title><style>{_STYLE}</style>{body}</html>"
+    )
+    write_atomically(path, page.encode(), sync=False)
+
+
+def _card(
+    row: ObjectEvaluation,
+    saved: SavedMap,
+    by_id: Mapping[int, TrackedObject],
+    meshes: Mapping[int, Mesh],
+    true: Mesh,
+) -> str:
+    tracked = by_id[row.map_id] if row.map_id is not None else None
+    pieces = [by_id[i] for i in row.track_ids if i != row.map_id]
+    shown = tracked if tracked is not None else (pieces[0] if pieces else None)
+    view = close_up_of(true.vertices, _azimuth(shown, true))
+    pictures = [_figure("true mesh", draw([_surface(true)], view))]
+    if shown is not None:
+        pictures = [*_view_figure(shown, saved), *pictures, *_layers(shown, meshes, view)]
+    state = "good" if row.f1_5pct >= 0.9 else "fair" if row.f1_5pct >= 0.7 else "bad"
+    numbers = [f"seen {row.seen_fraction:.0%}", f"d {row.diameter_m:.2f} m"]
+    if row.map_id is not None:
+        numbers += [f"object #{row.map_id}", f"IoU {row.iou:.2f}", f"F1 {row.f1_5pct:.2f}"]
+    if row.add_s_m is not None:
+        numbers.append(f"ADD-S {row.add_s_m / row.diameter_m:.3f} d")
+    if row.contained is not None:
+        numbers.append(f"contained {row.contained:.2%}")
+    return (
+        f"<section class={state}><header><b>{row.truth_id} {html.escape(row.kind)}</b><span>{verdict(row)}</span>"
+        f"<span class=soft>{' · '.join(numbers)}</span></header><div class=row>{''.join(pictures)}</div></section>"
+    )
+
+
+def _stray(tracked: TrackedObject, saved: SavedMap, meshes: Mapping[int, Mesh]) -> str:
+    mesh = placed_mesh(tracked, meshes)
+    vertices = mesh.vertices if mesh is not None else tracked.points_world
+    view = close_up_of(vertices, _azimuth(tracked, None))
+    pictures = [*_view_figure(tracked, saved), *_layers(tracked, meshes, view)]
+    size = " x ".join(f"{side:.2f}" for side in 2 * tracked.box.half_extents_m)
+    return (
+        f"<section class=bad><header><b>object #{tracked.id}</b><span>on no true object</span>"
+        f"<span>{size} m, seen in {tracked.sightings} keyframes</span></header>"
+        f"<div class=row>{''.join(pictures)}</div></section>"
+    )
+
+
+def _layers(tracked: TrackedObject, meshes: Mapping[int, Mesh], view: CloseUp) -> list[str]:
+    mesh = placed_mesh(tracked, meshes)
+    if mesh is None or tracked.shape is None:
+        return []
+    drawn = [("2: mesh", [_surface(mesh)])]
+    drawn.append(("3: superquadrics", superquadric_surfaces(tracked.shape.fitted, tracked.id)))
+    drawn.append(("4: inflated", superquadric_surfaces(tracked.shape.inflated, tracked.id)))
+    return [_figure(name, draw(surfaces, view)) for name, surfaces in drawn]
+
+
+def _view_figure(tracked: TrackedObject, saved: SavedMap) -> list[str]:
+    """Return the best view, what is not of its mask dimmed; nothing where no view is kept."""
+    best = tracked.best_view or (tracked.views[0] if tracked.views else None)
+    if best is None:
+        return []
+    crop = read_crop(saved.views, best.name)
+    dimmed = np.where(crop.mask[..., None], crop.rgb, 0.35 * crop.rgb + 0.65 * 200).astype(np.uint8)
+    return [_figure("best view", dimmed)]
+
+
+def _azimuth(tracked: TrackedObject | None, true: Mesh | None) -> float:
+    """Return the azimuth of the best view, or any where there is none."""
+    if tracked is None or tracked.best_view is None:
+        return 0.6
+    center = tracked.box.center if true is None else true.vertices.mean(axis=0)
+    offset = tracked.best_view.world_from_camera[:2, 3] - center[:2]
+    return float(np.arctan2(offset[1], offset[0]))
+
+
+def _surface(mesh: Mesh) -> Surface:
+    return Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=0)
+
+
+def _figure(caption: str, rgb: NDArray[np.uint8]) -> str:
+    longest = max(rgb.shape[:2])
+    if longest > 400:
+        scale = 400 / longest
+        rgb = np.asarray(cv2.resize(rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    encoded = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 86])[1]
+    data = base64.b64encode(encoded.tobytes()).decode()
+    return (
+        f'<figure><img alt="{caption}" src="data:image/jpeg;base64,{data}"><figcaption>{caption}</figcaption></figure>'
+    )
