@@ -198,6 +198,52 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
+def _evaluate_views(options: argparse.Namespace) -> int:
+    import dataclasses
+    import tempfile
+
+    from hickory_stream.evaluation.truth import load_truth
+    from hickory_stream.evaluation.view_strategies import STRATEGIES, compare, evaluate_strategy, format_comparison
+    from hickory_stream.progress import ProgressPrinter
+    from players import open_source
+
+    settings = _settings(options)
+    if options.truth is not None and len(options.truth) != len(options.source):
+        raise InputError(
+            f"found {len(options.source)} logs and {len(options.truth)} --truth; expected one for each log"
+        )
+    folders = options.truth or [Path(source).with_suffix(".truth") for source in options.source]
+    truths = [load_truth(folder) for folder in folders]
+    style: Style = "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        from hickory_stream.sinks.disk_sink import DiskSink
+
+        return [(DiskSink(folder, settings.disk), True)]
+
+    evaluations: dict[str, list[Any]] = {}
+    with tempfile.TemporaryDirectory() as temporary:
+        for strategy in STRATEGIES:
+            for i, (log, truth) in enumerate(zip(options.source, truths, strict=True)):
+                if not options.json:
+                    sys.stderr.write(f"{strategy} on {log}\n")
+                out = (options.out or Path(temporary)) / f"{i}-{strategy}"
+                source = open_source(log)
+                printer = ProgressPrinter(style)
+                try:
+                    found = evaluate_strategy(source, truth, settings.mapper, strategy, out, sinks, printer)
+                finally:
+                    printer.close()
+                    source.close()
+                evaluations.setdefault(strategy, []).append(found)
+    scores = compare(evaluations)
+    if options.json:
+        print(json.dumps({"event": "finished", "strategies": [dataclasses.asdict(score) for score in scores]}))
+    else:
+        print(format_comparison(scores))
+    return 0
+
+
 def _config_dump(options: argparse.Namespace) -> int:
     from hickory_stream.config import to_toml
 
@@ -297,6 +343,9 @@ def _parser() -> argparse.ArgumentParser:
     _add_inspect(commands.add_parser("inspect", parents=[common], help="show what a map holds"))
     _add_render(commands.add_parser("render", parents=[common], help="draw a map; needs no screen"))
     _add_evaluate(commands.add_parser("evaluate", parents=[common], help="compare a map with truth"))
+    _add_evaluate_views(
+        commands.add_parser("evaluate-views", parents=[common, configured], help="compare the ways to choose views")
+    )
     config = commands.add_parser("config", help="show or check a configuration").add_subparsers(
         required=True, metavar="ACTION"
     )
@@ -348,6 +397,16 @@ def _add_evaluate(evaluate: argparse.ArgumentParser) -> None:
     evaluate.add_argument("--truth", type=Path, metavar="DIR", help="the truth folder of the log that was played")
     evaluate.add_argument("--explain", action="store_true", help="say what every figure means")
     evaluate.add_argument("--html", type=Path, metavar="PAGE", help="write a page with pictures, worst objects first")
+
+
+def _add_evaluate_views(views: argparse.ArgumentParser) -> None:
+    views.set_defaults(run=_evaluate_views)
+    views.add_argument("source", nargs="+", metavar="LOG", help="one or more logs; each is played once per strategy")
+    views.add_argument(
+        "--truth", type=Path, action="append", metavar="DIR", help="for each LOG (default: LOG's .truth)"
+    )
+    views.add_argument("--out", type=Path, metavar="DIR", help="keep the maps there")
+    views.add_argument("--workers", type=int, metavar="N", help="child processes that build shapes")
 
 
 if __name__ == "__main__":

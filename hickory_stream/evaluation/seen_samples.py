@@ -40,9 +40,9 @@ def seen_samples(
     scene = Scene([Surface(vertices=m.vertices, faces=m.faces, colors=m.colors, owner=0) for m in solids])
     seen = {i: np.zeros(len(surface.samples), dtype=bool) for i, surface in surfaces.items()}
     shown = {item.id: set(item.frames) for item in truth.objects}
-    chosen = np.unique(np.linspace(0, len(truth.frames) - 1, _FRAMES).round().astype(int)) if truth.frames else []
-    for k in chosen:
-        frame = truth.frames[int(k)]
+    last = len(truth.frames) - 1
+    for k in sorted({round(place) for place in np.linspace(0, last, _FRAMES).tolist()} if last >= 0 else ()):
+        frame = truth.frames[k]
         ids = [i for i in surfaces if frame.index in shown[i] and not seen[i].all()]
         if ids:
             _mark(truth, frame, {i: surfaces[i] for i in ids}, scene, seen)

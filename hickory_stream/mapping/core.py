@@ -256,7 +256,8 @@ class MapperCore:
         self, event: FrameObserved, matches: list[Match], homes: Sequence[int], clouds: Sequence[Cloud]
     ) -> None:
         """Remember what was seen as a part of a track, and what was seen as one with it."""
-        apart, whole = [], []
+        apart: list[tuple[int, Cloud]] = []
+        whole: list[tuple[int, Cloud]] = []
         for match, home, cloud in zip(matches, homes, clouds, strict=True):
             (apart if match.is_part else whole).append((home, cloud))
         self._parts = with_keyframe(self._parts, event.frame_index, apart, whole, self._config.parts)

@@ -22,11 +22,14 @@ def main() -> int:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write a list of {name, value, unit, better}")
     parser.add_argument("--seed", type=int, default=0, help="vary what is random about the measurement")
     parser.add_argument("--quick", action="store_true", help="a smaller sample, in under 50 s")
+    parser.add_argument(
+        "--scenes", type=Path, nargs="+", default=[], metavar="DIR", help="truth folders with their logs beside them"
+    )
     arguments = parser.parse_args()
     module = importlib.import_module(f"tools.benchmarks.{arguments.name}")
     if arguments.quick:
         print("quick: a smaller sample")
-    figures = module.measure(Options(seed=arguments.seed, quick=arguments.quick))
+    figures = module.measure(Options(seed=arguments.seed, quick=arguments.quick, scenes=tuple(arguments.scenes)))
     print_table(figures)
     if arguments.json is not None:
         write_json(figures, arguments.json)

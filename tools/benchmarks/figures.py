@@ -28,10 +28,14 @@ class Figure:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Options:
-    """What a benchmark may be told: `quick` asks for a smaller sample in under 50 s."""
+    """What a benchmark may be told.
+
+    `quick` asks for a smaller sample in under 50 s; `scenes` are truth folders to measure on instead of its own.
+    """
 
     seed: int
     quick: bool
+    scenes: tuple[Path, ...] = ()
 
 
 def print_table(figures: list[Figure]) -> None:

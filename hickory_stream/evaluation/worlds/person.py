@@ -9,7 +9,7 @@ import numpy as np
 
 from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.evaluation.worlds.palettes import plain
-from hickory_stream.evaluation.worlds.parts import Model, ellipsoid, model_mesh, rounded_box, tube
+from hickory_stream.evaluation.worlds.parts import Model, Part, ellipsoid, model_mesh, rounded_box, tube
 from hickory_stream.evaluation.worlds.rendering import rays_of
 from hickory_stream.evaluation.worlds.textures import Texture
 from hickory_stream.geometry.rigid import apply
@@ -64,15 +64,19 @@ def figure(stride_rad: float) -> Model:
         bent = a - 0.35 * max(0.0, -np.sin(stride_rad) * side)
         foot = knee + np.array([0.42 * np.sin(bent), 0.0, -0.42 * np.cos(bent)])
         parts += [
-            tube([hip, (hip + knee) / 2, knee], 0.08, trousers),
-            tube([knee, (knee + foot) / 2, foot], 0.06, trousers),
+            _limb(hip, knee, 0.08, trousers),
+            _limb(knee, foot, 0.06, trousers),
             ellipsoid((0.13, 0.05, 0.045), plain((0.1, 0.1, 0.1)), at=(float(foot[0]) + 0.05, *foot[1:].tolist())),
         ]
         shoulder = np.array([0, side * 0.23, 1.38])
         hand = shoulder + np.array([0.55 * np.sin(-a), side * 0.04, -0.55 * np.cos(a)])
-        parts.append(tube([shoulder, (shoulder + hand) / 2, hand], 0.045, shirt))
+        parts.append(_limb(shoulder, hand, 0.045, shirt))
         parts.append(ellipsoid((0.05, 0.05, 0.05), skin, at=hand.tolist()))
     return Model(kind="person", parts=tuple(parts))
+
+
+def _limb(a: NDArray[np.float64], b: NDArray[np.float64], radius_m: float, texture: Texture) -> Part:
+    return tube([a.tolist(), ((a + b) / 2).tolist(), b.tolist()], radius_m, texture)
 
 
 def with_person(

@@ -49,7 +49,7 @@ def tour(world: World, seconds: float | None, config: WalkConfig, walk_index: in
 
 def _route(world: World, clearance: Clearance, walk_index: int) -> NDArray[np.float64] | None:
     """Return (N, 2) points through the corners of all rooms, None where some way between them is barred."""
-    order = _ROUND if walk_index % 2 == 0 else _ROUND[::-1]
+    order: tuple[int, ...] = _ROUND if walk_index % 2 == 0 else _ROUND[::-1]
     start = (walk_index // 2 + walk_index) % len(order)
     order = order[start:] + order[:start]
     stops: list[NDArray[np.float64]] = []
