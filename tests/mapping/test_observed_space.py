@@ -110,4 +110,6 @@ def test_only_what_was_an_object_counts_as_structure_for_objects() -> None:
     beside = WALL + np.array([0, 0.5, 0], dtype=np.float32)
     state = add_structure(seen_often, WALL)
     assert share_in(known_no_object(state), beside, state.voxel_m) == 0.0
-    assert share_in(known_no_object(state), np.concatenate([WALL, beside]), state.voxel_m) == pytest.approx(0.5, abs=0.02)
+    assert share_in(known_no_object(state), np.concatenate([WALL, beside]), state.voxel_m) == pytest.approx(
+        0.5, abs=0.02
+    )

@@ -1,0 +1,159 @@
+"""Parts that come back as things of their own, and how pieces stand to one another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.mapping.associate import AssociateConfig, is_swollen
+from hickory_stream.mapping.carried import is_inner_part, is_on_foot
+from hickory_stream.mapping.cloud import cloud_of
+from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.lifecycle import LifecycleConfig, is_structure
+from hickory_stream.mapping.observed_space import FlushConfig, add_structure, empty_space, is_flush
+from hickory_stream.mapping.parts import PartConfig, moved_to, with_keyframe
+from hickory_stream.mapping.track import TrackConfig
+from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, track
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.mapping.cloud import Cloud
+
+CONFIG = PartConfig()
+DRESSER = box_surface((0.0, 0.0, 0.4), (0.8, 0.4, 0.8))
+SET = box_surface((0.0, 0.0, 1.0), (0.5, 0.2, 0.36))
+
+
+def cloud(points: NDArray[np.float32]) -> Cloud:
+    return cloud_of(points, np.full((len(points), 3), 100, dtype=np.uint8), VOXEL_M)
+
+
+# ---- parts ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_part_that_is_seen_apart_often_is_an_object() -> None:
+    parts = {}
+    for frame in range(4):
+        assert not any(part.is_object(CONFIG) for part in parts.get(1, ()))
+        parts = with_keyframe(parts, frame, [(1, cloud(SET))], [(1, cloud(DRESSER))], CONFIG)
+    assert [part.is_object(CONFIG) for part in parts[1]] == [True]
+
+
+def test_being_seen_as_one_counts_against_it() -> None:
+    parts = {}
+    both = cloud(np.concatenate([DRESSER, SET]))
+    for frame in range(6):
+        parts = with_keyframe(parts, 2 * frame, [(1, cloud(SET))], [], CONFIG)
+        parts = with_keyframe(parts, 2 * frame + 1, [], [(1, both)], CONFIG)
+    assert [(len(part.frames), part.together, part.is_object(CONFIG)) for part in parts[1]] == [(6, 6, False)]
+
+
+def test_parts_at_different_places_are_different_parts() -> None:
+    parts = with_keyframe({}, 0, [(1, cloud(SET)), (1, cloud(SET + np.float32([0, 0.6, 0])))], [], CONFIG)
+    assert [len(part.frames) for part in parts[1]] == [1, 1]
+
+
+def test_parts_go_where_their_host_goes() -> None:
+    parts = with_keyframe({}, 0, [(2, cloud(SET))], [], CONFIG)
+    assert list(moved_to(parts, 1, 2)) == [1]
+
+
+def test_the_core_promotes_what_an_early_view_swallowed() -> None:
+    core = MapperCore(MappingConfig(track=TrackConfig(voxel_m=VOXEL_M)))
+    both = np.concatenate([DRESSER, SET])
+    frames = [keyframe(i, [observation(0, both)]) for i in range(3)]
+    frames += [keyframe(i, [observation(0, DRESSER), observation(1, SET)]) for i in range(3, 14)]
+    drive(core, frames)
+    boxes = [2 * tracked.box.half_extents_m for tracked in core.snapshot().objects]
+    assert len(boxes) == 2
+    assert sorted(float(size[2]) for size in boxes) == pytest.approx([0.36, 0.8], abs=0.06)
+
+
+def test_the_core_keeps_as_one_what_is_seen_as_one() -> None:
+    core = MapperCore(MappingConfig(track=TrackConfig(voxel_m=VOXEL_M)))
+    both = np.concatenate([DRESSER, SET])
+    for i in range(12):
+        seen = [observation(0, both)] if i % 2 == 0 else [observation(0, DRESSER), observation(1, SET)]
+        drive(core, [keyframe(i, seen)])
+    assert len(core.snapshot().objects) == 1
+
+
+# ---- how pieces stand -----------------------------------------------------------------------------------------------
+
+
+def test_a_panel_between_the_legs_of_a_desk_is_a_part_of_it_and_a_bin_under_it_is_not() -> None:
+    top = box_surface((0.0, 0.0, 0.72), (0.6, 1.2, 0.04))
+    legs = [box_surface((x, y, 0.35), (0.05, 0.05, 0.7)) for x in (-0.27, 0.27) for y in (-0.57, 0.57)]
+    desk = track(1, np.concatenate([top, *legs]))
+    panel = track(2, box_surface((-0.27, 0.0, 0.5), (0.02, 1.1, 0.36)))
+    bin_ = track(3, box_surface((0.0, 0.0, 0.15), (0.25, 0.25, 0.3)))
+    assert is_inner_part(panel, desk)
+    assert not is_inner_part(bin_, desk)
+
+
+def test_what_stands_on_a_board_of_a_shelf_is_no_part_of_it() -> None:
+    boards = [box_surface((0.0, 0.0, z), (0.3, 0.8, 0.02)) for z in (0.05, 0.45, 0.85)]
+    sides = [box_surface((0.0, y, 0.45), (0.3, 0.02, 0.9)) for y in (-0.4, 0.4)]
+    shelf = track(1, np.concatenate([*boards, *sides]))
+    car = track(2, box_surface((0.0, 0.1, 0.51), (0.2, 0.1, 0.1)))
+    assert not is_inner_part(car, shelf)
+
+
+def test_a_seat_has_its_foot_under_it_and_a_pot_on_a_counter_does_not() -> None:
+    seat = track(1, box_surface((0.0, 0.0, 0.5), (0.46, 0.46, 0.1)))
+    star, column = box_surface((0.0, 0.0, 0.05), (0.4, 0.4, 0.08)), box_surface((0.0, 0.0, 0.25), (0.04, 0.04, 0.36))
+    foot = track(2, np.concatenate([star, column]))
+    assert is_on_foot(seat, foot)
+    counter = track(3, box_surface((0.0, 0.0, 0.44), (0.6, 1.4, 0.88)))
+    pot = track(4, box_surface((0.0, 0.3, 0.96), (0.22, 0.22, 0.16)))
+    assert not is_on_foot(pot, counter)
+
+
+# ---- swollen observations -------------------------------------------------------------------------------------------
+
+
+def test_a_settled_track_is_not_made_twice_as_large_by_one_observation() -> None:
+    config = AssociateConfig()
+    mug = track(1, box_surface((0.0, 0.0, 0.05), (0.1, 0.1, 0.1)), sightings=8)
+    with_bowl = observation(0, box_surface((0.1, 0.0, 0.06), (0.32, 0.2, 0.12)))
+    assert is_swollen(with_bowl, mug, config)
+    assert not is_swollen(with_bowl, replace(mug, sightings=2), config)
+    assert not is_swollen(with_bowl, replace(mug, doubts=4), config)  # it has been said often enough
+    assert not is_swollen(observation(0, box_surface((0.0, 0.0, 0.05), (0.11, 0.1, 0.11))), mug, config)
+
+
+# ---- walls ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("center", "size", "verdict"),
+    [
+        ((0, 0, 0.8), (1.2, 0.1, 1.5), True),
+        ((0, 0, 0.8), (1.2, 0.4, 1.5), False),
+        ((0, 0, 1.2), (0.9, 0.06, 0.5), False),
+        ((0, 0, 0.3), (1.2, 0.1, 0.6), False),
+    ],
+    ids=["a wall between two doors", "a wardrobe", "a television", "a bench"],
+)
+def test_an_upright_slab_from_the_floor_to_above_the_waist_is_a_piece_of_wall(
+    center: tuple[float, float, float], size: tuple[float, float, float], verdict: bool
+) -> None:
+    slab = track(1, box_surface(center, size), sightings=6)
+    assert is_structure(slab, 0.0, LifecycleConfig()) is verdict
+    assert not is_structure(slab, None, LifecycleConfig())
+
+
+def test_a_flat_thing_is_more_wall_only_where_the_wall_goes_on_around_it() -> None:
+    config = FlushConfig()
+    y, z = (grid.ravel() for grid in np.meshgrid(np.arange(-2, 2, 0.02), np.arange(0, 2.5, 0.02)))
+    wall = np.stack([np.full(len(y), 1.0), y, z], axis=1).astype(np.float32)
+    state = add_structure(empty_space(0.05), wall)
+    patch = track(1, box_surface((1.0, 0.0, 1.0), (0.04, 0.8, 0.6)))
+    television = track(2, box_surface((0.85, 0.0, 1.0), (0.04, 0.8, 0.6)))
+    assert is_flush(state, patch.box, config)
+    assert not is_flush(state, television.box, config)
+    assert not is_flush(empty_space(0.05), patch.box, config)
