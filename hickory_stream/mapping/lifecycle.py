@@ -10,7 +10,7 @@
     | dormant   | active    | seen again                                                                 |
     | archived  | active    | seen again                                                                 |
     | any       | (dropped) | `phantom_frames` keyframes looked through the place where it should be      |
-    | any       | structure | its two longest sides are both over `structure_m`: a wall, a row of cupboards |
+    | any       | structure | its two longest sides are over `structure_m`, or its box over `structure_m3` |
     | confirmed | structure | an upright slab from the floor to `wall_top_m`: a wall between two doors       |
     | any       | (dropped) | more than `structure_share` of it lies in such structure                    |
 
@@ -49,6 +49,7 @@ class LifecycleConfig:
     phantom_frames: int = 4
     phantom_share: float = 0.7
     structure_m: float = 2.0
+    structure_m3: float = 4.5
     wall_foot_m: float = 0.5
     wall_top_m: float = 1.25
     wall_thickness_m: float = 0.22
@@ -74,7 +75,7 @@ def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | 
 def is_structure(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
     """Return whether a track has grown into something that is no object: too large, or a piece of a wall."""
     size = 2 * track.box.half_extents_m
-    if np.sort(size)[1] > config.structure_m:
+    if np.sort(size)[1] > config.structure_m or track.box.volume_m3 > config.structure_m3:
         return True
     return track.sightings >= config.confirm_sightings and _is_piece_of_wall(track, floor_z_m, config)
 
