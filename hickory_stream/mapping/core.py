@@ -283,10 +283,7 @@ class MapperCore:
         size = np.sort(2 * new.box.half_extents_m)
         if size[0] < self._config.parts.min_size_m or size[1] < 2 * self._config.parts.min_size_m:
             return None
-        # The kept views of the host in which the part was not yet seen apart show both.
-        coverage = tuple((sector, view) for sector, view in host.coverage if view.frame_index in part.frames)
-        best = host.best_view if host.best_view is not None and host.best_view.frame_index in part.frames else None
-        left = replace(with_cloud(host, rest, host.sightings, self._config.track), coverage=coverage, best_view=best)
+        left = with_cloud(host, rest, host.sightings, self._config.track)
         pair = _pair(host_id, new.id)
         votes = self._votes.plus([pair], apart=len(part.frames)).plus([pair], together=part.together)
         small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)

@@ -12,7 +12,13 @@ from hickory_stream.records import Phase
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.boxes import OrientedBox
     from hickory_stream.mapping.track import Track
+
+# Of eight around an object's middle, as many must show what it stands on.
+_SUPPORT_SECTORS = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,12 +79,19 @@ def support_height_m(track: Track, others: Iterable[Track], floor_z_m: float | N
         points = other.cloud.points
         near = points[(points[:, 2] > bottom - 0.10) & (points[:, 2] < bottom + 0.03)]
         under = near[track.box.is_over_or_under(near, 0.03)]
-        if len(under) >= 10:
+        if len(under) >= 10 and _surrounds(under, track.box):
             height = float(np.quantile(under[:, 2], 0.8))
             best = height if best is None else max(best, height)
     if best is not None:
         return best
     return floor_z_m if floor_z_m is not None and bottom - floor_z_m < 0.35 else None
+
+
+def _surrounds(points: NDArray[np.float32], box: OrientedBox) -> bool:
+    """Return whether points lie on most sides of a box's middle: a neighbour beside it is no support."""
+    x, y = (points[:, :2] - box.center[:2]).T
+    sectors = np.floor((np.arctan2(y, x) + np.pi) / (2 * np.pi) * 8).astype(np.int64) % 8
+    return int((np.bincount(sectors, minlength=8) > 0).sum()) >= _SUPPORT_SECTORS
 
 
 def _urgency(track: Track, clock_ns: int, *, is_final: bool, config: RequestConfig) -> float | None:

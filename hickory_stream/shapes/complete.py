@@ -33,7 +33,7 @@ class CompletionConfig:
 
     min_hit_share: float = 0.3
     max_free_ratio: float = 1.3
-    max_support_gap_m: float = 0.06
+    max_support_gap_m: float = 0.08
     min_piece_share: float = 0.02
 
 
