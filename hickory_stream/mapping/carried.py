@@ -64,7 +64,7 @@ def is_on_foot(upper: Track, lower: Track) -> bool:
     it could stand on.
     """
     gap = float(upper.bounds[0, 2] - lower.bounds[1, 2])
-    if not -0.2 < gap < 0.12 or float(upper.bounds[0, 2] - lower.bounds[0, 2]) < 0.1:
+    if not -0.2 < gap < 0.2 or float(upper.bounds[0, 2] - lower.bounds[0, 2]) < 0.1:
         return False
     points = upper.solid.points
     low, high = float(upper.bounds[0, 2]), float(upper.bounds[1, 2])
