@@ -1,0 +1,51 @@
+"""The command line: one module per command, which adds its arguments and runs it.
+
+A command imports what it needs only when it runs, so that `--help` answers at once.
+
+Exit status: 0 done; 1 an internal failure; 2 something outside is not as it must be; 130 stopped by a signal (the map
+is saved).
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from typing import TYPE_CHECKING
+
+from hickory_stream.cli.parser import make_parser
+from hickory_stream.cli.status import STOPPED
+from hickory_stream.errors import HickoryError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status."""
+    options = make_parser().parse_args(arguments)
+    logging.basicConfig(level=logging.DEBUG if options.debug else logging.WARNING, format="%(levelname)s: %(message)s")
+    try:
+        status: int = options.run(options)
+    except HickoryError as error:
+        _fail(str(error), options)
+        return error.exit_status
+    except KeyboardInterrupt:
+        _fail("cancelled; what was saved before is kept", options)
+        return STOPPED
+    except BrokenPipeError:
+        return 0
+    except Exception as error:
+        if options.debug:
+            raise
+        _fail(f"internal failure, {type(error).__name__}: {error}; run with --debug to see where", options)
+        return 1
+    return status
+
+
+def _fail(text: str, options: argparse.Namespace) -> None:
+    message = " ".join(text.split())  # one line, whatever a library had to say
+    sys.stderr.write(f"hickory-stream: {message}\n")
+    if getattr(options, "json", False):
+        print(json.dumps({"event": "error", "message": message}))

@@ -1,0 +1,35 @@
+"""The parser of the whole command line, put together from its commands."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TypeAlias
+
+from hickory_stream import __version__
+from hickory_stream.cli import config, evaluate, evaluate_views, inspect, play, render
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+_COMMANDS = (play, inspect, render, evaluate, evaluate_views, config)
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser; the namespace it makes holds `run`, the function of the chosen command."""
+    parser = argparse.ArgumentParser(
+        prog="hickory-stream",
+        description="Streaming object mapper: posed RGB-D in, a map of objects with four layers out.",
+    )
+    parser.add_argument("--version", action="version", version=f"hickory-stream {__version__}")
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--json", action="store_true", help="print JSON for machines")
+    common.add_argument("--debug", action="store_true", help="log more, and show the trace of an internal failure")
+    configured = argparse.ArgumentParser(add_help=False)
+    configured.add_argument("--config", type=Path, metavar="TOML", help="configuration file; see `config dump`")
+    configured.add_argument(
+        "--set", action="append", metavar="SECTION.KEY=VALUE", help="override one value; repeatable"
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for command in _COMMANDS:
+        command.add(commands, common, configured)
+    return parser

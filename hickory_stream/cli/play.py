@@ -1,0 +1,128 @@
+"""`hickory-stream play`: map a recorded log."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.cli.status import STOPPED
+from hickory_stream.cli.values import parse_nanoseconds, parse_rate, positive, read_settings
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.parser import Commands
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import Sink
+    from hickory_stream.progress import Style
+    from hickory_stream.settings import Settings
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    play = commands.add_parser("play", parents=[common, configured], help="map a recorded log")
+    play.set_defaults(run=run)
+    play.add_argument("source", help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images")
+    play.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
+    play.add_argument("--overwrite", action="store_true", help="replace the map that is there")
+    play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
+    play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
+    play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
+    play.add_argument(
+        "--workers", type=int, metavar="N", help="child processes that build shapes; do not change the map"
+    )
+    play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
+    play.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
+    topics = play.add_argument_group("streams of a log; all are discovered if not named")
+    for role in ("color", "depth", "color-info", "depth-info", "pose"):
+        topics.add_argument(f"--{role}-topic", metavar="TOPIC")
+    topics.add_argument("--pose-frame", metavar="FRAME", help="the frame whose pose the pose topic gives")
+    topics.add_argument("--sync-tolerance", type=float, metavar="MS", help="between colour and depth (half a period)")
+    topics.add_argument("--profile", metavar="NAME", help="calibration of an image folder: a name or a TOML file")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from hickory_stream.engine.play import play
+    from hickory_stream.progress import ProgressPrinter
+    from hickory_stream.sinks.rerun_viewer import parse_viewer
+    from players import SourceOptions, open_source
+    from players.first_frames import FirstFrames
+
+    settings = read_settings(options)
+    viewer = parse_viewer(options.viewer)
+    rate = parse_rate(options.rate)
+    source = open_source(
+        options.source,
+        SourceOptions(
+            color_topic=options.color_topic,
+            depth_topic=options.depth_topic,
+            color_info_topic=options.color_info_topic,
+            depth_info_topic=options.depth_info_topic,
+            pose_topic=options.pose_topic,
+            pose_frame=options.pose_frame,
+            sync_tolerance_ns=parse_nanoseconds(options.sync_tolerance),
+            profile=options.profile,
+        ),
+    )
+    if options.frames is not None:
+        source = FirstFrames(source, positive(options.frames, "--frames"))
+    out = options.out or Path(f"{Path(options.source).resolve().stem}.map")
+    style: Style = "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
+    if not options.json:
+        sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
+        sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        return _sinks(folder, settings, viewer, options.rrd)
+
+    printer = ProgressPrinter(style)
+    try:
+        played = play(
+            source,
+            settings.mapper,
+            out=out,
+            overwrite=options.overwrite,
+            sinks=sinks,
+            rate=rate,
+            loops=positive(options.loop, "--loop"),
+            progress=printer,
+        )
+    finally:
+        printer.close()
+        source.close()
+    objects = played.snapshot.objects if played.snapshot is not None else ()
+    if options.json:
+        print(
+            json.dumps(
+                {
+                    "event": "finished",
+                    "map": str(out),
+                    "finished_cleanly": played.finished_cleanly,
+                    "digest": played.digest,
+                    "objects": len(objects),
+                    "objects_with_shape": sum(o.shape is not None for o in objects),
+                    "ledger": json.loads((out / "ledger.json").read_text()),
+                }
+            )
+        )
+    else:
+        print(f"{out}: {len(objects)} objects, {sum(o.shape is not None for o in objects)} with all four layers")
+    return 0 if played.finished_cleanly else STOPPED
+
+
+def _sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None) -> list[tuple[Sink, bool]]:
+    """Return the sinks of a playback, each with whether the run must stop when it fails."""
+    from hickory_stream.sinks.disk_sink import DiskSink
+    from hickory_stream.sinks.rerun_sink import RerunSink
+    from hickory_stream.sinks.rerun_viewer import ViewerKind
+
+    made: list[tuple[Sink, bool]] = [(DiskSink(folder, settings.disk), True)]
+    if rrd is not None or viewer.kind is not ViewerKind.NONE:
+        shown = RerunSink(settings.rerun, folder.path, rrd, viewer)
+        if shown.web_url:
+            sys.stderr.write(f"viewer: {shown.web_url}\n")
+        made.append((shown, False))
+    return made

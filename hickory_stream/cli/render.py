@@ -1,0 +1,46 @@
+"""`hickory-stream render`: draw a map."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.cli.values import parse_layers, parse_size
+from hickory_stream.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.parser import Commands
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    render = commands.add_parser("render", parents=[common], help="draw a map; needs no screen")
+    render.set_defaults(run=run)
+    render.add_argument("map", type=Path, metavar="MAP")
+    render.add_argument("-o", "--out", type=Path, default=Path("map.png"), metavar="PNG")
+    render.add_argument("--layers", default="1,2", help="which layers to draw, e.g. 1,2 (default) or 3,4")
+    render.add_argument("--size", default="1600x800", metavar="WxH")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    import cv2
+
+    from hickory_stream.engine.session import open_map
+    from hickory_stream.evaluation.render import render_map
+
+    layers = parse_layers(options.layers)
+    width, height = parse_size(options.size)
+    saved = open_map(options.map)
+    picture = render_map(saved, layers, (width, height))
+    encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
+    try:
+        options.out.write_bytes(encoded)
+    except OSError as error:
+        raise InputError(f"cannot write the picture {options.out}: {error.strerror}") from error
+    if options.json:
+        print(json.dumps({"picture": str(options.out), "width": width, "height": height, "layers": sorted(layers)}))
+    return 0

@@ -1,0 +1,3 @@
+"""The exit statuses that are not a failure's own."""
+
+STOPPED = 130

@@ -1,0 +1,73 @@
+"""What the options of the command line may hold: each value checked, with what was expected."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import ConfigError, InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.settings import Settings
+
+
+def read_settings(options: argparse.Namespace) -> Settings:
+    """Return the settings that `--config`, `--set` and `--workers` make; raises `ConfigError`."""
+    from dataclasses import replace
+
+    from hickory_stream.config import read_config
+    from hickory_stream.settings import Settings
+
+    settings = read_config(Settings, options.config, tuple(options.set or ()))
+    if getattr(options, "workers", None) is not None:
+        if options.workers < 1:
+            raise ConfigError(f"found --workers {options.workers}, expected at least 1")
+        mapper = settings.mapper
+        settings = replace(settings, mapper=replace(mapper, run=replace(mapper.run, workers=options.workers)))
+    return settings
+
+
+def parse_rate(text: str) -> float | None:
+    """Return a factor of real time, None for `max`; raises `InputError`."""
+    if text == "max":
+        return None
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = 0.0
+    if not 0 < rate < float("inf"):
+        raise InputError(f"found --rate {text}, expected max or a number above 0, e.g. 1.0 for real time")
+    return rate
+
+
+def positive(number: int, option: str) -> int:
+    """Return the number, which is 1 or more; raises `InputError`, which names the option."""
+    if number < 1:
+        raise InputError(f"found {option} {number}, expected at least 1")
+    return number
+
+
+def parse_nanoseconds(tolerance_ms: float | None) -> int | None:
+    """Return milliseconds as nanoseconds; raises `InputError` below 0."""
+    if tolerance_ms is None:
+        return None
+    if not 0 <= tolerance_ms < float("inf"):
+        raise InputError(f"found --sync-tolerance {tolerance_ms:g}, expected milliseconds, 0 or more")
+    return round(tolerance_ms * 1e6)
+
+
+def parse_layers(text: str) -> set[int]:
+    """Return the layers that a text like 1,2 names; raises `InputError`."""
+    parts = {part.strip() for part in text.split(",")}
+    if not parts <= {"1", "2", "3", "4"}:
+        raise InputError(f"found --layers {text}, expected some of 1,2,3,4")
+    return {int(part) for part in parts}
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return width and height of a text like 1600x800, pixels; raises `InputError`."""
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit() and 64 <= int(width) <= 8192 and 64 <= int(height) <= 8192):
+        raise InputError(f"found --size {text}, expected WIDTHxHEIGHT of 64 to 8192 pixels, e.g. 1600x800")
+    return int(width), int(height)
