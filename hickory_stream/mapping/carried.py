@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
 _SAME_FLOOR_M = 0.15
 _BESIDE_M = 0.04
+_LEG_BESIDE_M = 0.08
 _MIN_POINTS = 10
 _TOUCH_SHARE = 0.03
 _FOOT_CELL_M = 0.02
 _RING_M = 0.04
 _RISE_M = 0.025
 _CORNER_M = 0.06
+_STRAYS_PCT = (2, 98)
 
 
 def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float = 1.5) -> bool:
@@ -38,7 +40,7 @@ def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float
     if intersection_volume_m3(small.box, large.box.grown(_CORNER_M)) < 0.5 * small.box.volume_m3:
         return False
     top = float(small.bounds[1, 2])
-    above = large.solid.points[small.box.is_over_or_under(large.solid.points, _BESIDE_M)][:, 2]
+    above = large.solid.points[small.box.is_over_or_under(large.solid.points, _LEG_BESIDE_M)][:, 2]
     near = above[(above > top - 0.05) & (above < top + max_gap_m)]
     return len(near) >= _MIN_POINTS
 
@@ -63,11 +65,11 @@ def is_on_foot(upper: Track, lower: Track) -> bool:
     The upper one's lowest points lie over the lower one, closely above its top, and no surface goes on around them that
     it could stand on.
     """
-    gap = float(upper.bounds[0, 2] - lower.bounds[1, 2])
-    if not -0.2 < gap < 0.2 or float(upper.bounds[0, 2] - lower.bounds[0, 2]) < 0.1:
-        return False
     points = upper.solid.points
-    low, high = float(upper.bounds[0, 2]), float(upper.bounds[1, 2])
+    low, high = (float(z) for z in np.percentile(points[:, 2], _STRAYS_PCT))
+    base, top = (float(z) for z in np.percentile(lower.solid.points[:, 2], _STRAYS_PCT))
+    if not -0.2 < low - top < 0.2 or low - base < 0.1:
+        return False
     foot = points[points[:, 2] < low + max(0.03, 0.15 * (high - low))]
     if len(foot) < _MIN_POINTS or float(lower.box.is_over_or_under(foot, _BESIDE_M).mean()) < 0.7:
         return False
@@ -102,7 +104,7 @@ def _stands_on(small: Track, large: Track) -> bool:
 
     What does not rise above that level is a piece of it.
     """
-    low, high = float(small.bounds[0, 2]), float(small.bounds[1, 2])
+    low, high = (float(z) for z in np.percentile(small.solid.points[:, 2], _STRAYS_PCT))
     around = large.solid.points[small.box.is_over_or_under(large.solid.points, _RING_M)]
     around = around[(around[:, 2] > low - 0.04) & (around[:, 2] < low + 0.02)]
     if len(around) < _MIN_POINTS or high - float(np.median(around[:, 2])) < _RISE_M:

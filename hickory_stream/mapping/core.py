@@ -30,7 +30,7 @@ from hickory_stream.events import (
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
 from hickory_stream.mapping.carried import is_inner_part
-from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, solid_part, without
+from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
 from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
 from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge, why_one
 from hickory_stream.mapping.observed_space import (
@@ -61,7 +61,7 @@ from hickory_stream.mapping.views import ViewConfig, better, covers_better, scor
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from hickory_stream.records import MaskFeature, Observation, TrackedObject
 
@@ -171,7 +171,9 @@ class MapperCore:
         homes, covered = zip(*placed, strict=True) if placed else ((), ())
         self._vote(event, matches, homes, covered)
         self._note_parts(event, matches, homes, clouds)
-        effects = [*self._merge_tracks({*homes, *self._promote_parts(event, set(homes))}), *self._age(event)]
+        promoted = self._promote_parts(event, set(homes))
+        matches, homes = self._moved_out(matches, homes, clouds, promoted)
+        effects = [*self._merge_tracks({*homes, *promoted, *promoted.values()}), *self._age(event)]
         self._space = add(self._space, event.space)
 
         candidates, keeps = self._propose_views(event, matches, homes)
@@ -262,15 +264,27 @@ class MapperCore:
             (apart if match.is_part else whole).append((home, cloud))
         self._parts = with_keyframe(self._parts, event.frame_index, apart, whole, self._config.parts)
 
-    def _promote_parts(self, event: FrameObserved, hosts: set[int]) -> list[int]:
-        """Make objects of the parts that are some; return their ids."""
-        promoted = []
+    def _promote_parts(self, event: FrameObserved, hosts: set[int]) -> dict[int, int]:
+        """Make objects of the parts that are some; return their hosts by their ids."""
+        promoted: dict[int, int] = {}
         for host_id in sorted(hosts & self._parts.keys()):
             for part in self._parts[host_id]:
                 if part.is_object(self._config.parts) and (new := self._promoted(event, host_id, part)) is not None:
-                    promoted.append(new)
+                    promoted[new] = host_id
                     self._parts[host_id] = tuple(other for other in self._parts[host_id] if other is not part)
         return promoted
+
+    def _moved_out(
+        self, matches: list[Match], homes: Sequence[int], clouds: Sequence[Cloud], promoted: Mapping[int, int]
+    ) -> tuple[list[Match], list[int]]:
+        """Return matches and homes after parts became objects: what showed such a part is its object's first view."""
+        moved, new_homes = list(matches), list(homes)
+        for new_id, host_id in promoted.items():
+            for i, (match, home) in enumerate(zip(matches, homes, strict=True)):
+                lies_on = share_near(clouds[i].keys, self._tracks[new_id].cloud) if match.is_part else 0.0
+                if home == host_id and lies_on >= self._config.parts.same_share:
+                    moved[i], new_homes[i] = replace(match, is_part=False), new_id
+        return moved, new_homes
 
     def _promoted(self, event: FrameObserved, host_id: int, part: Part) -> int | None:
         """Make a track of a part and take its points off the host; None where how it stands says that it belongs."""

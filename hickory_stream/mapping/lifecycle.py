@@ -35,8 +35,9 @@ class LifecycleConfig:
     """The numbers of the table.
 
     Attributes:
-        wall_foot_m, wall_top_m, wall_thickness_m: an upright slab that begins at most this high above the floor, ends
-            at least that high, and is thinner, is a piece of a wall.
+        wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab that begins at most this high above
+            the floor, ends at least that high, is at least so tall and thinner, is a piece of a wall; so is one longer
+            than `structure_m`, wherever it begins.
         wall_share, wall_hits: of a track that comes to rest with more of its points than this in voxels that so many
             keyframes saw as structure, these points are taken away: a frame took the wall behind it for a piece of it.
         phantom_share: share of a track's voxels that must be seen free for a keyframe to count as looking through.
@@ -50,8 +51,9 @@ class LifecycleConfig:
     phantom_share: float = 0.7
     structure_m: float = 2.0
     structure_m3: float = 4.5
-    wall_foot_m: float = 0.5
+    wall_foot_m: float = 0.7
     wall_top_m: float = 1.25
+    wall_height_m: float = 0.75
     wall_thickness_m: float = 0.22
     structure_share: float = 0.5
     wall_share: float = 0.15
@@ -84,10 +86,13 @@ def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleCo
     """Return whether a track is an upright slab from near the floor to above one's waist: a wall between two doors."""
     size = 2 * track.box.half_extents_m
     low, high = float(track.bounds[0, 2]), float(track.bounds[1, 2])
-    if floor_z_m is None or low > floor_z_m + config.wall_foot_m or high < floor_z_m + config.wall_top_m:
-        return False
     thickness, width = float(min(size[:2])), float(max(size[:2]))
-    return thickness < config.wall_thickness_m and width > 2 * thickness
+    if thickness > config.wall_thickness_m or floor_z_m is None or high < floor_z_m + config.wall_top_m:
+        return False
+    if width > config.structure_m:
+        return True
+    is_tall = size[2] > config.wall_height_m
+    return low < floor_z_m + config.wall_foot_m and is_tall and width > 1.5 * thickness
 
 
 def aged(track: Track, phase: Phase) -> Track:

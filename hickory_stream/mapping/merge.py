@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.views import ViewConfig
 
 
+_FOOT_GAP_M = 0.2
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MergeConfig:
     """When two tracks are one.
@@ -36,12 +39,16 @@ class MergeConfig:
         sure_share: the same for tracks that were seen apart more often than together.
         covers_share: an observation of one track that covers this share of another is a vote for their being one.
         min_votes: votes that are needed, and more than the keyframes in which they were seen apart.
+        sure_votes, sure_ratio: so many votes, and this many for each keyframe that saw them apart, are enough, too: a
+            view from close by takes an object to pieces more easily than a view from afar takes two for one.
     """
 
     duplicate_share: float = 0.5
     sure_share: float = 0.7
     covers_share: float = 0.3
     min_votes: int = 3
+    sure_votes: int = 6
+    sure_ratio: float = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +121,7 @@ def find_pair(
     for i in sorted(changed):
         if i not in tracks:
             continue
-        for other in touching(tracks[i].bounds, ordered):
+        for other in touching(tracks[i].bounds, ordered, _FOOT_GAP_M):
             if other.id != i and (reason := why_one(tracks[i], other, book, config)) is not None:
                 return min(i, other.id), max(i, other.id), reason
     return None
@@ -146,11 +153,17 @@ def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: View
 
 def why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | None:
     """Return why two tracks are one object, None where nothing says so."""
+    upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
+    # The column between a seat and its foot may be too thin to be seen: the two need not touch.
+    if min(a.sightings, b.sightings) >= config.min_votes and not (a.is_promoted or b.is_promoted):
+        if is_on_foot(upper, lower):
+            return "the lower is the foot of the upper"
     # Touching pieces have boxes that meet: a few centimetres of slack let them.
     if intersection_volume_m3(a.box.grown(0.03), b.box.grown(0.03)) <= 0.0:
         return None
     votes = book.of(a.id, b.id)
-    if votes.together >= config.min_votes and votes.together > votes.apart:
+    often = votes.together >= config.sure_votes and votes.together >= config.sure_ratio * votes.apart
+    if often or (votes.together >= config.min_votes and votes.together > votes.apart):
         return f"seen as one in {votes.together} keyframes, apart in {votes.apart}"
     cloud_a, cloud_b = a.solid, b.solid
     small, large = (cloud_a, cloud_b) if len(cloud_a.keys) <= len(cloud_b.keys) else (cloud_b, cloud_a)
@@ -164,9 +177,6 @@ def why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | No
             return "the smaller stands under the larger like a leg"
         if not less.is_promoted and stands_in(more, less):
             return "the larger stands in the smaller"
-        upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
-        if not less.is_promoted and is_on_foot(upper, lower):
-            return "the lower is the foot of the upper"
         if not less.is_promoted and is_inner_part(less, more):
             return "the smaller is a part inside the larger"
     return None

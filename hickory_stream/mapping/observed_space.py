@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import centers_of_keys, contains, difference, keys_of_cells, keys_of_points
 from hickory_stream.records import ObservedSpace
 
@@ -27,13 +28,17 @@ _FAR = 1 << 20
 class FlushConfig:
     """When a flat thing is more of the wall around it: sizes, and the share of its border along which the wall goes on.
 
-    Structure counts up to `reach_m` beyond the border, in the thing's own plane.
+    Structure counts from half of `reach_m` to `reach_m` beyond the border (a wall that meets the thing at an edge is
+    not in its plane, and ends before), in the thing's own plane: its middle may lie off the thing's by `max_offset` of
+    half the thickness. Nothing counts up to `foot_m` above the floor, on which everything stands.
     """
 
     thickness_m: float = 0.12
     min_size_m: float = 0.2
-    reach_m: float = 0.1
+    reach_m: float = 0.2
     border_share: float = 0.25
+    max_offset: float = 0.8
+    foot_m: float = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -107,11 +112,19 @@ def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
         return False
     sure = state.structure[state.hits >= _SURE_HITS]
     centers = centers_of_keys(_near(sure, box, state.voxel_m, config.reach_m), state.voxel_m)
-    around = np.full(3, config.reach_m)
-    around[thin] = state.voxel_m / 2
-    grown = OrientedBox(world_from_box=box.world_from_box, half_extents_m=half + around)
-    num_around = int(grown.contains(centers).sum() - box.contains(centers).sum())
-    return num_around * state.voxel_m > config.border_share * 4 * float(wide.sum())
+    if state.floor_z_m is not None:
+        centers = centers[centers[:, 2] > state.floor_z_m + config.foot_m]
+    local = apply(invert(box.world_from_box), centers)
+    offset, in_plane = local[:, thin], np.delete(local, thin, axis=1)
+    beyond = (np.abs(in_plane) - wide).max(axis=1)
+    around = (
+        (beyond > config.reach_m / 2) & (beyond < config.reach_m) & (np.abs(offset) < half[thin] + state.voxel_m / 2)
+    )
+    if not around.any() or abs(float(np.median(offset[around]))) > config.max_offset * half[thin] + state.voxel_m / 4:
+        return False
+    # Cells of the border itself, each once, however deep the structure is behind it.
+    border = np.unique(np.floor(np.clip(in_plane[around], -wide, wide) / state.voxel_m), axis=0)
+    return len(border) * state.voxel_m > config.border_share * 4 * float(wide.sum())
 
 
 def _near(keys: NDArray[np.int64], box: OrientedBox, voxel_m: float, reach_m: float) -> NDArray[np.int64]:
