@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _SAME_FLOOR_M = 0.15
 _BESIDE_M = 0.04
 _LEG_BESIDE_M = 0.08
+_THIN_LEG = 0.04
 _MIN_POINTS = 10
 _TOUCH_SHARE = 0.03
 _FOOT_CELL_M = 0.02
@@ -40,7 +41,10 @@ def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float
     if intersection_volume_m3(small.box, large.box.grown(_CORNER_M)) < 0.5 * small.box.volume_m3:
         return False
     top = float(small.bounds[1, 2])
-    above = large.solid.points[small.box.is_over_or_under(large.solid.points, _LEG_BESIDE_M)][:, 2]
+    # A thin leg may stand a little outside of what is seen of the seat.
+    is_thin = size[0] * size[1] < _THIN_LEG * 4 * float(np.prod(large.box.half_extents_m[:2]))
+    beside_m = _LEG_BESIDE_M if is_thin else _BESIDE_M
+    above = large.solid.points[small.box.is_over_or_under(large.solid.points, beside_m)][:, 2]
     near = above[(above > top - 0.05) & (above < top + max_gap_m)]
     return len(near) >= _MIN_POINTS
 

@@ -168,7 +168,7 @@ class MapperCore:
         self._doubt(event, matches)
         clouds = [self._cloud_of(event.observations[match.observation_index]) for match in matches]
         placed = [self._place(event, match, seen) for match, seen in zip(matches, clouds, strict=True)]
-        homes, covered = zip(*placed, strict=True) if placed else ((), ())
+        homes, covered = [home for home, _ in placed], [others for _, others in placed]
         self._vote(event, matches, homes, covered)
         self._note_parts(event, matches, homes, clouds)
         promoted = self._promote_parts(event, set(homes))

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import centers_of_keys, contains, difference, keys_of_cells, keys_of_points
 from hickory_stream.records import ObservedSpace
@@ -15,6 +14,7 @@ from hickory_stream.records import ObservedSpace
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.boxes import OrientedBox
     from hickory_stream.records import SpaceObservation
 
 _SURE_HITS = 2
