@@ -102,18 +102,20 @@ def _creases(points, normals, sigma, reach, cos_crease, step):  # type: ignore[n
                 ya, xa, yb, xb = y - dy, x - dx, y + dy, x + dx
                 if min(ya, yb) < 0 or max(ya, yb) >= height or xa < 0 or xb >= width:
                     continue
-                na, nb = normals[ya, xa], normals[yb, xb]
-                cosine = na[0] * nb[0] + na[1] * nb[1] + na[2] * nb[2]
-                if np.isnan(cosine) or cosine > cos_crease:
+                ax, ay, az = normals[ya, xa, 0], normals[ya, xa, 1], normals[ya, xa, 2]
+                bx, by, bz = normals[yb, xb, 0], normals[yb, xb, 1], normals[yb, xb, 2]
+                if not ax * bx + ay * by + az * bz <= cos_crease:  # NaN fails too
                     continue
-                delta = points[yb, xb] - points[ya, xa]
-                length = np.sqrt(delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2)
+                across_x = points[yb, xb, 0] - points[ya, xa, 0]
+                across_y = points[yb, xb, 1] - points[ya, xa, 1]
+                across_z = points[yb, xb, 2] - points[ya, xa, 2]
+                length = np.sqrt(across_x * across_x + across_y * across_y + across_z * across_z)
                 if length > 0.10:
                     continue
                 # Both ends see each other's normals lean towards them: a valley. The depth of the valley must be
                 # more than noise.
-                lean_a = delta[0] * na[0] + delta[1] * na[1] + delta[2] * na[2]
-                lean_b = -(delta[0] * nb[0] + delta[1] * nb[1] + delta[2] * nb[2])
+                lean_a = across_x * ax + across_y * ay + across_z * az
+                lean_b = -(across_x * bx + across_y * by + across_z * bz)
                 if lean_a + lean_b > 2.0 * sigma[y, x] + 0.15 * length and min(lean_a, lean_b) > -0.3 * step:
                     out[y, x] = True
                     break

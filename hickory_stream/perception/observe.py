@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
+import numba
 import numpy as np
 from scipy.ndimage import find_objects
 
@@ -113,12 +114,36 @@ def voxel_means(
     points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.int64]]:
     """Return the mean point and colour of every occupied voxel, in the order of the keys, and the points in each."""
-    _, inverse, counts = np.unique(keys_of_points(points, voxel_m), return_inverse=True, return_counts=True)
-    num = len(counts)
-    mean = np.stack([np.bincount(inverse, weights=points[:, i], minlength=num) for i in range(3)], axis=1)
-    color = np.stack([np.bincount(inverse, weights=colors[:, i], minlength=num) for i in range(3)], axis=1)
-    per = counts[:, None]
-    return (mean / per).astype(np.float32), np.round(color / per).astype(np.uint8), counts
+    keys = keys_of_points(points, voxel_m)
+    order = np.argsort(keys, kind="stable")
+    means: tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.int64]]
+    means = _means_of_runs(keys[order], order, points, colors)
+    return means
+
+
+@numba.njit(cache=True, nogil=True)
+def _means_of_runs(keys, order, points, colors):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Average what has the same key; `keys` are sorted, `order` says which point each is of."""
+    num = 1
+    for i in range(1, len(keys)):
+        num += keys[i] != keys[i - 1]
+    means, shades = np.zeros((num, 3), dtype=np.float32), np.zeros((num, 3), dtype=np.uint8)
+    counts = np.zeros(num, dtype=np.int64)
+    first, run = 0, 0
+    while first < len(keys):
+        last = first + 1
+        while last < len(keys) and keys[last] == keys[first]:
+            last += 1
+        count = last - first
+        for axis in range(3):
+            mean, shade = 0.0, 0.0
+            for i in range(first, last):
+                mean += points[order[i], axis]
+                shade += colors[order[i], axis]
+            means[run, axis], shades[run, axis] = mean / count, np.uint8(np.rint(shade / count))
+        counts[run] = count
+        first, run = last, run + 1
+    return means, shades, counts
 
 
 def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:

@@ -88,15 +88,19 @@ def _free_cells(origin, points, voxel):  # type: ignore[no-untyped-def] # pragma
     count = 0
     # A small direct-mapped cache drops most repetitions: neighbouring rays cross the same cells.
     cache = np.full(1 << 15, np.int64(-(1 << 62)), dtype=np.int64)
+    # In units of a voxel, stepping 0.7 of one along the ray.
+    start_x, start_y, start_z = origin[0] / voxel, origin[1] / voxel, origin[2] / voxel
     for i in range(len(points)):
-        delta = points[i] - origin
-        length = np.sqrt((delta * delta).sum())
+        ray_x, ray_y, ray_z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
+        length = np.sqrt(ray_x * ray_x + ray_y * ray_y + ray_z * ray_z)
         steps = int((length - voxel) / (0.7 * voxel))
+        if steps < 2:
+            continue
+        step_x, step_y, step_z = 0.7 * ray_x / length, 0.7 * ray_y / length, 0.7 * ray_z / length
         for k in range(1, steps):
-            t = k * 0.7 * voxel / length
-            x = np.int64(np.floor((origin[0] + t * delta[0]) / voxel))
-            y = np.int64(np.floor((origin[1] + t * delta[1]) / voxel))
-            z = np.int64(np.floor((origin[2] + t * delta[2]) / voxel))
+            x = np.int64(np.floor(start_x + k * step_x))
+            y = np.int64(np.floor(start_y + k * step_y))
+            z = np.int64(np.floor(start_z + k * step_z))
             key = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
             packed = (x & 0x1FFFFF) << 42 | (y & 0x1FFFFF) << 21 | (z & 0x1FFFFF)
             slot = key & 0x7FFF

@@ -141,53 +141,87 @@ def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no 
 
 @numba.njit(cache=True, nogil=True)
 def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Fit 1/z = a u + b v + c over each window; (a, b, c) is the plane's normal in the camera frame."""
+    """Fit 1/z = a du + b dv + c over each window; (a, b, c) gives the plane's normal in the camera frame.
+
+    Two fits: to everything within 3 % of the depth, then to what lies within 3 sigma of the first plane. The sums of a
+    whole row are taken offset by offset, so that the innermost loop runs along the row and is vectorised. Inverse
+    depths count from the pixel's own: single precision is enough for what is left.
+    """
     height, width = depth.shape
     out = np.full((height, width, 3), np.nan, dtype=np.float32)
-    inverses = np.float32(1.0) / depth
+    padded_width = width + 2 * radius
+    # What has no return, or lies beyond the image, is at an inverse depth that no gate reaches.
+    inverses = np.full((height + 2 * radius, padded_width), np.float32(-1e6), dtype=np.float32)
     for y in range(height):
         for x in range(width):
-            inverse = inverses[y, x]
-            if np.isnan(inverse):
-                continue
-            a, b, c = 0.0, 0.0, inverse
-            solved = False
-            for step in range(2):
-                # First everything within 3 % of the depth, then what lies within 3 sigma of the first plane.
-                gate = 0.03 * inverse if step == 0 else 3.0 * noise + 0.003 * inverse
-                n = 0
-                suu = suv = svv = su = sv = sud = svd = sd = 0.0
-                for yy in range(max(0, y - radius), min(height, y + radius + 1)):
-                    for xx in range(max(0, x - radius), min(width, x + radius + 1)):
-                        du, dv = u[xx] - u[x], v[yy] - v[y]
-                        d = inverses[yy, xx]
-                        if not abs(d - (c + a * du + b * dv)) <= gate:  # NaN fails too
-                            continue
-                        n += 1
-                        su += du
-                        sv += dv
-                        sd += d
-                        suu += du * du
-                        suv += du * dv
-                        svv += dv * dv
-                        sud += du * d
-                        svd += dv * d
-                if n < 6:
-                    break
-                cuu, cuv, cvv = suu - su * su / n, suv - su * sv / n, svv - sv * sv / n
-                cud, cvd = sud - su * sd / n, svd - sv * sd / n
-                determinant = cuu * cvv - cuv * cuv
-                if determinant < 1e-3 * (cuu + cvv) ** 2:
-                    break
-                a = (cud * cvv - cvd * cuv) / determinant
-                b = (cvd * cuu - cud * cuv) / determinant
-                c = (sd - a * su - b * sv) / n
-                solved = True
-            if not solved:
+            if not np.isnan(depth[y, x]):
+                inverses[y + radius, x + radius] = np.float32(1.0) / depth[y, x]
+    step_u, step_v = u[1] - u[0], v[1] - v[0]
+    planes = np.empty((3, width), dtype=np.float32)
+    sums = np.empty((9, width), dtype=np.float32)
+    for y in range(height):
+        own = inverses[y + radius, radius : radius + width]
+        planes[:] = np.float32(0.0)
+        for step in range(2):
+            share = np.float32(0.03 if step == 0 else 0.003)
+            floor = np.float32(0.0) if step == 0 else np.float32(3.0) * noise
+            _sum_windows(inverses, y, own, planes, sums, radius, step_u, step_v, share, floor)
+            _solve_planes(sums, planes, out[y], step == 0)
+        for x in range(width):
+            if own[x] < 0 or np.isnan(out[y, x, 0]):
+                out[y, x, :] = np.nan
                 continue
             # The plane in absolute (u, v): 1/z = a U + b V + (c - a u - b v); it looks at the camera with a minus sign.
-            nx, ny, nz = a, b, c - a * u[x] - b * v[y]
+            nx, ny = planes[0, x], planes[1, x]
+            nz = own[x] + planes[2, x] - nx * u[x] - ny * v[y]
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
             if length > 0.0:
                 out[y, x, 0], out[y, x, 1], out[y, x, 2] = -nx / length, -ny / length, -nz / length
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _sum_windows(inverses, y, own, planes, sums, radius, step_u, step_v, share, floor):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill the nine sums of a row's windows: n, u, v, d, uu, uv, vv, ud, vd of what the gate lets in."""
+    width = len(own)
+    sums[:] = np.float32(0.0)
+    for dy in range(-radius, radius + 1):
+        dv = np.float32(dy) * step_v
+        for dx in range(-radius, radius + 1):
+            du = np.float32(dx) * step_u
+            row = inverses[y + radius + dy, radius + dx : radius + dx + width]
+            uu, uv, vv = du * du, du * dv, dv * dv
+            for x in range(width):
+                d = row[x] - own[x]
+                off = abs(d - (planes[2, x] + planes[0, x] * du + planes[1, x] * dv))
+                w = np.float32(1.0) if off <= floor + share * own[x] else np.float32(0.0)
+                wd = w * d
+                sums[0, x] += w
+                sums[1, x] += w * du
+                sums[2, x] += w * dv
+                sums[3, x] += wd
+                sums[4, x] += w * uu
+                sums[5, x] += w * uv
+                sums[6, x] += w * vv
+                sums[7, x] += wd * du
+                sums[8, x] += wd * dv
+
+
+@numba.njit(cache=True, nogil=True)
+def _solve_planes(sums, planes, out, is_first):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Solve the windows of a row; `out` stays NaN where the first fit has no solution; without a second, it stands."""
+    for x in range(sums.shape[1]):
+        n, su, sv, sd = sums[0, x], sums[1, x], sums[2, x], sums[3, x]
+        if n < 6:
+            continue
+        cuu, cuv, cvv = sums[4, x] - su * su / n, sums[5, x] - su * sv / n, sums[6, x] - sv * sv / n
+        cud, cvd = sums[7, x] - su * sd / n, sums[8, x] - sv * sd / n
+        determinant = cuu * cvv - cuv * cuv
+        if determinant < np.float32(1e-3) * (cuu + cvv) ** 2:
+            continue
+        if not is_first and np.isnan(out[x, 0]):
+            continue
+        a = (cud * cvv - cvd * cuv) / determinant
+        b = (cvd * cuu - cud * cuv) / determinant
+        planes[0, x], planes[1, x], planes[2, x] = a, b, (sd - a * su - b * sv) / n
+        out[x, 0] = np.float32(0.0)
