@@ -92,7 +92,7 @@ def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleCo
     if width > config.structure_m:
         return True
     is_tall = size[2] > config.wall_height_m
-    return low < floor_z_m + config.wall_foot_m and is_tall and width > 1.5 * thickness
+    return low < floor_z_m + config.wall_foot_m and is_tall and width > 2 * thickness
 
 
 def aged(track: Track, phase: Phase) -> Track:

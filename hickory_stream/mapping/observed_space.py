@@ -110,7 +110,8 @@ def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
     wide = np.delete(half, thin)
     if 2 * half[thin] > config.thickness_m or 2 * wide.min() < config.min_size_m:
         return False
-    sure = state.structure[state.hits >= _SURE_HITS]
+    # What frames saw as structure: a track that was dropped for one reason is no reason to drop its neighbour.
+    sure = state.structure[(state.hits >= _SURE_HITS) & (state.hits < _NO_OBJECT)]
     centers = centers_of_keys(_near(sure, box, state.voxel_m, config.reach_m), state.voxel_m)
     if state.floor_z_m is not None:
         centers = centers[centers[:, 2] > state.floor_z_m + config.foot_m]

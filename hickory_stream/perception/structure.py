@@ -1,7 +1,8 @@
 """Structure: the floor, walls and ceiling of a frame, which are no objects.
 
 The floor is the lowest wide horizontal surface; a wall or a ceiling is a plane with the whole room on one side of it. A
-cupboard's front is as flat as a wall, but the room goes on behind it.
+cupboard's front is as flat as a wall, but the room goes on behind it. So it does behind a wall with a door in it: that
+one is known by its height, and ends where it is seen to end.
 """
 
 from __future__ import annotations
@@ -27,6 +28,11 @@ class StructureConfig:
         behind_share: a wall has at most this share of the frame's surface behind it.
         tolerance_m: distance from a plane, beside 3 sigma of depth, that still belongs to it.
         floor_below_camera_m: without a known floor, a floor lies at least this far below the camera.
+        wall_height_m, wall_foot_m, wall_cut_m, wall_width_m: a vertical plane that is seen from below `wall_foot_m`
+            above the floor to `wall_height_m`, or beyond `wall_cut_m` to the edge of the image, and is so wide, is a
+            wall even where something is seen behind it ...
+        furniture_depth_m, backing_m2: ... but for a parallel surface of this area this close behind it: then it is the
+            front of a cupboard, and that is the wall.
     """
 
     floor_area_m2: float = 0.25
@@ -34,6 +40,12 @@ class StructureConfig:
     behind_share: float = 0.02
     tolerance_m: float = 0.025
     floor_below_camera_m: float = 0.25
+    wall_height_m: float = 2.1
+    wall_foot_m: float = 1.2
+    wall_cut_m: float = 1.5
+    wall_width_m: float = 0.9
+    furniture_depth_m: float = 0.75
+    backing_m2: float = 0.15
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -42,6 +54,41 @@ class HorizontalPlane:
 
     z_m: float
     area_m2: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Wall:
+    """A vertical plane, normal . p = offset, with the horizontal unit normal (2,) into the room.
+
+    `cells` are the sorted numbers of the stretches of `_STRETCH_M` along it in which it was seen; None for a wall that
+    ends the space: what lies behind that one is no object either.
+    """
+
+    normal: NDArray[np.float32]
+    offset: float
+    cells: NDArray[np.int64] | None
+
+    def mask(self, surface: Surface, tolerance: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return (h, w) the pixels that are of the wall, to a tolerance in m per pixel."""
+        at = surface.points_world[..., :2]
+        distance = at @ self.normal - self.offset
+        facing = surface.normals_world[..., :2] @ self.normal
+        if self.cells is None:
+            return np.asarray((distance < 1.5 * tolerance) & ((facing > 0.8) | (distance < 0.6 * tolerance)))
+        near = np.abs(distance)
+        mask = np.asarray((near < 1.5 * tolerance) & ((facing > 0.8) | (near < 0.6 * tolerance)))
+        mask[mask] = np.isin(_stretches(at[mask], self.normal), self.cells)
+        return mask
+
+
+_STRETCH_M = 0.25
+_SEEN_M2 = 0.03
+
+
+def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return the number of the stretch along a wall in which each of (N, 2) points lies."""
+    along = at @ np.array([-normal[1], normal[0]], dtype=np.float32)
+    return np.floor(along / _STRETCH_M).astype(np.int64)
 
 
 def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
@@ -105,10 +152,8 @@ def structure_mask(
         level = surface.normals_world[..., 2] > 0.8
         mask |= (z < floor_z_m + tolerance) & (level | (z < floor_z_m + 0.6 * tolerance))
     mask |= _ceiling(surface, areas_m2, tolerance, config)
-    for normal, offset in _walls(surface, areas_m2, floor_z_m, config):
-        distance = surface.points_world[..., :2] @ normal - offset
-        facing = surface.normals_world[..., :2] @ normal
-        mask |= (distance < 1.5 * tolerance) & ((facing > 0.8) | (distance < 0.6 * tolerance))
+    for wall in _walls(surface, areas_m2, floor_z_m, config):
+        mask |= wall.mask(surface, tolerance)
     return mask
 
 
@@ -126,19 +171,20 @@ def _ceiling(
 
 def _walls(
     surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None, config: StructureConfig
-) -> list[tuple[NDArray[np.float32], float]]:
-    """Return the walls as (horizontal unit normal into the room, offset): normal . p >= offset inside the room."""
+) -> list[Wall]:
+    """Return the walls that a frame shows, by direction and from the rear."""
     points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
     weights = areas_m2.reshape(-1)
     valid = weights > 0
     upright = valid & (np.abs(normals[:, 2]) < 0.2)
     if not upright.any():
         return []
-    walls: list[tuple[NDArray[np.float32], float]] = []
+    walls: list[Wall] = []
     direction = normals[upright, :2] / np.linalg.norm(normals[upright, :2], axis=1, keepdims=True)
     at, weight = points[upright, :2], weights[upright].astype(np.float64)
     all_at, all_weight = points[valid, :2], weights[valid].astype(np.float64)
     heights = points[upright, 2]
+    pixels, width = np.flatnonzero(upright), surface.depth_m.shape[1]
     all_sigma = 2.0 * surface.sigma_m.reshape(-1)[valid]
     sigma = surface.sigma_m.reshape(-1)[upright]
     total = float(all_weight.sum())
@@ -147,19 +193,60 @@ def _walls(
         normal = _dominant_direction(direction[left], weight[left])
         along = at @ normal
         fits = left & (direction @ normal > 0.97)
-        offset = _farthest_peak(along[fits], weight[fits], config.wall_area_m2)
-        aside = left & (direction @ normal > 0.94)
-        left &= ~aside
-        if offset is not None:
-            normal, offset = _refined(at, weight, normal, offset, 0.05 + 2.0 * sigma, fits)
-            on_it = fits & (np.abs(at @ normal - offset) < 0.04 + sigma)
-            behind = float(all_weight[all_at @ normal < offset - 0.12 - all_sigma].sum()) / total
-            tall = _is_tall(heights[on_it], floor_z_m)
-            if behind < config.behind_share and tall:
-                walls.append((normal, offset))
+        left &= ~(direction @ normal > 0.94)
+        for peak in _peaks(along[fits], weight[fits], config.wall_area_m2):
+            inward, offset = _refined(at, weight, normal, peak, 0.05 + 2.0 * sigma, fits)
+            on_it = fits & (np.abs(at @ inward - offset) < 0.04 + sigma)
+            if not on_it.any():
+                continue
+            behind = _behind(all_at, all_weight, all_sigma, inward, offset)
+            if behind < config.behind_share * total:
+                if _is_tall(heights[on_it], floor_z_m):
+                    walls.append(Wall(normal=inward, offset=offset, cells=None))
+            elif _is_high(heights[on_it], pixels[on_it], width, floor_z_m, config):
+                cells = _seen_cells(at[on_it], weight[on_it], inward)
+                depth = offset - at[fits] @ inward
+                backing = float(weight[fits][(depth > 0.12 + sigma[fits]) & (depth < config.furniture_depth_m)].sum())
+                if len(cells) * _STRETCH_M > config.wall_width_m and backing < config.backing_m2:
+                    walls.append(Wall(normal=inward, offset=offset, cells=cells))
         if float(weight[left].sum()) < config.wall_area_m2:
             break
     return walls
+
+
+def _behind(
+    at: NDArray[np.float32],
+    weight: NDArray[np.float64],
+    sigma: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    offset: float,
+) -> float:
+    """Return the area of the surface behind a plane, beyond the noise."""
+    return float(weight[at @ normal < offset - 0.12 - sigma].sum())
+
+
+def _seen_cells(at: NDArray[np.float32], weight: NDArray[np.float64], normal: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return the stretches of a wall in which a hand's breadth of it is seen."""
+    cells, inverse = np.unique(_stretches(at, normal), return_inverse=True)
+    return np.asarray(cells[np.bincount(inverse, weights=weight) > _SEEN_M2])
+
+
+def _is_high(
+    heights: NDArray[np.float32],
+    pixels: NDArray[np.int64],
+    width: int,
+    floor_z_m: float | None,
+    config: StructureConfig,
+) -> bool:
+    """Return whether a vertical plane is higher than furniture, or goes on above the image, and does not hang."""
+    if floor_z_m is None:
+        return False
+    low, high = np.percentile(heights, [2, 98])
+    if low - floor_z_m > config.wall_foot_m or high - floor_z_m < config.wall_cut_m:
+        return False
+    columns = np.unique(pixels % width)
+    goes_on = len(np.unique(pixels[pixels < 3 * width] % width)) > 0.3 * len(columns)
+    return bool(goes_on or high - floor_z_m > config.wall_height_m)
 
 
 def _is_tall(heights: NDArray[np.float32], floor_z_m: float | None) -> bool:
@@ -206,17 +293,22 @@ def _refined(
     return normal, offset
 
 
-def _farthest_peak(along: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> float | None:
-    """Return the offset of the rearmost plane of enough area, seen along its normal; None if there is none."""
+def _peaks(along: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> list[float]:
+    """Return the offsets of the planes of enough area along their normal, the rearmost first, four at most."""
     if len(along) == 0:
-        return None
+        return []
     bin_m, low = 0.02, float(along.min()) - 0.04
     histogram = np.bincount(((along - low) / bin_m).astype(np.int64), weights=weight)
     smooth = np.convolve(histogram, np.ones(3), mode="same")
-    enough = np.flatnonzero(smooth > min_area_m2)
-    if len(enough) == 0:
-        return None
-    first = int(enough[0])
-    peak = first + int(np.argmax(smooth[first : first + 4]))
-    near = np.abs(along - (low + (peak + 0.5) * bin_m)) < 1.5 * bin_m
-    return float(np.average(along[near], weights=weight[near]))
+    peaks: list[float] = []
+    first = 0
+    while len(peaks) < 4:
+        enough = np.flatnonzero(smooth[first:] > min_area_m2)
+        if len(enough) == 0:
+            break
+        first += int(enough[0])
+        peak = first + int(np.argmax(smooth[first : first + 4]))
+        near = np.abs(along - (low + (peak + 0.5) * bin_m)) < 1.5 * bin_m
+        peaks.append(float(np.average(along[near], weights=weight[near])))
+        first = peak + 6  # the slope of this peak is no other
+    return peaks

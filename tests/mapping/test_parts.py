@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, is_swollen
 from hickory_stream.mapping.carried import is_inner_part, is_on_foot
 from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore, MappingConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig, is_structure
-from hickory_stream.mapping.observed_space import FlushConfig, add_structure, empty_space, is_flush
+from hickory_stream.mapping.observed_space import FlushConfig, add, add_structure, empty_space, is_flush
 from hickory_stream.mapping.parts import PartConfig, moved_to, with_keyframe
 from hickory_stream.mapping.track import TrackConfig
-from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, track
+from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -151,9 +152,13 @@ def test_a_flat_thing_is_more_wall_only_where_the_wall_goes_on_around_it() -> No
     config = FlushConfig()
     y, z = (grid.ravel() for grid in np.meshgrid(np.arange(-2, 2, 0.02), np.arange(0, 2.5, 0.02)))
     wall = np.stack([np.full(len(y), 1.0), y, z], axis=1).astype(np.float32)
-    state = add_structure(empty_space(0.05), wall)
+    keys = np.unique(keys_of_points(wall, 0.05))
+    state = empty_space(0.05)
+    for _ in range(2):
+        state = add(state, space(structure=keys))
     patch = track(1, box_surface((1.0, 0.0, 1.0), (0.04, 0.8, 0.6)))
     television = track(2, box_surface((0.85, 0.0, 1.0), (0.04, 0.8, 0.6)))
     assert is_flush(state, patch.box, config)
     assert not is_flush(state, television.box, config)
     assert not is_flush(empty_space(0.05), patch.box, config)
+    assert not is_flush(add_structure(empty_space(0.05), wall), patch.box, config)  # dropped tracks, not seen walls
