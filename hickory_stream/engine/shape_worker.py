@@ -8,7 +8,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import queue
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +20,22 @@ from hickory_stream.shapes.build import build_shape, make_reconstructor
 
 
 def main() -> None:
-    """Serve jobs until standard input ends, or nobody takes the answers any more: the run was killed."""
+    """Serve jobs until standard input ends: the run is over, or was killed; a job in progress is then left at once."""
     answers = os.dup(1)
     os.dup2(2, 1)
+    jobs: queue.Queue[str] = queue.Queue()
+    threading.Thread(target=_listen, args=(jobs,), name="listen", daemon=True).start()
     with contextlib.suppress(BrokenPipeError):
         _say(answers, {"ready": os.getpid()})
-        for line in sys.stdin:
-            folder = Path(json.loads(line)["job"])
+        while True:
+            folder = Path(json.loads(jobs.get())["job"])
             _say(answers, {"done": str(folder), "error": _serve(folder)})
+
+
+def _listen(jobs: queue.Queue[str]) -> None:
+    for line in sys.stdin:
+        jobs.put(line)
+    os._exit(0)
 
 
 def _say(answers: int, message: dict[str, Any]) -> None:

@@ -23,18 +23,19 @@ _CLOSE_TIMEOUT_S = 30.0
 
 
 class SinkThread:
-    """Runs one sink; `show` waits while its queue is full (playback loses nothing)."""
+    """Runs one sink; `show` waits while its queue is full (playback loses nothing), or counts in `num_dropped`."""
 
     def __init__(self, sink: Sink, *, is_essential: bool) -> None:
         self._sink = sink
         self._is_essential = is_essential
         self._queue: queue.Queue[FrameReport | None] = queue.Queue(_CAPACITY)
         self._error: BaseException | None = None
+        self.num_dropped = 0
         self._thread = threading.Thread(target=self._work, name=f"sink-{type(sink).__name__}", daemon=True)
         self._thread.start()
 
-    async def show(self, report: FrameReport) -> None:
-        """Hand a report over.
+    async def show(self, report: FrameReport, *, waits: bool = True) -> None:
+        """Hand a report over; unless it `waits`, a sink for looking that is behind does not get it.
 
         Raises:
             HickoryError: an essential sink has failed.
@@ -43,6 +44,9 @@ class SinkThread:
         try:
             self._queue.put_nowait(report)
         except queue.Full:
+            if not waits and not self._is_essential:
+                self.num_dropped += 1
+                return
             await asyncio.to_thread(self._queue.put, report)
 
     async def close(self) -> None:
