@@ -8,7 +8,9 @@ from hickory_stream.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     import argparse
+    from pathlib import Path
 
+    from hickory_stream.engine.session import SavedMap
     from hickory_stream.settings import Settings
 
 
@@ -26,6 +28,22 @@ def read_settings(options: argparse.Namespace) -> Settings:
         mapper = settings.mapper
         settings = replace(settings, mapper=replace(mapper, run=replace(mapper.run, workers=options.workers)))
     return settings
+
+
+def open_map_at(path: Path, at: str | None) -> SavedMap:
+    """Return the map in a folder, as it was known at a time (`--at`) where one is given.
+
+    Raises:
+        MapFolderError: there is no map, or it keeps no history.
+        InputError: the time is none, or outside of the run.
+    """
+    from dataclasses import replace
+
+    from hickory_stream.engine.session import open_map
+    from hickory_stream.engine.time_travel import stamp_of
+
+    saved = open_map(path)
+    return saved if at is None else replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
 
 
 def parse_rate(text: str) -> float | None:

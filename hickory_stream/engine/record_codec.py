@@ -95,7 +95,7 @@ def _plain(value: Any, parts: PartStore | None) -> Any:
 
 
 def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
-    little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+    little = np.asarray(array, dtype=array.dtype.newbyteorder("<"), order="C")
     method, data = _PLAIN, b""
     if little.dtype == bool:
         method, data = _BITS, np.packbits(little).tobytes()

@@ -469,11 +469,11 @@ class Run:
         if self._mode == "playback" and self._shapes.has_due(stamp_ns):
             raise _OutOfPatienceError
 
-    async def _commit_last(self, kind: StepKind) -> None:
+    async def _commit_last(self, kind: StepKind, stamp_ns: int) -> None:
         """Tell the core of the shapes that are open, or those that come within the grace of a stop; each is a step."""
         while (event := await self._next_shape(None)) is not None:
             await self._shape_ended(event)
-            await self._commit(kind, event.stamp_ns)
+            await self._commit(kind, stamp_ns)
             self._tell("shapes")
 
     async def _shape_ended(self, event: ShapeReady | ShapeFailed) -> None:
@@ -508,7 +508,7 @@ class Run:
             published = await self._handle(SourceEnded(stamp_ns=last.stamp_ns))
             decisions = published.decisions if published is not None else ()
         await self._commit(kind, last.stamp_ns)
-        await self._commit_last(kind)
+        await self._commit_last(kind, last.stamp_ns)
         await self._recorder.written()
         self._snapshot = await self._in(self._thinker, self._core.snapshot)
         self._publish(self._snapshot)

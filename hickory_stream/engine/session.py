@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from hickory_stream.engine.time_travel import Change
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.records import ObjectShape
 
@@ -275,6 +276,32 @@ class SavedMap:
     def views(self) -> Path:
         """The folder of the kept views' pixels, for `read_crop`."""
         return self.folder / "views"
+
+    def as_known_at(self, stamp_ns: int) -> MapSnapshot:
+        """Return the map exactly as the core held it at a stamp; an empty one before the first keyframe.
+
+        Raises:
+            MapFolderError: the journal is missing, damaged or of another version.
+        """
+        from hickory_stream.engine.time_travel import as_known_at
+
+        return as_known_at(self.folder, stamp_ns)
+
+    def at(self, stamp_ns: int) -> MapSnapshot:
+        """Return what is known in the end, restricted to the objects and views that had been seen by a stamp."""
+        from hickory_stream.engine.time_travel import seen_by
+
+        return seen_by(self.snapshot, stamp_ns)
+
+    def diff(self, first_ns: int, second_ns: int) -> tuple[Change, ...]:
+        """Return what happened to the objects between two stamps, as the core knew them then.
+
+        Raises:
+            MapFolderError: the journal is missing, damaged or of another version.
+        """
+        from hickory_stream.engine.time_travel import changes
+
+        return changes(self.as_known_at(first_ns), self.as_known_at(second_ns))
 
     def mesh_path(self, shape: ObjectShape) -> Path:
         """Return the GLB file of a shape."""

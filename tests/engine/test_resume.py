@@ -62,9 +62,7 @@ def test_the_journal_is_a_whole_mcap_file_that_names_every_event(undisturbed: Sc
 
 
 @pytest.mark.parametrize("keyframes", [1, 4, 7])
-def test_a_run_that_was_stopped_goes_on_to_the_same_map(
-    undisturbed: SceneRun, tmp_path: Path, keyframes: int
-) -> None:
+def test_a_run_that_was_stopped_goes_on_to_the_same_map(undisturbed: SceneRun, tmp_path: Path, keyframes: int) -> None:
     def stop(mapper: Mapper, progress: Progress) -> None:
         if progress.keyframes == keyframes:
             mapper.stop()
