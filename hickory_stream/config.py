@@ -69,7 +69,7 @@ class JournalConfig:
     """
 
     flush_s: float = 2.0
-    checkpoint_keyframes: int = 10
+    checkpoint_keyframes: int = 6
     keep_images: bool = True
     jpeg_quality: int = 80
 

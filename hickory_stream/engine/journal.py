@@ -16,7 +16,7 @@ import struct
 import time
 from bisect import bisect_right
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Self
 
@@ -29,6 +29,7 @@ from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
+from hickory_stream.engine.checkpoints import packed, unpacked
 from hickory_stream.engine.record_codec import decode, encode, encode_array
 from hickory_stream.engine.step import Checkpoint, JournalEntry, Step, StepKind
 from hickory_stream.errors import MapFolderError
@@ -107,7 +108,7 @@ class JournalWriter:
         """Add the state after the last step; arrays that an earlier checkpoint holds are referred to."""
         with disk_errors(self._path):
             self._parts.begin(self._num_chunks)
-            document = encode(checkpoint, self._parts)
+            document = encode(replace(checkpoint, core=packed(checkpoint.core)), self._parts)
             new = self._parts.end()
             self._add(_CHECKPOINT, stamp_ns, document)
             for part in new:
@@ -321,7 +322,7 @@ class Journal:
             return array
 
         checkpoint: Checkpoint = self._decoded(self._messages(chunk)[0].data, part)
-        return checkpoint
+        return replace(checkpoint, core=unpacked(checkpoint.core))
 
     def _decoded(self, data: bytes, part: Callable[[int, int], NDArray[Any]] | None = None) -> Any:
         try:

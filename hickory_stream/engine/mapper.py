@@ -211,13 +211,17 @@ class Mapper:
         source: Source,
         is_clean: bool,
     ) -> None:
-        """Let the sinks finish, and write what is said of the run; an error comes after the others were closed."""
+        """Let the sinks finish, and write what is said of the run; an error comes after the others were closed.
+
+        The map comes first: a viewer that hangs must not keep it from being finished.
+        """
         failed: BaseException | None = None
         for thread in threads:
-            try:
-                await thread.close()
-            except Exception as error:  # noqa: BLE001 -- kept, and raised once every sink is closed
-                failed = error
+            if thread.is_essential:
+                try:
+                    await thread.close()
+                except Exception as error:  # noqa: BLE001 -- kept, and raised once every sink is closed
+                    failed = error
         try:
             await asyncio.to_thread(journal.close)
         except MapFolderError as error:
@@ -225,6 +229,7 @@ class Mapper:
         if failed is None or not is_clean:
             said = run.ledger(source), run.timings(), is_clean and failed is None, run.is_reproducible
             await asyncio.to_thread(_finish, folder, *said)
+        await asyncio.gather(*(thread.close() for thread in threads if not thread.is_essential))
         if failed is not None:
             raise failed
 

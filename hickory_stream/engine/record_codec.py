@@ -172,6 +172,7 @@ def _records() -> dict[str, Any]:
     import hickory_stream.mapping
 
     names = ["hickory_stream.records", "hickory_stream.events", "hickory_stream.engine.step"]
+    names.append("hickory_stream.engine.checkpoints")
     for package in (hickory_stream.geometry, hickory_stream.mapping):
         names += [f"{package.__name__}.{module.name}" for module in pkgutil.iter_modules(package.__path__)]
     found: dict[str, Any] = {}

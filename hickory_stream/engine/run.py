@@ -49,6 +49,7 @@ from hickory_stream.events import (
     SourceEnded,
     TimeJumped,
 )
+from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.perceive import Perceived, features_of, perceive
 from hickory_stream.ports import Crop
 from hickory_stream.records import Frame, FrameReport, MapSnapshot, RawFrame
@@ -143,6 +144,7 @@ class Run:
         self._is_source_over = False
         self._camera: Camera | None = None
         self._last: FramePose | None = None
+        self._mapped: Keyframe | None = None
         self._first_ns: int | None = None
         self._num_frames = 0
         self._num_keyframes = 0
@@ -261,14 +263,14 @@ class Run:
                 reads = await self._channel.receive_all() if self._mode == "live" else [await self._channel.receive()]
             except ChannelClosed:
                 break
-            newest = max((i for i, read in enumerate(reads) if read.is_candidate), default=None)
+            chosen = self._choose(reads)
             try:
                 for i, read in enumerate(reads):
                     await self._arrive(read)
-                    if i == newest:
+                    if i == chosen:
                         await self._map_keyframe(read)
                     else:
-                        self.counts["keyframes_dropped" if read.is_candidate else "between_keyframes"] += 1
+                        self.counts["between_keyframes"] += 1
                         await self._show(_plain_report(read.raw))
                     self._tell("mapping")
             except _OutOfPatienceError:
@@ -276,6 +278,27 @@ class Run:
                 break
         if self._last is not None:
             await self._end(self._last)
+
+    def _choose(self, reads: Sequence[Read]) -> int | None:
+        """Return which of the frames that have come is mapped: in a live run the newest that makes a keyframe.
+
+        Those that would have been keyframes had the map not been behind are counted as dropped.
+        """
+        candidates = [i for i, read in enumerate(reads) if read.is_candidate]
+        if self._mode == "playback":
+            return candidates[0] if candidates else None
+        wanted = (i for i in range(len(reads) - 1, -1, -1) if self._makes_keyframe(reads[i].raw))
+        chosen = next(wanted, None)
+        num_dropped = max(0, len(candidates) - (chosen is not None))
+        self.counts["keyframes_dropped"] += num_dropped
+        self.counts["between_keyframes"] -= num_dropped
+        if chosen is not None:
+            raw = reads[chosen].raw
+            self._mapped = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+        return chosen
+
+    def _makes_keyframe(self, raw: RawFrame) -> bool:
+        return is_keyframe(self._mapped, raw.stamp_ns, raw.world_from_camera, self._config.keyframes)
 
     async def _arrive(self, read: Read) -> None:
         """Note a frame, and tell the core where its stamp has jumped."""
