@@ -31,6 +31,7 @@ class RunConfig:
 
     Attributes:
         workers: child processes that build shapes.
+        shape_cache: shapes that were built from the same input before are not built again.
         worker_python: their interpreter, where it is not ours: one in which the chosen reconstructor can run.
         job_timeout_s, job_memory_mb: a shape job that takes longer or more is tried once more, then given up; that
             depends on the machine, so that such a run is marked as not reproducible.
@@ -41,6 +42,7 @@ class RunConfig:
     """
 
     workers: int = 2
+    shape_cache: bool = True
     worker_python: str = ""
     job_timeout_s: float = 60.0
     job_memory_mb: float = 4000.0

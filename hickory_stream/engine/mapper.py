@@ -17,6 +17,7 @@ from hickory_stream.engine.journal import JournalWriter
 from hickory_stream.engine.resume import recorded_config, reopen
 from hickory_stream.engine.run import Continued, Mode, Progress, Run
 from hickory_stream.engine.session import create_map_folder
+from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
 from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
 from hickory_stream.errors import MapFolderError, RecordingError
@@ -302,6 +303,7 @@ def _finish(
     folder.write_json("timings.json", timings)
     if is_clean:
         shutil.rmtree(folder.jobs, ignore_errors=True)
+        ShapeCache(shape_cache_folder()).prune()
     folder.finish(finished_cleanly=is_clean, is_reproducible=is_reproducible)
 
 

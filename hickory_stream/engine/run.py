@@ -30,6 +30,7 @@ from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.pump import Pump
 from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel
 from hickory_stream.engine.recorder import Recorder, Unwritten
+from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
 from hickory_stream.engine.shape_queue import ShapeQueue
 from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
 from hickory_stream.errors import RecordingError
@@ -127,7 +128,8 @@ class Run:
         self._sinks = sinks
         self._publish = publish
         self._progress = progress
-        self._shapes = ShapeQueue(folder, workers, config.shapes)
+        cache = ShapeCache(shape_cache_folder()) if config.run.shape_cache else None
+        self._shapes = ShapeQueue(folder, workers, config.shapes, cache)
         self._recorder = Recorder(folder, journal)
         self._unwritten = Unwritten()
         self._channel = live_channel() if mode == "live" else playback_channel()

@@ -26,6 +26,7 @@ from hickory_stream.events import ShapeFailed, ShapeReady
 
 if TYPE_CHECKING:
     from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.shape_cache import ShapeCache
     from hickory_stream.engine.workers import ShapeWorkers
     from hickory_stream.events import RequestShape
     from hickory_stream.shapes.build import ShapeConfig
@@ -36,15 +37,19 @@ class _Open:
     due_ns: int
     object_id: int
     answer: asyncio.Future[str | None]
+    cache_key: str | None = None
 
 
 class ShapeQueue:
     """The jobs that are open, and what the ended ones took: `timings_s` by step, `counts` by fate."""
 
-    def __init__(self, folder: MapFolder, workers: ShapeWorkers, config: ShapeConfig) -> None:
+    def __init__(
+        self, folder: MapFolder, workers: ShapeWorkers, config: ShapeConfig, cache: ShapeCache | None = None
+    ) -> None:
         self._folder = folder
         self._workers = workers
         self._config = config
+        self._cache = cache
         self._open: dict[int, _Open] = {}
         self._failed: dict[int, int] = {}
         self.timings_s: defaultdict[str, float] = defaultdict(float)
@@ -59,8 +64,13 @@ class ShapeQueue:
         """Hand a job to the workers."""
         folder = job_folder(self._folder.jobs, request.ticket)
         await asyncio.to_thread(write_job, folder, request, self._folder.views, self._config)
-        answer = self._workers.submit(folder)
-        self._open[request.ticket] = _Open(request.due_ns, request.object_id, answer)
+        key = await asyncio.to_thread(self._cache.key, folder) if self._cache is not None else None
+        if self._cache is not None and key is not None and await asyncio.to_thread(self._cache.fetch, key, folder):
+            answer, key = _answered(), None
+            self.counts["cached"] += 1
+        else:
+            answer = self._workers.submit(folder)
+        self._open[request.ticket] = _Open(request.due_ns, request.object_id, answer, key)
         self.counts["requested"] += 1
 
     @property
@@ -78,8 +88,7 @@ class ShapeQueue:
         """
         folder = job_folder(self._folder.jobs, job.ticket)
         if is_answered(folder):
-            answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
-            answer.set_result(None)
+            answer = _answered()
         elif is_complete(folder):
             answer = self._workers.submit(folder)
         else:
@@ -132,6 +141,8 @@ class ShapeQueue:
             else:
                 for step, seconds in answer.timings_s.items():
                     self.timings_s[step] += seconds
+                if self._cache is not None and job.cache_key is not None:
+                    await asyncio.to_thread(self._cache.store, job.cache_key, folder)
                 if answer.shape is not None:
                     self.counts["ready"] += 1
                     return ShapeReady(ticket=ticket, object_id=job.object_id, stamp_ns=stamp_ns, shape=answer.shape)
@@ -139,3 +150,10 @@ class ShapeQueue:
         self.counts["failed"] += 1
         self._failed[ticket] = job.object_id
         return ShapeFailed(ticket=ticket, object_id=job.object_id, stamp_ns=stamp_ns, reason=reason)
+
+
+def _answered() -> asyncio.Future[str | None]:
+    """Return the future of a job whose answer lies in its folder already."""
+    answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+    answer.set_result(None)
+    return answer
