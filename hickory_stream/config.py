@@ -34,7 +34,7 @@ class RunConfig:
         shape_cache: shapes that were built from the same input before are not built again.
         worker_python: their interpreter, where it is not ours: one in which the chosen reconstructor can run.
         job_timeout_s, job_memory_mb: a shape job that takes longer or more is tried once more, then given up; that
-            depends on the machine, so that such a run is marked as not reproducible.
+            depends on the machine, so that such a run is marked as not reproducible. So is one whose worker died.
         crop_margin: a kept view shows this share of its box more on every side.
         time_jump_s: stamps that go forward by more than this are a jump of time.
         late_s: a frame whose stamp is behind the one before by no more than this is late, and left out.

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 _START_TIMEOUT_S = 60.0
-_ATTEMPTS = 2
+_ATTEMPTS = 3
+_LIMIT_ATTEMPTS = 2
 _LOOK_EVERY_S = 0.25
 # One thread each: the workers share the machine, and sums that are split differently differ in their last bits.
 _ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -36,7 +37,7 @@ class ShapeWorkers(Protocol):
     """Where shape jobs are done. Enter with `async with`; leaving ends what still runs."""
 
     num_limits: int
-    """How many jobs ran into a limit of time or memory: such a run depends on the machine."""
+    """How many jobs were given up at a limit, or because their worker died: such a run depends on the machine."""
 
     @property
     def num_open(self) -> int:
@@ -117,7 +118,7 @@ class LocalWorkers:
         self._num_open -= 1
 
     async def _serve(self) -> None:
-        """Feed one child with jobs; a child that dies, hangs or grows is replaced, and its job tried once more."""
+        """Feed one child with jobs; a child that dies, hangs or grows is replaced, and its job tried again."""
         child: _Child | None = None
         try:
             while True:
@@ -125,22 +126,26 @@ class LocalWorkers:
                 if answer.cancelled():
                     continue
                 reason: str | None = None
+                is_answered, num_limits = False, 0
                 for _ in range(_ATTEMPTS):
                     try:
                         child = child or await self._start()
                         reason = await child.run(folder, self._limits)
+                        is_answered = True
                         break
                     except LimitError as error:
-                        self.num_limits += 1
                         reason = str(error)
+                        # What took too long once takes as long again; a second try is for a machine that was busy.
+                        num_limits += 1
                     except WorkerError as error:
                         reason = str(error)
                     if child is not None:
                         await self._end(child)
                         child = None
                     logger.warning("shape job %s: %s", folder.name, reason)
-                    if answer.cancelled():
+                    if answer.cancelled() or num_limits == _LIMIT_ATTEMPTS:
                         break
+                self.num_limits += not is_answered and not answer.cancelled()
                 if not answer.done():
                     answer.set_result(reason)
         finally:

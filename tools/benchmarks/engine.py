@@ -83,8 +83,7 @@ def measured(sample: Sample, rng: random.Random) -> list[Figure]:
             _determinism,
             _kills,
             _stops,
-            _overload,
-            _stalled_viewer,
+            _live,
             _soak,
         )
         for step in steps:
@@ -113,9 +112,10 @@ def _determinism(sample: Sample, rng: random.Random, folder: Path) -> list[Figur
         if i % 4 == 3:
             arguments += ["--rrd", str(folder / "run.rrd")]
         process = _play(out, sample.frames, *arguments)
+        kills = 2 if i % 2 else 0
         while process.poll() is None:
             time.sleep(rng.uniform(0.2, 1.0))
-            _disturb(process.pid, rng, kills=i % 2 == 1, pauses=i % 5 == 4)
+            kills -= _disturb(process.pid, rng, kills=kills > 0, pauses=i % 5 == 4)
         digests.add(_finished(process)["digest"])
         if i % 5 == 0:
             delays_ms.append(open_map(out).timings["loop_delay_p99_ms"])
@@ -126,15 +126,19 @@ def _determinism(sample: Sample, rng: random.Random, folder: Path) -> list[Figur
     ]
 
 
-def _disturb(pid: int, rng: random.Random, *, kills: bool, pauses: bool) -> None:
+def _disturb(pid: int, rng: random.Random, *, kills: bool, pauses: bool) -> int:
+    """Pause the process, kill one of its workers, or leave it; return how many were killed."""
+    num_killed = 0
     with suppress(psutil.Error):
         process = psutil.Process(pid)
         if kills and (children := process.children()):
             rng.choice(children).kill()
+            num_killed = 1
         if pauses:
             process.suspend()
             time.sleep(rng.uniform(0.05, 0.4))
             process.resume()
+    return num_killed
 
 
 def _slow_interpreter(path: Path) -> Path:
@@ -229,30 +233,20 @@ def _stops(sample: Sample, rng: random.Random, folder: Path) -> list[Figure]:
 # ---- live -----------------------------------------------------------------------------------------------------------
 
 
-def _overload(sample: Sample, rng: random.Random, folder: Path) -> list[Figure]:
+def _live(sample: Sample, rng: random.Random, folder: Path) -> list[Figure]:
+    """Map at 30 Hz with perception slowed tenfold, then as it is, then with a viewer that stalls."""
     del rng
-    live = _live(folder / "live", sample.live_s, "--slower", str(_SLOWER))
-    return [
-        _figure("overload_rss_mb", live["peak_mb"], "MB", "lower"),
-        _figure("overload_latency_keyframes", live["latency_keyframes"], "", "lower"),
-        _figure("unaccounted_frames", live["unaccounted"], "", "lower"),
-    ]
-
-
-def _stalled_viewer(sample: Sample, rng: random.Random, folder: Path) -> list[Figure]:
-    """Return by how much fewer keyframes are mapped while a viewer stalls."""
-    del rng
-    plain = _live(folder / "live", sample.live_s)
-    stalled = _live(folder / "live", sample.live_s, "--stall", str(sample.stall_s))
+    options = ("--seconds", str(sample.live_s), "--slower", str(_SLOWER), "--stall", str(sample.stall_s))
+    command = [sys.executable, "-m", "tools.benchmarks.live_scene", str(folder / "live"), *options]
+    ran = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
+    slowed, plain, stalled = (json.loads(line) for line in ran.stdout.splitlines()[-3:])
     slowdown = 1.0 - stalled["keyframes"] / plain["keyframes"]
-    return [_figure("stalled_viewer_slowdown", max(0.0, slowdown), "", "lower")]
-
-
-def _live(out: Path, seconds: float, *arguments: str) -> dict[str, float]:
-    command = [sys.executable, "-m", "tools.benchmarks.live_scene", str(out), "--seconds", str(seconds), *arguments]
-    ran = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    measured_there: dict[str, float] = json.loads(ran.stdout.splitlines()[-1])
-    return measured_there
+    return [
+        _figure("overload_rss_mb", slowed["peak_mb"], "MB", "lower"),
+        _figure("overload_latency_keyframes", slowed["latency_keyframes"], "", "lower"),
+        _figure("unaccounted_frames", sum(run["unaccounted"] for run in (slowed, plain, stalled)), "", "lower"),
+        _figure("stalled_viewer_slowdown", max(0.0, slowdown), "", "lower"),
+    ]
 
 
 # ---- hours ----------------------------------------------------------------------------------------------------------
