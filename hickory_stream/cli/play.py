@@ -39,6 +39,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     )
     play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     play.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
+    play.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
     topics = play.add_argument_group("streams of a log; all are discovered if not named")
     for role in ("color", "depth", "color-info", "depth-info", "pose"):
         topics.add_argument(f"--{role}-topic", metavar="TOPIC")
@@ -81,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
-        return make_sinks(folder, settings, viewer, options.rrd)
+        return make_sinks(folder, settings, viewer, options.rrd, options.metrics_port)
 
     printer = ProgressPrinter(make_style(options))
     try:
@@ -131,7 +132,9 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     return STOPPED if played.was_stopped else 0
 
 
-def make_sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None) -> list[tuple[Sink, bool]]:
+def make_sinks(
+    folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None, metrics_port: int | None = None
+) -> list[tuple[Sink, bool]]:
     """Return the sinks of a playback, each with whether the run must stop when it fails."""
     from hickory_stream.sinks.disk_sink import DiskSink
     from hickory_stream.sinks.rerun_sink import RerunSink
@@ -143,4 +146,8 @@ def make_sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | N
         if shown.web_url:
             sys.stderr.write(f"viewer: {shown.web_url}\n")
         made.append((shown, False))
+    if metrics_port is not None:
+        from hickory_stream.sinks.metrics_sink import MetricsSink
+
+        made.append((MetricsSink(metrics_port, settings.rerun.bind), False))
     return made
