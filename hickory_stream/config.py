@@ -31,6 +31,8 @@ class RunConfig:
 
     Attributes:
         workers: child processes that build shapes.
+        cluster: the address of a Dask scheduler, which then has the shapes built instead; `cluster_gpus` is the
+            share of the resource GPU that a job needs there.
         shape_cache: shapes that were built from the same input before are not built again.
         worker_python: their interpreter, where it is not ours: one in which the chosen reconstructor can run.
         job_timeout_s, job_memory_mb: a shape job that takes longer or more is tried once more, then given up; that
@@ -42,6 +44,8 @@ class RunConfig:
     """
 
     workers: int = 2
+    cluster: str = ""
+    cluster_gpus: float = 0.0
     shape_cache: bool = True
     worker_python: str = ""
     job_timeout_s: float = 60.0
@@ -55,7 +59,7 @@ class RunConfig:
         for name in ("workers", "job_timeout_s", "job_memory_mb", "time_jump_s"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, found {getattr(self, name)}")
-        for name in ("crop_margin", "grace_s", "late_s"):
+        for name in ("cluster_gpus", "crop_margin", "grace_s", "late_s"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, found {getattr(self, name)}")
 

@@ -35,7 +35,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
     play.add_argument(
-        "--workers", type=int, metavar="N", help="child processes that build shapes; do not change the map"
+        "--workers",
+        metavar="N",
+        help="child processes that build shapes, or dask=tcp://HOST:PORT; they do not change the map",
     )
     play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     play.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import ConfigError, InputError
 
@@ -23,11 +23,18 @@ def read_settings(options: argparse.Namespace) -> Settings:
 
     settings = read_config(Settings, options.config, tuple(options.set or ()))
     if getattr(options, "workers", None) is not None:
-        if options.workers < 1:
-            raise ConfigError(f"found --workers {options.workers}, expected at least 1")
         mapper = settings.mapper
-        settings = replace(settings, mapper=replace(mapper, run=replace(mapper.run, workers=options.workers)))
+        settings = replace(settings, mapper=replace(mapper, run=replace(mapper.run, **parse_workers(options.workers))))
     return settings
+
+
+def parse_workers(text: str) -> dict[str, Any]:
+    """Return what a text like 2 or dask=tcp://HOST:PORT says of the workers; raises `ConfigError`."""
+    if text.startswith("dask="):
+        return {"cluster": text.removeprefix("dask=")}
+    if not text.isdigit() or int(text) < 1:
+        raise ConfigError(f"found --workers {text}, expected a number, at least 1, or dask=tcp://HOST:PORT")
+    return {"workers": int(text), "cluster": ""}
 
 
 def open_map_at(path: Path, at: str | None) -> SavedMap:

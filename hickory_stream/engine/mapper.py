@@ -65,7 +65,7 @@ class Mapper:
         self._overwrite = overwrite
         self._segmenter = segmenter or GeometricSegmenter(self.config.perception.geometric)
         self._extractor = extractor or ColorTextureDescriptor()
-        self._workers = workers or local_workers(self.config)
+        self._workers = workers or make_workers(self.config)
         self._resumes = False
         self._temporary: Path | None = None
         self._run: Run | None = None
@@ -271,9 +271,14 @@ class Mapper:
             raise
 
 
-def local_workers(config: MapperConfig) -> LocalWorkers:
-    """Return the child processes that a configuration asks for; raises `ConfigError` where they cannot be had."""
+def make_workers(config: MapperConfig) -> ShapeWorkers:
+    """Return the workers that a configuration asks for; raises `ConfigError` where they cannot be had."""
     limits = WorkerLimits(time_s=config.run.job_timeout_s, memory_mb=config.run.job_memory_mb)
+    if config.run.cluster:
+        from hickory_stream.engine.dask_workers import DaskWorkers
+
+        resources = {"GPU": config.run.cluster_gpus} if config.run.cluster_gpus > 0 else None
+        return DaskWorkers(config.run.cluster, limits, resources)
     return LocalWorkers(config.run.workers, limits, config.run.worker_python)
 
 

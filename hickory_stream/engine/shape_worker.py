@@ -34,7 +34,7 @@ def main() -> None:
         _say(answers, {"ready": os.getpid()})
         while True:
             folder = Path(json.loads(jobs.get())["job"])
-            _say(answers, {"done": str(folder), "error": _serve(folder)})
+            _say(answers, {"done": str(folder), "error": serve(folder)})
 
 
 def _listen(jobs: queue.Queue[str]) -> None:
@@ -69,7 +69,7 @@ class _Checked:
         return made
 
 
-def _serve(folder: Path) -> str | None:
+def serve(folder: Path) -> str | None:
     """Do one job; return why the worker itself failed, None if it answered."""
     try:
         inputs, config = read_job(folder)
