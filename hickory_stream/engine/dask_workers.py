@@ -65,6 +65,7 @@ class DaskWorkers:
         self._connecting = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
         self._num_open = 0
+        self._num_alive = 0
         self.num_limits = 0
 
     async def __aenter__(self) -> Self:
@@ -89,10 +90,8 @@ class DaskWorkers:
 
     @property
     def num_alive(self) -> int:
-        """How many workers the cluster was last known to have."""
-        if self._client is None:
-            return 0
-        return len(self._client.scheduler_info(n_workers=-1).get("workers", {}))
+        """How many workers the cluster had when the last job was done."""
+        return self._num_alive
 
     def submit(self, folder: Path) -> asyncio.Future[str | None]:
         """Hand a job in; the future gives None when its answer lies in the folder, else why the job was given up."""
@@ -107,6 +106,8 @@ class DaskWorkers:
     async def _serve(self, folder: Path, answer: asyncio.Future[str | None]) -> None:
         try:
             reason = await self._answered(folder)
+        except OSError as error:
+            reason = f"{folder}: {error.strerror or error}"
         finally:
             self._num_open -= 1
         if not answer.done():
@@ -151,6 +152,7 @@ class DaskWorkers:
             # What waits in the queue of the cluster is not slow; so many jobs may be before it.
             patience_s = self._limits.time_s * max(1, self._num_open)
             given: dict[str, bytes] = await asyncio.wait_for(_result(handed), patience_s)
+            self._num_alive = len(await client.nthreads())
         except (CommClosedError, OSError, LostFutureError) as error:
             if isinstance(error, TimeoutError):
                 raise
