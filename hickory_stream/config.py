@@ -31,26 +31,61 @@ class RunConfig:
 
     Attributes:
         workers: child processes that build shapes.
-        job_timeout_s: a shape job that takes longer is tried once more, then given up; it depends on the machine:
-            such a run may not be reproducible.
+        cluster: the address of a Dask scheduler, which then has the shapes built instead; `cluster_gpus` is the
+            share of the resource GPU that a job needs there.
+        shape_cache: shapes that were built from the same input before are not built again.
+        worker_python: their interpreter, where it is not ours: one in which the chosen reconstructor can run.
+        job_timeout_s, job_memory_mb: a shape job that takes longer or more is tried once more, then given up; that
+            depends on the machine, so that such a run is marked as not reproducible. So is one whose worker died.
         crop_margin: a kept view shows this share of its box more on every side.
         time_jump_s: stamps that go forward by more than this are a jump of time.
+        late_s: a frame whose stamp is behind the one before by no more than this is late, and left out.
         grace_s: after a stop, this long is waited for jobs that are running.
     """
 
     workers: int = 2
+    cluster: str = ""
+    cluster_gpus: float = 0.0
+    shape_cache: bool = True
+    worker_python: str = ""
     job_timeout_s: float = 60.0
+    job_memory_mb: float = 4000.0
     crop_margin: float = 0.08
     time_jump_s: float = 60.0
+    late_s: float = 1.0
     grace_s: float = 5.0
 
     def __post_init__(self) -> None:
-        for name in ("workers", "job_timeout_s", "time_jump_s"):
+        for name in ("workers", "job_timeout_s", "job_memory_mb", "time_jump_s"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, found {getattr(self, name)}")
-        for name in ("crop_margin", "grace_s"):
+        for name in ("cluster_gpus", "crop_margin", "grace_s", "late_s"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, found {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JournalConfig:
+    """What is kept of a run; nothing here changes the map.
+
+    Attributes:
+        flush_s: a lost power supply costs at most the events of so many seconds; a killed process costs none.
+        checkpoint_keyframes: the state of the core is kept every so many keyframes: fewer make looking back quicker.
+        keep_images: the images of keyframes are kept, for `replay --rrd`; `jpeg_quality` where the log has none.
+    """
+
+    flush_s: float = 2.0
+    checkpoint_keyframes: int = 6
+    keep_images: bool = True
+    jpeg_quality: int = 80
+
+    def __post_init__(self) -> None:
+        if self.checkpoint_keyframes < 1:
+            raise ValueError(f"checkpoint_keyframes must be at least 1, found {self.checkpoint_keyframes}")
+        if not self.flush_s >= 0:
+            raise ValueError(f"flush_s must not be negative, found {self.flush_s}")
+        if not 1 <= self.jpeg_quality <= 100:
+            raise ValueError(f"jpeg_quality must be 1 to 100, found {self.jpeg_quality}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,6 +97,7 @@ class MapperConfig:
     mapping: MappingConfig = field(default_factory=MappingConfig)
     shapes: ShapeConfig = field(default_factory=ShapeConfig)
     run: RunConfig = field(default_factory=RunConfig)
+    journal: JournalConfig = field(default_factory=JournalConfig)
 
 
 def read_config(kind: type[T], path: Path | None, overrides: tuple[str, ...] = ()) -> T:

@@ -7,7 +7,7 @@ are plain records, so that a run can be written down, replayed and compared.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from hickory_stream.geometry.arrays import freeze
 
@@ -75,10 +75,15 @@ class ShapeFailed:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimeJumped:
-    """The stamps of the source went backwards or far ahead: a looped log, a seek, a restarted clock."""
+    """The stamps of the source went backwards or far ahead.
+
+    `kind` is "loop" where a log begins anew, "restart" where a clock went back before everything that was seen, else
+    "seek". A message that is merely late is no jump.
+    """
 
     from_ns: int
     to_ns: int
+    kind: Literal["loop", "seek", "restart"] = "seek"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -13,6 +13,8 @@ settings.load_profile("default")
 ROOT = Path(__file__).resolve().parent.parent
 
 COARSE_SHAPES = """\
+[mapper.run]
+shape_cache = false
 [mapper.shapes.fused.volume]
 cells = 16
 [mapper.shapes.fit]

@@ -145,7 +145,7 @@ def test_an_override_below_a_value_is_refused() -> None:
     [
         ("[mapper.keyframes]\nmin_intervall_s = 1.0", "did you mean mapper.keyframes.min_interval_s?"),
         ("[maper.run]\nworkers = 1", "unknown configuration key maper; did you mean mapper?"),
-        ("[mapper.run]\nzebra = 1", "known keys: crop_margin, "),
+        ("[mapper.run]\nzebra = 1", "known keys: cluster, "),
     ],
 )
 def test_a_misspelt_key_is_refused_with_the_nearest_one(file: Path, text: str, told: str) -> None:

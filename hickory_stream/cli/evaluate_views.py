@@ -28,7 +28,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
         "--truth", type=Path, action="append", metavar="DIR", help="for each LOG (default: LOG's .truth)"
     )
     views.add_argument("--out", type=Path, metavar="DIR", help="keep the maps there")
-    views.add_argument("--workers", type=int, metavar="N", help="child processes that build shapes")
+    views.add_argument("--workers", metavar="N", help="child processes that build shapes")
 
 
 def run(options: argparse.Namespace) -> int:

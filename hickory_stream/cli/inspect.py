@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.cli.values import open_map_at
+
 if TYPE_CHECKING:
     import argparse
 
@@ -17,13 +19,15 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     inspect = commands.add_parser("inspect", parents=[common], help="show what a map holds")
     inspect.set_defaults(run=run)
     inspect.add_argument("map", type=Path, metavar="MAP")
+    inspect.add_argument(
+        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.engine.session import open_map
     from hickory_stream.evaluation.inspect import as_json, format_table, summarize
 
-    summary = summarize(open_map(options.map))
+    summary = summarize(open_map_at(options.map, options.at))
     print(json.dumps(as_json(summary), indent=1) if options.json else format_table(summary))
     return 0

@@ -7,11 +7,23 @@ from pathlib import Path
 from typing import TypeAlias
 
 from hickory_stream import __version__
-from hickory_stream.cli import config, evaluate, evaluate_views, inspect, play, render
+from hickory_stream.cli import (
+    config,
+    diff,
+    evaluate,
+    evaluate_views,
+    export,
+    inspect,
+    play,
+    reconstruct,
+    render,
+    replay,
+    resume,
+)
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
-_COMMANDS = (play, inspect, render, evaluate, evaluate_views, config)
+_COMMANDS = (play, resume, replay, inspect, render, export, diff, reconstruct, evaluate, evaluate_views, config)
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.parser import Commands
+    from hickory_stream.engine.play import Played
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.progress import Style
@@ -28,13 +29,19 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     play.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
     play.add_argument("--overwrite", action="store_true", help="replace the map that is there")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
+    play.add_argument(
+        "--live", action="store_true", help="as from a camera: in real time, and what comes too fast is left out"
+    )
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
     play.add_argument(
-        "--workers", type=int, metavar="N", help="child processes that build shapes; do not change the map"
+        "--workers",
+        metavar="N",
+        help="child processes that build shapes, or dask=tcp://HOST:PORT; they do not change the map",
     )
     play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     play.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
+    play.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
     topics = play.add_argument_group("streams of a log; all are discovered if not named")
     for role in ("color", "depth", "color-info", "depth-info", "pose"):
         topics.add_argument(f"--{role}-topic", metavar="TOPIC")
@@ -48,13 +55,15 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import parse_viewer
-    from players import SourceOptions, open_source
-    from players.first_frames import FirstFrames
+    from players import SourceOptions, note_of, open_noted
 
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
     rate = parse_rate(options.rate)
-    source = open_source(
+    if options.live and rate is None:
+        rate = 1.0
+    frames = None if options.frames is None else positive(options.frames, "--frames")
+    note = note_of(
         options.source,
         SourceOptions(
             color_topic=options.color_topic,
@@ -66,19 +75,18 @@ def run(options: argparse.Namespace) -> int:
             sync_tolerance_ns=parse_nanoseconds(options.sync_tolerance),
             profile=options.profile,
         ),
+        frames,
     )
-    if options.frames is not None:
-        source = FirstFrames(source, positive(options.frames, "--frames"))
+    source = open_noted({**note, "uri": options.source})
     out = options.out or Path(f"{Path(options.source).resolve().stem}.map")
-    style: Style = "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
     if not options.json:
         sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
-        return _sinks(folder, settings, viewer, options.rrd)
+        return make_sinks(folder, settings, viewer, options.rrd, options.metrics_port)
 
-    printer = ProgressPrinter(style)
+    printer = ProgressPrinter(make_style(options))
     try:
         played = play(
             source,
@@ -87,12 +95,24 @@ def run(options: argparse.Namespace) -> int:
             overwrite=options.overwrite,
             sinks=sinks,
             rate=rate,
+            mode="live" if options.live else "playback",
+            source_note=note,
             loops=positive(options.loop, "--loop"),
             progress=printer,
         )
     finally:
         printer.close()
         source.close()
+    return finish(options, out, played)
+
+
+def make_style(options: argparse.Namespace) -> Style:
+    """Return how the progress is shown."""
+    return "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
+
+
+def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
+    """Say what a run has made, and return the exit status."""
     objects = played.snapshot.objects if played.snapshot is not None else ()
     if options.json:
         print(
@@ -101,6 +121,7 @@ def run(options: argparse.Namespace) -> int:
                     "event": "finished",
                     "map": str(out),
                     "finished_cleanly": played.finished_cleanly,
+                    "is_reproducible": played.is_reproducible,
                     "digest": played.digest,
                     "objects": len(objects),
                     "objects_with_shape": sum(o.shape is not None for o in objects),
@@ -110,10 +131,12 @@ def run(options: argparse.Namespace) -> int:
         )
     else:
         print(f"{out}: {len(objects)} objects, {sum(o.shape is not None for o in objects)} with all four layers")
-    return 0 if played.finished_cleanly else STOPPED
+    return STOPPED if played.was_stopped else 0
 
 
-def _sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None) -> list[tuple[Sink, bool]]:
+def make_sinks(
+    folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None, metrics_port: int | None = None
+) -> list[tuple[Sink, bool]]:
     """Return the sinks of a playback, each with whether the run must stop when it fails."""
     from hickory_stream.sinks.disk_sink import DiskSink
     from hickory_stream.sinks.rerun_sink import RerunSink
@@ -125,4 +148,8 @@ def _sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None)
         if shown.web_url:
             sys.stderr.write(f"viewer: {shown.web_url}\n")
         made.append((shown, False))
+    if metrics_port is not None:
+        from hickory_stream.sinks.metrics_sink import MetricsSink
+
+        made.append((MetricsSink(metrics_port, settings.rerun.bind), False))
     return made

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.values import parse_layers, parse_size
+from hickory_stream.cli.values import open_map_at, parse_layers, parse_size
 from hickory_stream.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,6 +22,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     render.add_argument("map", type=Path, metavar="MAP")
     render.add_argument("-o", "--out", type=Path, default=Path("map.png"), metavar="PNG")
     render.add_argument("--layers", default="1,2", help="which layers to draw, e.g. 1,2 (default) or 3,4")
+    render.add_argument(
+        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
+    )
     render.add_argument("--size", default="1600x800", metavar="WxH")
 
 
@@ -29,12 +32,11 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     import cv2
 
-    from hickory_stream.engine.session import open_map
     from hickory_stream.evaluation.render import render_map
 
     layers = parse_layers(options.layers)
     width, height = parse_size(options.size)
-    saved = open_map(options.map)
+    saved = open_map_at(options.map, options.at)
     picture = render_map(saved, layers, (width, height))
     encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
     try:

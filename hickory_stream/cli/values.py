@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     import argparse
+    from pathlib import Path
 
+    from hickory_stream.engine.session import SavedMap
     from hickory_stream.settings import Settings
 
 
@@ -21,11 +23,34 @@ def read_settings(options: argparse.Namespace) -> Settings:
 
     settings = read_config(Settings, options.config, tuple(options.set or ()))
     if getattr(options, "workers", None) is not None:
-        if options.workers < 1:
-            raise ConfigError(f"found --workers {options.workers}, expected at least 1")
         mapper = settings.mapper
-        settings = replace(settings, mapper=replace(mapper, run=replace(mapper.run, workers=options.workers)))
+        settings = replace(settings, mapper=replace(mapper, run=replace(mapper.run, **parse_workers(options.workers))))
     return settings
+
+
+def parse_workers(text: str) -> dict[str, Any]:
+    """Return what a text like 2 or dask=tcp://HOST:PORT says of the workers; raises `ConfigError`."""
+    if text.startswith("dask="):
+        return {"cluster": text.removeprefix("dask=")}
+    if not text.isdigit() or int(text) < 1:
+        raise ConfigError(f"found --workers {text}, expected a number, at least 1, or dask=tcp://HOST:PORT")
+    return {"workers": int(text), "cluster": ""}
+
+
+def open_map_at(path: Path, at: str | None) -> SavedMap:
+    """Return the map in a folder, as it was known at a time (`--at`) where one is given.
+
+    Raises:
+        MapFolderError: there is no map, or it keeps no history.
+        InputError: the time is none, or outside of the run.
+    """
+    from dataclasses import replace
+
+    from hickory_stream.engine.session import open_map
+    from hickory_stream.engine.time_travel import stamp_of
+
+    saved = open_map(path)
+    return saved if at is None else replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
 
 
 def parse_rate(text: str) -> float | None:

@@ -57,7 +57,7 @@ def job_folder(jobs: Path, ticket: int) -> Path:
 
 
 def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeConfig) -> None:
-    """Write what a worker needs.
+    """Write what a worker needs; `job.json` comes last, so that an input which has one is complete.
 
     Raises:
         MapFolderError: the disk refused.
@@ -70,7 +70,9 @@ def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeCon
         "support_z_m": request.support_z_m,
     }
     with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        # What a run left here that was killed and is continued.
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
         for view in request.views:
             for source in crop_files(views, view.name):
                 _link(source, folder / source.name)
@@ -112,8 +114,18 @@ def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) 
     partial.replace(folder / RESULT)
 
 
+def is_complete(folder: Path) -> bool:
+    """Return whether the input of a job is all there."""
+    return (folder / JOB).is_file()
+
+
+def is_answered(folder: Path) -> bool:
+    """Return whether a worker has answered a job."""
+    return (folder / RESULT).is_file()
+
+
 def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> ShapeAnswer:
-    """Return a worker's answer, its mesh moved into the map's `shapes/`, and remove the job.
+    """Return a worker's answer, its mesh put into the map's `shapes/`; the job stays, until it is removed.
 
     Raises:
         WorkerError: the worker left no readable answer.
@@ -121,12 +133,12 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
     try:
         result = json.loads((folder / RESULT).read_text())
         if "reason" in result:
-            shutil.rmtree(folder, ignore_errors=True)
             return ShapeAnswer(shape=None, reason=result["reason"], timings_s={})
         # The hash is of what was written, read back: the map's digest then holds for the file.
         mesh_sha256 = sha256_of(read_glb(folder / MESH))
         name = f"{object_id:06d}-{ticket:06d}.glb"
-        (folder / MESH).replace(shapes / name)
+        (shapes / name).unlink(missing_ok=True)
+        _link(folder / MESH, shapes / name)
         shape = ObjectShape(
             revision=ticket,
             reconstructor=result["reconstructor"],
@@ -140,8 +152,22 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
         )
     except GLB_ERRORS as error:
         raise WorkerError(f"job {ticket}: no readable answer in {folder}: {error}") from error
-    shutil.rmtree(folder, ignore_errors=True)
     return ShapeAnswer(shape=shape, reason="", timings_s=result["timings_s"])
+
+
+def remove_job(folder: Path) -> None:
+    """Remove a job that is over."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def keep_input(folder: Path, failed: Path, object_id: int) -> None:
+    """Move the input of a job that failed to where a person can repeat it; the latest one of each object is kept."""
+    kept = failed / f"{object_id:06d}"
+    shutil.rmtree(kept, ignore_errors=True)
+    try:
+        folder.replace(kept)
+    except OSError:
+        remove_job(folder)
 
 
 def _link(source: Path, target: Path) -> None:

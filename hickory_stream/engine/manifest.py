@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream import __version__
@@ -20,10 +20,16 @@ _KIND = "hickory-stream map"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Manifest:
-    """What a map was made of and by; `digest` is None until the run has finished."""
+    """What a map was made of and by; `digest` is None until the run has finished.
+
+    `run` says how the run was asked for: `mode` ("playback" or "live"), `loops`, and under `source` whatever its caller
+    needs to open the source again. `is_reproducible`: nothing that depends on the machine decided anything.
+    """
 
     config: Mapping[str, Any]
     source: Mapping[str, Any]
+    run: Mapping[str, Any] = field(default_factory=dict)
+    is_reproducible: bool = True
     software_version: str = __version__
     finished_cleanly: bool = False
     digest: str | None = None
@@ -37,7 +43,9 @@ def manifest_json(manifest: Manifest) -> bytes:
             "format": FORMAT_VERSION,
             "software_version": manifest.software_version,
             "finished_cleanly": manifest.finished_cleanly,
+            "is_reproducible": manifest.is_reproducible,
             "digest": manifest.digest,
+            "run": manifest.run,
             "source": manifest.source,
             "config": manifest.config,
         }
@@ -65,6 +73,8 @@ def read_manifest(folder: Path) -> Manifest:
             software_version=entry["software_version"],
             finished_cleanly=entry["finished_cleanly"],
             digest=entry["digest"],
+            run=entry.get("run", {}),
+            is_reproducible=entry.get("is_reproducible", True),
         )
     except KeyError as error:
         raise MapFolderError(f"{folder / MANIFEST} is damaged: it has no {error}; play the log again") from error

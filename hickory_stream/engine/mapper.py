@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.run import Progress, Run
+from hickory_stream.engine.journal import JournalWriter
+from hickory_stream.engine.resume import recorded_config, reopen
+from hickory_stream.engine.run import Continued, Mode, Progress, Run
 from hickory_stream.engine.session import create_map_folder
+from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
 from hickory_stream.engine.sink_threads import SinkThread
-from hickory_stream.engine.workers import LocalWorkers
-from hickory_stream.errors import RecordingError
+from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
+from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.geometric import GeometricSegmenter
@@ -39,8 +42,12 @@ class Mapper:
         out: the map folder to make; None makes one that is removed on leaving.
         overwrite: replace a map that is in `out`.
         segmenter, extractor: other perception than the embedded one.
+        workers: other shape workers than child processes of this machine.
 
     Entering makes the shape workers available; leaving ends them. One `run` per mapper.
+
+    Raises:
+        ConfigError: the configuration asks for what is not there.
     """
 
     def __init__(
@@ -51,16 +58,38 @@ class Mapper:
         overwrite: bool = False,
         segmenter: Segmenter | None = None,
         extractor: FeatureExtractor | None = None,
+        workers: ShapeWorkers | None = None,
     ) -> None:
         self.config = config or MapperConfig()
         self._out = Path(out) if out is not None else None
         self._overwrite = overwrite
         self._segmenter = segmenter or GeometricSegmenter(self.config.perception.geometric)
         self._extractor = extractor or ColorTextureDescriptor()
-        self._workers = LocalWorkers(self.config.run.workers, self.config.run.job_timeout_s)
+        self._workers = workers or make_workers(self.config)
+        self._resumes = False
         self._temporary: Path | None = None
         self._run: Run | None = None
         self.folder: MapFolder | None = None
+
+    @classmethod
+    def resuming(
+        cls,
+        out: Path | str,
+        *,
+        segmenter: Segmenter | None = None,
+        extractor: FeatureExtractor | None = None,
+        workers: ShapeWorkers | None = None,
+    ) -> Mapper:
+        """Return a mapper that continues the interrupted playback of a map folder; `run` it with the same source.
+
+        The configuration is that of the folder.
+
+        Raises:
+            MapFolderError: there is no map, or nothing to be continued.
+        """
+        mapper = cls(recorded_config(Path(out)), out=out, segmenter=segmenter, extractor=extractor, workers=workers)
+        mapper._resumes = True
+        return mapper
 
     async def __aenter__(self) -> Mapper:
         await self._workers.__aenter__()
@@ -73,6 +102,11 @@ class Mapper:
         if self._temporary is not None:
             shutil.rmtree(self._temporary, ignore_errors=True)
 
+    @property
+    def was_stopped(self) -> bool:
+        """Whether the run was ended by `stop`."""
+        return self._run is not None and not self._run.is_complete
+
     def stop(self) -> None:
         """End the run after the frame at hand, and save: what the first Ctrl-C does."""
         if self._run is not None:
@@ -84,8 +118,10 @@ class Mapper:
         *,
         sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None = None,
         rate: float | None = None,
+        mode: Mode = "playback",
         loops: int = 1,
         progress: Callable[[Progress], None] = lambda _: None,
+        source_note: Mapping[str, Any] | None = None,
     ) -> AsyncIterator[MapSnapshot]:
         """Yield the map after every keyframe, and last the finished one.
 
@@ -93,10 +129,17 @@ class Mapper:
         the map. `rate` 1.0 is real time, None as fast as can be. A consumer that is slower than the mapping sees the
         newest snapshot, not every one.
 
+        `mode` "playback" waits wherever something is full: one log, one map. "live" waits for nothing: it maps the
+        newest keyframe, takes shapes as they arrive, and counts in the ledger what it left out. `source_note` is
+        kept in the manifest, for whoever resumes the run and has to open the source again. A mapper that resumes takes
+        `mode` and `loops` from the folder.
+
         Raises:
             HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
         """
-        folder = self._make_folder(source)
+        asked = {"mode": mode, "loops": loops, "source": dict(source_note or {})}
+        folder, journal, continued = await asyncio.to_thread(self._open, source, asked)
+        mode, loops = folder.manifest.run["mode"], folder.manifest.run["loops"]
         newest: asyncio.Queue[MapSnapshot | None] = asyncio.Queue(maxsize=1)
 
         def publish(snapshot: MapSnapshot) -> None:
@@ -104,7 +147,29 @@ class Mapper:
                 newest.get_nowait()
             newest.put_nowait(snapshot)
 
-        task = asyncio.create_task(self._play(source, folder, sinks, rate, loops, publish, progress), name="run")
+        async def play() -> None:
+            try:
+                threads = self._make_sinks(folder, sinks)
+                run = self._run = Run(
+                    config=self.config,
+                    mode=mode,
+                    core=continued.core if continued is not None else MapperCore(self.config.mapping),
+                    segmenter=self._segmenter,
+                    extractor=self._extractor,
+                    folder=folder,
+                    journal=journal,
+                    workers=self._workers,
+                    sinks=threads,
+                    publish=publish,
+                    progress=progress,
+                    continued=continued,
+                )
+                await self._play(run, source, folder, journal, threads, rate, loops)
+            finally:
+                journal.abandon()
+                folder.close()
+
+        task = asyncio.create_task(play(), name="run")
         task.add_done_callback(lambda _: None if newest.full() else newest.put_nowait(None))
         try:
             while not (task.done() and newest.empty()):
@@ -119,58 +184,74 @@ class Mapper:
 
     async def _play(
         self,
+        run: Run,
         source: Source,
         folder: MapFolder,
-        sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None,
+        journal: JournalWriter,
+        threads: list[SinkThread],
         rate: float | None,
         loops: int,
-        publish: Callable[[MapSnapshot], None],
-        progress: Callable[[Progress], None],
     ) -> None:
-        try:
-            made = sinks(folder) if sinks is not None else [(_Saver(folder), True)]
-        except Exception:
-            shutil.rmtree(folder.path, ignore_errors=True)
-            raise
-        threads = [SinkThread(sink, is_essential=essential) for sink, essential in made]
-        run = self._run = Run(
-            config=self.config,
-            core=MapperCore(self.config.mapping),
-            segmenter=self._segmenter,
-            extractor=self._extractor,
-            folder=folder,
-            workers=self._workers,
-            sinks=threads,
-            publish=publish,
-            progress=progress,
-        )
         is_clean = False
         try:
             await run.run(source, rate=rate, loops=loops)
             is_clean = run.is_complete
         finally:
-            await self._close(folder, threads, run, source, is_clean)
+            await self._close(folder, journal, threads, run, source, is_clean)
         reason = _why_empty(source, run)
         if reason is not None:
             await asyncio.to_thread(shutil.rmtree, folder.path, ignore_errors=True)
             raise RecordingError(reason)
 
     async def _close(
-        self, folder: MapFolder, threads: list[SinkThread], run: Run, source: Source, is_clean: bool
+        self,
+        folder: MapFolder,
+        journal: JournalWriter,
+        threads: list[SinkThread],
+        run: Run,
+        source: Source,
+        is_clean: bool,
     ) -> None:
-        """Let the sinks finish, and write what is said of the run; a sink's error comes after the others closed."""
+        """Let the sinks finish, and write what is said of the run; an error comes after the others were closed.
+
+        The map comes first: a viewer that hangs must not keep it from being finished.
+        """
         failed: BaseException | None = None
         for thread in threads:
-            try:
-                await thread.close()
-            except Exception as error:  # noqa: BLE001 -- kept, and raised once every sink is closed
-                failed = error
+            if thread.is_essential:
+                try:
+                    await thread.close()
+                except Exception as error:  # noqa: BLE001 -- kept, and raised once every sink is closed
+                    failed = error
+        try:
+            await asyncio.to_thread(journal.close)
+        except MapFolderError as error:
+            failed = failed or error
         if failed is None or not is_clean:
-            await asyncio.to_thread(_finish, folder, run.ledger(source), run.timings(), is_clean and failed is None)
+            said = run.ledger(source), run.timings(), is_clean and failed is None, run.is_reproducible
+            await asyncio.to_thread(_finish, folder, *said)
+        await asyncio.gather(*(thread.close() for thread in threads if not thread.is_essential))
         if failed is not None:
             raise failed
 
-    def _make_folder(self, source: Source) -> MapFolder:
+    def _make_sinks(
+        self, folder: MapFolder, sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None
+    ) -> list[SinkThread]:
+        try:
+            made = sinks(folder) if sinks is not None else [(_Saver(folder), True)]
+        except Exception:
+            if not self._resumes:
+                shutil.rmtree(folder.path, ignore_errors=True)
+            raise
+        return [SinkThread(sink, is_essential=essential) for sink, essential in made]
+
+    def _open(self, source: Source, asked: Mapping[str, Any]) -> tuple[MapFolder, JournalWriter, Continued | None]:
+        """Return the map folder and its journal, new or to be continued."""
+        flush_s = self.config.journal.flush_s
+        if self._resumes:
+            assert self._out is not None
+            self.folder, journal, continued = reopen(self._out, source.info, self.config)
+            return self.folder, journal, continued
         if self._out is None:
             self._temporary = Path(tempfile.mkdtemp(prefix="hickory-"))
         place = self._out if self._out is not None else self._temporary
@@ -179,9 +260,26 @@ class Mapper:
             place,
             config=dataclasses.asdict(self.config),
             source=dataclasses.asdict(source.info),
+            run=asked,
             overwrite=self._overwrite,
         )
-        return self.folder
+        try:
+            return self.folder, JournalWriter(place, flush_s=flush_s), None
+        except MapFolderError:
+            shutil.rmtree(place, ignore_errors=True)
+            self.folder.close()
+            raise
+
+
+def make_workers(config: MapperConfig) -> ShapeWorkers:
+    """Return the workers that a configuration asks for; raises `ConfigError` where they cannot be had."""
+    limits = WorkerLimits(time_s=config.run.job_timeout_s, memory_mb=config.run.job_memory_mb)
+    if config.run.cluster:
+        from hickory_stream.engine.dask_workers import DaskWorkers
+
+        resources = {"GPU": config.run.cluster_gpus} if config.run.cluster_gpus > 0 else None
+        return DaskWorkers(config.run.cluster, limits, resources)
+    return LocalWorkers(config.run.workers, limits, config.run.worker_python)
 
 
 class _Saver:
@@ -199,12 +297,19 @@ class _Saver:
             self._folder.save(self._newest)
 
 
-def _finish(folder: MapFolder, ledger: Mapping[str, Any], timings: Mapping[str, float], is_clean: bool) -> None:
+def _finish(
+    folder: MapFolder,
+    ledger: Mapping[str, Any],
+    timings: Mapping[str, float],
+    is_clean: bool,
+    is_reproducible: bool,
+) -> None:
     folder.write_json("ledger.json", ledger)
     folder.write_json("timings.json", timings)
     if is_clean:
         shutil.rmtree(folder.jobs, ignore_errors=True)
-    folder.finish(finished_cleanly=is_clean)
+        ShapeCache(shape_cache_folder()).prune()
+    folder.finish(finished_cleanly=is_clean, is_reproducible=is_reproducible)
 
 
 def _why_empty(source: Source, run: Run) -> str | None:

@@ -6,16 +6,16 @@ import asyncio
 import signal
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hickory_stream.engine.mapper import Mapper
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import AsyncIterator, Callable, Mapping
     from pathlib import Path
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.run import Progress
+    from hickory_stream.engine.run import Mode, Progress
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Sink, Source
     from hickory_stream.records import MapSnapshot
@@ -27,50 +27,63 @@ class Played:
 
     snapshot: MapSnapshot | None
     finished_cleanly: bool
+    was_stopped: bool
+    is_reproducible: bool
     digest: str | None
 
 
 def play(
     source: Source,
-    config: MapperConfig,
+    config: MapperConfig | None,
     *,
     out: Path,
-    overwrite: bool,
     sinks: Callable[[MapFolder], list[tuple[Sink, bool]]],
-    rate: float | None,
-    loops: int,
     progress: Callable[[Progress], None],
+    overwrite: bool = False,
+    rate: float | None = None,
+    mode: Mode = "playback",
+    loops: int = 1,
+    source_note: Mapping[str, Any] | None = None,
 ) -> Played:
     """Map a source into the folder `out`. The first SIGINT or SIGTERM ends it in order and saves, the second cancels.
+
+    Without a `config` it goes on with the interrupted playback that is in `out`.
 
     Raises:
         HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
         KeyboardInterrupt: it was cancelled by a second signal.
     """
     try:
-        return asyncio.run(_play(source, config, out, overwrite, sinks, rate, loops, progress))
+        mapper = Mapper.resuming(out) if config is None else Mapper(config, out=out, overwrite=overwrite)
+        snapshots = mapper.run(
+            source, sinks=sinks, rate=rate, mode=mode, loops=loops, progress=progress, source_note=source_note
+        )
+        # The loop shares the interpreter with the threads that compute; it must not wait 5 ms for each of them.
+        interval_s = sys.getswitchinterval()
+        sys.setswitchinterval(0.001)
+        try:
+            return asyncio.run(_play(mapper, snapshots))
+        finally:
+            sys.setswitchinterval(interval_s)
     except asyncio.CancelledError:
         raise KeyboardInterrupt from None
 
 
-async def _play(
-    source: Source,
-    config: MapperConfig,
-    out: Path,
-    overwrite: bool,
-    sinks: Callable[[MapFolder], list[tuple[Sink, bool]]],
-    rate: float | None,
-    loops: int,
-    progress: Callable[[Progress], None],
-) -> Played:
+async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot]) -> Played:
     snapshot: MapSnapshot | None = None
-    async with Mapper(config, out=out, overwrite=overwrite) as mapper:
+    async with mapper:
         with _Signals(mapper):
-            async for newest in mapper.run(source, sinks=sinks, rate=rate, loops=loops, progress=progress):
+            async for newest in snapshots:
                 snapshot = newest
         assert mapper.folder is not None
         manifest = mapper.folder.manifest
-    return Played(snapshot=snapshot, finished_cleanly=manifest.finished_cleanly, digest=manifest.digest)
+    return Played(
+        snapshot=snapshot,
+        finished_cleanly=manifest.finished_cleanly,
+        was_stopped=mapper.was_stopped,
+        is_reproducible=manifest.is_reproducible,
+        digest=manifest.digest,
+    )
 
 
 class _Signals:

@@ -1,12 +1,14 @@
-"""One playback: the asyncio event loop of the system.
+"""One run: the asyncio event loop of the system.
 
     read ──frames──> map ──reports──> sinks (a thread each)
-                      │ └──jobs──> shape workers (child processes)
-                      └<──answers, by due stamp
+                      │ │└──jobs──> shape workers (child processes)
+                      │ └<──answers, by due stamp (playback) or as they arrive (live)
+                      └──steps──> journal (a thread)
 
-`read` decides which frames are keyframes and decodes those ahead; `map` perceives a keyframe against the map as it is
-after the one before, lets the core decide, and carries its effects out. Whatever takes longer than a millisecond runs
-on a thread or in a child.
+`read` decides which frames are keyframes and, in a playback, decodes those ahead; `map` perceives a keyframe against
+the map as it is after the one before, lets the core decide, and carries its effects out. Whatever takes longer than a
+millisecond runs on a thread or in a child. A playback waits wherever something is full; a live run never does: it maps
+the newest keyframe and counts what it left out.
 """
 
 from __future__ import annotations
@@ -17,14 +19,20 @@ import time
 from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar, assert_never
+from typing import TYPE_CHECKING, Literal, TypeVar, assert_never
 
 import numpy as np
+import psutil
 
-from hickory_stream.engine.channel import Channel, ChannelClosed
+from hickory_stream.engine.channel import ChannelClosed
 from hickory_stream.engine.crops import write_crop
+from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.pump import Pump
+from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel
+from hickory_stream.engine.recorder import Recorder, Unwritten
+from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
 from hickory_stream.engine.shape_queue import ShapeQueue
+from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
 from hickory_stream.errors import RecordingError
 from hickory_stream.events import (
     CancelShape,
@@ -50,10 +58,12 @@ from hickory_stream.records import Frame, FrameReport, MapSnapshot, RawFrame
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from hickory_stream.config import MapperConfig
+    from hickory_stream.config import JournalConfig, MapperConfig
+    from hickory_stream.engine.journal import JournalWriter
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.engine.sink_threads import SinkThread
-    from hickory_stream.engine.workers import LocalWorkers
+    from hickory_stream.engine.workers import ShapeWorkers
+    from hickory_stream.geometry.camera import Camera
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.ports import FeatureExtractor, Segmenter, Source
     from hickory_stream.records import Decision, Observation
@@ -61,7 +71,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 T = TypeVar("T")
 
-_DECODED_AHEAD = 3
+Mode = Literal["playback", "live"]
+_PROCESS = psutil.Process()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -76,14 +87,16 @@ class Progress:
     open_shapes: int
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Read:
-    """One frame on its way: `frame` and what was `prepared` where it is a keyframe; `jump` where time jumped before."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Continued:
+    """What a run was when it was interrupted, from its journal: its core, its last step, and the jobs it waited for."""
 
-    raw: RawFrame
-    frame: Frame | None
-    prepared: object
-    jump: TimeJumped | None
+    core: MapperCore
+    step: Step
+    position: Position
+    open_jobs: tuple[OpenJob, ...]
+    mesh_names: tuple[str, ...]
+    last_frame: FramePose
 
 
 class Run:
@@ -93,38 +106,72 @@ class Run:
         self,
         *,
         config: MapperConfig,
+        mode: Mode,
         core: MapperCore,
         segmenter: Segmenter,
         extractor: FeatureExtractor,
         folder: MapFolder,
-        workers: LocalWorkers,
+        journal: JournalWriter,
+        workers: ShapeWorkers,
         sinks: Sequence[SinkThread],
         publish: Callable[[MapSnapshot], None],
         progress: Callable[[Progress], None],
+        continued: Continued | None = None,
     ) -> None:
         self._config = config
+        self._mode = mode
         self._core = core
         self._segmenter = segmenter
         self._extractor = extractor
         self._folder = folder
+        self._workers = workers
         self._sinks = sinks
         self._publish = publish
         self._progress = progress
-        self._shapes = ShapeQueue(folder, workers, config.shapes)
-        self._channel: Channel[_Read] = Channel(_DECODED_AHEAD)
-        # One thread reads ahead, one perceives and decides, one writes views: what must come in order stays in order.
-        self._reader = ThreadPoolExecutor(1, "read")
+        cache = ShapeCache(shape_cache_folder()) if config.run.shape_cache else None
+        self._shapes = ShapeQueue(folder, workers, config.shapes, cache)
+        self._recorder = Recorder(folder, journal)
+        self._unwritten = Unwritten()
+        self._channel = live_channel() if mode == "live" else playback_channel()
+        # One thread reads ahead, one perceives and decides: what must come in order stays in order.
+        self._reading = ThreadPoolExecutor(1, "read")
         self._thinker = ThreadPoolExecutor(1, "think")
-        self._writer = ThreadPoolExecutor(1, "write")
-        self._writing: asyncio.Future[None] | None = None
         self._stopped = asyncio.Event()
         self._stopped_s = 0.0
+        self._reader = Reader(config, segmenter, self._channel, self._stopped, self._on_reader)
         self._snapshot: MapSnapshot | None = None
+        self._start = Position()
+        self._continued = continued
+        self._place = (0, 0)
+        self._is_source_over = False
+        self._camera: Camera | None = None
+        self._last: FramePose | None = None
+        self._mapped: Keyframe | None = None
+        self._first_ns: int | None = None
         self._num_frames = 0
         self._num_keyframes = 0
         self._total: int | None = None
+        self._loop_delay = LoopDelay()
         self.counts: Counter[str] = Counter()
         self.timings_s: defaultdict[str, float] = defaultdict(float)
+        if continued is not None:
+            self._continue(continued)
+
+    def _continue(self, continued: Continued) -> None:
+        """Take over what an interrupted run had come to."""
+        step = continued.step
+        self._snapshot = self._core.snapshot()
+        self._start = continued.position
+        self._place = (step.round_index, step.first_index)
+        self._is_source_over = step.kind is StepKind.ENDED
+        self._camera = step.camera
+        self._last = continued.last_frame
+        self._first_ns = step.first_ns
+        self._num_frames, self._num_keyframes = step.num_frames, step.num_keyframes
+        self.counts.update(step.counts)
+        self._shapes.counts.update(step.shape_counts)
+        for name in continued.mesh_names:
+            self._folder.keep_shape(name)
 
     @property
     def num_keyframes(self) -> int:
@@ -136,21 +183,33 @@ class Run:
         """Whether the source was played to its end."""
         return not self._stopped.is_set()
 
+    @property
+    def is_reproducible(self) -> bool:
+        """Whether nothing but the log and the configuration decided what the map is."""
+        return self._mode == "playback" and self._num_limits() == 0
+
     def ledger(self, source: Source) -> dict[str, dict[str, int]]:
         """Return what became of every message, frame and job."""
-        frames = {"read": self._num_frames, "keyframes": self._num_keyframes, **self.counts}
-        return {"source": dict(source.ledger()), "frames": frames, "shapes": dict(self._shapes.counts)}
+        counts = {name: count for name, count in self.counts.items() if count}
+        read = counts.pop("read", self._num_frames + counts.get("frames_late", 0))
+        frames = {"read": read, "keyframes": self._num_keyframes, **counts}
+        reports = sum(sink.num_dropped for sink in self._sinks)
+        if reports:
+            frames["reports_not_shown"] = reports
+        return {"source": dict(source.ledger()), "frames": frames, "shapes": self._shape_counts()}
 
     def timings(self) -> dict[str, float]:
         """Return seconds of work: by layer as in the paper's table of storage and time, and by stage."""
         steps = self._shapes.timings_s
+        times = {**self.timings_s, "decode": self._reader.decode_s}
         layers = {
-            "layer1_s": self.timings_s["perceive"] + self.timings_s["decide"],
+            "layer1_s": times.get("perceive", 0.0) + times.get("decide", 0.0),
             "layer2_s": steps["reconstruct"],
             "layer3_s": steps["fit"],
             "layer4_s": steps["inflate"],
         }
-        return {**layers, **{f"{stage}_s": seconds for stage, seconds in sorted(self.timings_s.items())}}
+        stages = {f"{stage}_s": seconds for stage, seconds in sorted(times.items())}
+        return {**layers, **stages, "loop_delay_p99_ms": 1e3 * self._loop_delay.quantile_s(0.99)}
 
     def stop(self) -> None:
         """End the run after the frame at hand: no further frames, and no shape that takes longer than the grace."""
@@ -168,88 +227,130 @@ class Run:
         self._total = info.num_frames * loops if info.num_frames is not None else None
         try:
             async with asyncio.TaskGroup() as group:
-                group.create_task(self._read(source, Pump(rate), loops), name="read")
-                group.create_task(self._map(), name="map")
+                watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
+                if self._continued is not None:
+                    for job in self._continued.open_jobs:
+                        self._shapes.adopt(job)
+                if self._is_source_over:
+                    await self._channel.close()
+                elif self._mode == "live":
+                    group.create_task(self._reader.follow(source, Pump(rate), loops, self.counts), name="read")
+                else:
+                    group.create_task(self._reader.play(source, Pump(rate), loops, self._start), name="read")
+                await group.create_task(self._map(), name="map")
+                watching.cancel()
         except ExceptionGroup as errors:
             raise errors.exceptions[0] from errors
         finally:
-            self._reader.shutdown(wait=True)
+            self._reading.shutdown(wait=True)
             self._thinker.shutdown(wait=True)
-            self._writer.shutdown(wait=True)
+            self._recorder.close()
 
-    # ---- read --------------------------------------------------------------------------------------------------------
+    def _num_limits(self) -> int:
+        before = self._continued.step.shape_counts.get("limits", 0) if self._continued is not None else 0
+        return before + self._workers.num_limits
 
-    async def _read(self, source: Source, pump: Pump, loops: int) -> None:
-        last: Keyframe | None = None
-        last_ns: int | None = None
-        offset = 0
-        try:
-            for _ in range(loops):
-                frames = source.frames()
-                index = offset
-                while self.is_complete and (raw := await self._in(self._reader, next, frames, None)) is not None:
-                    index = offset + raw.index
-                    jump = self._jump(last_ns, raw.stamp_ns)
-                    last, last_ns = (None if jump else last), raw.stamp_ns
-                    await pump.wait(raw.stamp_ns)
-                    frame, prepared = None, None
-                    if is_keyframe(last, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
-                        frame = await self._decoded(raw, index)
-                    if frame is not None:
-                        last = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                        prepared = await self._in(self._reader, self._segmenter.prepare, frame)
-                    raw = replace(raw, index=index)
-                    await self._channel.send(_Read(raw=raw, frame=frame, prepared=prepared, jump=jump))
-                offset = index + 1
-        finally:
-            await self._channel.close()
+    def _shape_counts(self) -> dict[str, int]:
+        return {name: n for name, n in {**self._shapes.counts, "limits": self._num_limits()}.items() if n}
 
-    def _jump(self, last_ns: int | None, stamp_ns: int) -> TimeJumped | None:
-        if last_ns is None or 0 <= stamp_ns - last_ns <= self._config.run.time_jump_s * 1e9:
-            return None
-        self.counts["time_jumps"] += 1
-        return TimeJumped(from_ns=last_ns, to_ns=stamp_ns)
-
-    async def _decoded(self, raw: RawFrame, index: int) -> Frame | None:
-        """Return the frame, None where its images are torn: counted, and the next frame is tried as keyframe."""
-        started = time.perf_counter()
-        try:
-            frame = await self._in(self._reader, raw.decode)
-        except RecordingError as error:
-            self.counts["frames_undecodable"] += 1
-            logger.warning("frame %d cannot be decoded: %s", index, error)
-            return None
-        self.timings_s["decode"] += time.perf_counter() - started
-        return replace(frame, index=index)
+    async def _on_reader(self, function: Callable[..., T], *arguments: object) -> T:
+        return await self._in(self._reading, function, *arguments)
 
     # ---- map ---------------------------------------------------------------------------------------------------------
 
     async def _map(self) -> None:
-        last: RawFrame | None = None
+        """Map what is read, frame by frame in a playback, the newest keyframe of what has come in a live run."""
         while True:
             try:
-                read = await self._channel.receive()
+                reads = await self._channel.receive_all() if self._mode == "live" else [await self._channel.receive()]
             except ChannelClosed:
                 break
-            last = read.raw
-            self._num_frames += 1
-            if read.jump is not None:
-                await self._commit_shapes(None)
-                await self._handle(read.jump)
-            if read.frame is None:
-                await self._show(_plain_report(read.raw))
-            else:
-                await self._keyframe(read.raw, read.frame, read.prepared)
-            self._tell("mapping")
-        if last is not None:
-            await self._end(last)
+            chosen = self._choose(reads)
+            try:
+                for i, read in enumerate(reads):
+                    await self._arrive(read)
+                    if i == chosen:
+                        await self._map_keyframe(read)
+                    else:
+                        self.counts["between_keyframes"] += 1
+                        await self._show(_plain_report(read.raw))
+                    self._tell("mapping")
+            except _OutOfPatienceError:
+                await self._channel.close()
+                break
+        if self._last is not None:
+            await self._end(self._last)
 
-    async def _keyframe(self, raw: RawFrame, frame: Frame, prepared: object) -> None:
+    def _choose(self, reads: Sequence[Read]) -> int | None:
+        """Return which of the frames that have come is mapped: in a live run the newest that makes a keyframe.
+
+        Those that would have been keyframes had the map not been behind are counted as dropped.
+        """
+        candidates = [i for i, read in enumerate(reads) if read.is_candidate]
+        if self._mode == "playback":
+            return candidates[0] if candidates else None
+        wanted = (i for i in range(len(reads) - 1, -1, -1) if self._makes_keyframe(reads[i].raw))
+        chosen = next(wanted, None)
+        num_dropped = max(0, len(candidates) - (chosen is not None))
+        self.counts["keyframes_dropped"] += num_dropped
+        self.counts["between_keyframes"] -= num_dropped
+        if chosen is not None:
+            raw = reads[chosen].raw
+            self._mapped = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+        return chosen
+
+    def _makes_keyframe(self, raw: RawFrame) -> bool:
+        return is_keyframe(self._mapped, raw.stamp_ns, raw.world_from_camera, self._config.keyframes)
+
+    async def _arrive(self, read: Read) -> None:
+        """Note a frame, and tell the core where its stamp has jumped."""
+        raw = read.raw
+        self.counts.update(read.counts)
+        self.counts["between_keyframes"] -= read.counts.get("frames_undecodable", 0)
+        jump = self._jump(read)
+        if jump is not None:
+            self.counts["time_jumps"] += 1
+            if self._mode == "playback":
+                await self._commit_due(None)
+            await self._handle(jump)
+        self._num_frames += 1
+        self._place = (read.round_index, read.first_index)
+        self._camera = raw.camera
+        self._first_ns = raw.stamp_ns if self._first_ns is None else self._first_ns
+        self._last = FramePose(index=raw.index, stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+        self._unwritten.frames.append(self._last)
+
+    def _jump(self, read: Read) -> TimeJumped | None:
+        """Return the jump of time before a frame, None where its stamp follows that of the frame before."""
+        if self._last is None or self._first_ns is None:
+            return None
+        from_ns, to_ns = self._last.stamp_ns, read.raw.stamp_ns
+        if read.round_index != self._place[0]:
+            return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="loop")
+        if 0 <= to_ns - from_ns <= self._config.run.time_jump_s * 1e9:
+            return None
+        return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="restart" if to_ns < self._first_ns else "seek")
+
+    async def _map_keyframe(self, read: Read) -> None:
+        """Map a keyframe; in a live run it is decoded only now, and may be torn."""
+        frame, prepared = read.frame, read.prepared
+        if frame is None:
+            try:
+                frame = replace(await self._in(self._thinker, read.raw.decode), index=read.raw.index)
+            except RecordingError as error:
+                self.counts["frames_undecodable"] += 1
+                logger.warning("frame %d cannot be decoded: %s", read.raw.index, error)
+                await self._show(_plain_report(read.raw))
+                return
+            prepared = await self._in(self._thinker, self._segmenter.prepare, frame)
+        await self._keyframe(read, frame, prepared)
+
+    async def _keyframe(self, read: Read, frame: Frame, prepared: object) -> None:
         self._num_keyframes += 1
         started = time.perf_counter()
-        await self._commit_shapes(frame.stamp_ns)
+        await self._commit_due(frame.stamp_ns)
         waited = time.perf_counter()
-        prior = self._snapshot.submaps[0].observed_space if self._snapshot is not None else None
+        prior = self._snapshot.submaps[-1].observed_space if self._snapshot is not None else None
         perceived = await self._in(
             self._thinker, perceive, frame, prior, prepared, self._segmenter, self._config.perception
         )
@@ -269,14 +370,57 @@ class Run:
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
         for stage, seconds in times.items():
             self.timings_s[stage] += seconds
+        times["latency"] = time.monotonic() - read.arrived_s
+        metrics, config = self._metrics(times), self._config.journal
+        await self._commit(StepKind.KEYFRAME, frame.stamp_ns, metrics, lambda: _color_of(read.raw, frame, config))
         if published is not None:
-            await self._show(self._report(raw, frame, perceived, published, times))
+            await self._show(self._report(read.raw, frame, perceived, published, metrics))
+
+    async def _commit(
+        self,
+        kind: StepKind,
+        stamp_ns: int,
+        metrics: tuple[tuple[str, float], ...] = (),
+        color: Callable[[], bytes | None] = lambda: None,
+    ) -> None:
+        """Have everything that happened since the last step written as one."""
+        assert self._camera is not None
+        assert self._first_ns is not None
+        done, self._unwritten = self._unwritten, Unwritten()
+        step = Step(
+            kind=kind,
+            stamp_ns=stamp_ns,
+            camera=self._camera,
+            frames=tuple(done.frames),
+            round_index=self._place[0],
+            first_index=self._place[1],
+            first_ns=self._first_ns,
+            num_frames=self._num_frames,
+            num_keyframes=self._num_keyframes,
+            counts=dict(self.counts),
+            shape_counts=self._shape_counts(),
+            metrics=metrics,
+        )
+        every = self._config.journal.checkpoint_keyframes
+        checkpoint: Checkpoint | None = None
+        if kind is StepKind.KEYFRAME and self._num_keyframes % every == 0:
+            checkpoint = Checkpoint(core=self._core.state(), open_jobs=self._shapes.open_jobs)
+        await self._recorder.commit(
+            JournalEntry(step=step, events=tuple(done.events)),
+            color=color,
+            checkpoint=checkpoint,
+            dropped_views=done.dropped_views,
+            # After a stop the jobs stay: a run that is continued commits them when they are due.
+            ended_jobs=[] if kind is StepKind.CLOSING else done.ended_jobs,
+            shapes=self._shapes,
+        )
 
     async def _handle(
         self, event: Event, frame: Frame | None = None, observations: Sequence[Observation] = ()
     ) -> Publish | None:
         """Let the core decide, carry out what it wants until it wants nothing more; return what it published."""
         published: Publish | None = None
+        self._unwritten.events.append(event)
         effects = await self._in(self._thinker, self._core.handle, event)
         while effects:
             answer: FeaturesReady | None = None
@@ -289,7 +433,10 @@ class Run:
                     published = effect
                 else:
                     await self._carry_out(effect)
-            effects = await self._in(self._thinker, self._core.handle, answer) if answer is not None else []
+            if answer is None:
+                break
+            self._unwritten.events.append(answer)
+            effects = await self._in(self._thinker, self._core.handle, answer)
         if published is not None:
             self._snapshot = published.snapshot
             self._publish(published.snapshot)
@@ -300,12 +447,13 @@ class Run:
             case KeepView() | ComputeFeatures() | Publish():
                 return
             case DropView():
-                self._folder.drop_view(effect.name)
+                self._unwritten.dropped_views.append(effect.name)
             case RequestShape():
-                await self._written()
+                await self._recorder.written()
                 await self._shapes.request(effect)
             case CancelShape():
                 self._shapes.cancel(effect.ticket)
+                self._unwritten.ended_jobs.append(effect.ticket)
             case _:
                 assert_never(effect)
 
@@ -332,30 +480,37 @@ class Run:
                     self._folder.views, keep.view.name, crop_of(frame, observations[keep.observation_index], margin)
                 )
 
-        await self._written()
-        self._writing = asyncio.get_running_loop().run_in_executor(self._writer, write)
-        # A run that ends for another reason does not wait for it: its failure then is no news.
-        self._writing.add_done_callback(lambda writing: writing.cancelled() or writing.exception())
+        await self._recorder.write_views(write)
 
-    async def _written(self) -> None:
-        """Return when the pixels of all views that were kept are written; raise what went wrong with them."""
-        if self._writing is not None:
-            writing, self._writing = self._writing, None
-            await writing
+    async def _commit_due(self, stamp_ns: int | None) -> None:
+        """Tell the core of the shapes that are due at a stamp, None: of all that are open.
 
-    async def _commit_shapes(self, stamp_ns: int | None) -> None:
-        """Tell the core of the shapes that are due at a stamp, None: of all that are open."""
-        old = {o.id: o.shape for o in self._snapshot.objects} if self._snapshot is not None else {}
+        Raises:
+            _OutOfPatienceError: the run was stopped and one of them is not there yet: what came after this would not be
+                what an uninterrupted run does.
+        """
         while (event := await self._next_shape(stamp_ns)) is not None:
-            await self._handle(event)
-            replaced = old.get(event.object_id)
-            if replaced is not None:
-                self._folder.drop_shape(replaced.mesh_name)
-            if stamp_ns is None:
-                self._tell("shapes")
+            await self._shape_ended(event)
+        if self._mode == "playback" and self._shapes.has_due(stamp_ns):
+            raise _OutOfPatienceError
+
+    async def _commit_last(self, kind: StepKind, stamp_ns: int) -> None:
+        """Tell the core of the shapes that are open, or those that come within the grace of a stop; each is a step."""
+        while (event := await self._next_shape(None)) is not None:
+            await self._shape_ended(event)
+            await self._commit(kind, stamp_ns)
+            self._tell("shapes")
+
+    async def _shape_ended(self, event: ShapeReady | ShapeFailed) -> None:
+        await self._handle(event)
+        self._unwritten.ended_jobs.append(event.ticket)
+        if isinstance(event, ShapeReady):
+            self._folder.keep_shape(event.shape.mesh_name)
 
     async def _next_shape(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
         """Return the next shape that is due; None where none is, or where a stop has no patience left for it."""
+        if self._mode == "live" and stamp_ns is not None:
+            return await self._shapes.next_arrived(stamp_ns)
         due = asyncio.create_task(self._shapes.next_due(stamp_ns), name="next-shape")
         stopped = asyncio.create_task(self._stopped.wait(), name="stopped")
         try:
@@ -369,22 +524,28 @@ class Run:
             stopped.cancel()
             await asyncio.gather(due, stopped, return_exceptions=True)
 
-    async def _end(self, last: RawFrame) -> None:
+    async def _end(self, last: FramePose) -> None:
         """Ask for and wait for the last shapes, and show the finished map as one more keyframe."""
         decisions: tuple[Decision, ...] = ()
-        await self._written()
-        if self.is_complete:
+        self.counts.update(self._reader.lost)
+        kind = StepKind.ENDED if self.is_complete else StepKind.CLOSING
+        if self.is_complete and not self._is_source_over:
             published = await self._handle(SourceEnded(stamp_ns=last.stamp_ns))
             decisions = published.decisions if published is not None else ()
-        await self._commit_shapes(None)
+        await self._commit(kind, last.stamp_ns)
+        await self._commit_last(kind, last.stamp_ns)
+        await self._recorder.written()
         self._snapshot = await self._in(self._thinker, self._core.snapshot)
         self._publish(self._snapshot)
         self._tell("saving")
+        assert self._camera is not None
         await self._show(
-            replace(
-                _plain_report(last),
+            FrameReport(
                 index=last.index + 1,
+                stamp_ns=last.stamp_ns,
                 keyframe_index=self._num_keyframes,
+                camera=self._camera,
+                world_from_camera=last.world_from_camera,
                 color_bytes=None,
                 decisions=decisions,
                 snapshot=self._snapshot,
@@ -395,12 +556,28 @@ class Run:
 
     async def _show(self, report: FrameReport) -> None:
         for sink in self._sinks:
-            await sink.show(report)
+            await sink.show(report, waits=self._mode == "playback")
+
+    def _metrics(self, times: dict[str, float]) -> tuple[tuple[str, float], ...]:
+        queues = {"frames": self._channel.statistics().length, "shapes": self._shapes.num_open}
+        queues |= {f"sink-{i}": sink.backlog for i, sink in enumerate(self._sinks)}
+        return (
+            *((f"time/{name}", seconds) for name, seconds in times.items()),
+            *((f"queue/{name}", float(length)) for name, length in queues.items()),
+            ("engine/loop_delay_ms", 1e3 * self._loop_delay.recent_s()),
+            ("engine/workers", float(self._workers.num_alive)),
+            ("engine/memory_mb", _PROCESS.memory_info().rss / 1e6),
+            ("engine/frames_dropped", float(self.counts["frames_dropped"] + self.counts["keyframes_dropped"])),
+        )
 
     def _report(
-        self, raw: RawFrame, frame: Frame, perceived: Perceived, published: Publish, times: dict[str, float]
+        self,
+        raw: RawFrame,
+        frame: Frame,
+        perceived: Perceived,
+        published: Publish,
+        metrics: tuple[tuple[str, float], ...],
     ) -> FrameReport:
-        queues = [("queue/frames", self._channel.statistics().length), ("queue/shapes", self._shapes.num_open)]
         return replace(
             _plain_report(raw),
             keyframe_index=self._num_keyframes - 1,
@@ -410,11 +587,7 @@ class Run:
             object_ids=published.object_ids,
             decisions=published.decisions,
             snapshot=published.snapshot,
-            metrics=(
-                *((f"time/{name}", seconds) for name, seconds in times.items()),
-                *((name, float(length)) for name, length in queues),
-                *published.metrics,
-            ),
+            metrics=(*metrics, *published.metrics),
         )
 
     def _tell(self, phase: str) -> None:
@@ -433,6 +606,10 @@ class Run:
         return await asyncio.get_running_loop().run_in_executor(executor, function, *arguments)
 
 
+class _OutOfPatienceError(Exception):
+    """A stopped run waits no longer."""
+
+
 def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
     """Return the cut-out of a frame around an observation, with `margin` of its box more on every side."""
     x0, y0, x1, y1 = observation.box_px
@@ -448,6 +625,19 @@ def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
         camera=frame.camera.cropped(left, top, right, bottom),
         world_from_camera=frame.world_from_camera,
     )
+
+
+def _color_of(raw: RawFrame, frame: Frame, config: JournalConfig) -> bytes | None:
+    """Return the compressed image of a keyframe: the log's own, else a JPEG; None where none are to be kept."""
+    if not config.keep_images:
+        return None
+    if raw.color_bytes is not None:
+        return raw.color_bytes
+    import cv2
+
+    quality = [cv2.IMWRITE_JPEG_QUALITY, config.jpeg_quality]
+    encoded: bytes = cv2.imencode(".jpg", frame.rgb[..., ::-1], quality)[1].tobytes()
+    return encoded
 
 
 def _plain_report(raw: RawFrame) -> FrameReport:

@@ -8,7 +8,8 @@
       views/          the pixels of the kept views: NAME.color.png, NAME.depth.png, NAME.json
       shapes/         layer 2 of each object, GLB
       jobs/           what shape workers are given and give back
-      journal.mcap    all events (not written yet)
+      journal.mcap    all events, step by step, and the state of the core now and then
+      failed/         the input of shape jobs that failed for good
       ledger.json     what became of every message and frame
       timings.json    seconds; in no digest
 
@@ -29,6 +30,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync, write_atomically
 from hickory_stream.engine.crops import crop_files
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.folder_lock import LOCK, FolderLock, check_unlocked
+from hickory_stream.engine.journal import JOURNAL
 from hickory_stream.engine.manifest import (
     MANIFEST,
     Manifest,
@@ -48,12 +51,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from hickory_stream.engine.time_travel import Change
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.records import ObjectShape
 
-_OBJECTS, _LEDGER, _TIMINGS, _JOURNAL = "objects.json", "ledger.json", "timings.json", "journal.mcap"
-_FILES = (_OBJECTS, _LEDGER, _TIMINGS, _JOURNAL)
-_FOLDERS = (POINTS, SPACE, "views", "shapes", "jobs")
+_OBJECTS, _LEDGER, _TIMINGS = "objects.json", "ledger.json", "timings.json"
+_FILES = (_OBJECTS, _LEDGER, _TIMINGS, JOURNAL)
+_FOLDERS = (POINTS, SPACE, "views", "shapes", "jobs", "failed")
 _EMPTY = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
 # What the GLB reader was seen to raise for files with bytes missing or changed.
 GLB_ERRORS = (
@@ -70,21 +74,33 @@ GLB_ERRORS = (
 
 
 def create_map_folder(
-    path: Path, *, config: Mapping[str, Any], source: Mapping[str, Any], overwrite: bool = False
+    path: Path,
+    *,
+    config: Mapping[str, Any],
+    source: Mapping[str, Any],
+    run: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
 ) -> MapFolder:
     """Return a new, empty map folder; `overwrite` replaces a map that is there, but never anything else.
 
-    `config` and `source` (e.g. `asdict` of the `SourceInfo`) must be made of what JSON knows.
+    `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be made of what JSON knows. The folder is
+    locked until it is closed.
 
     Raises:
         MapFolderError: the place is taken or cannot be written; nothing is left behind.
     """
     _check_place(path, overwrite)
-    manifest = Manifest(config=config, source=source)
+    manifest = Manifest(config=config, source=source, run=run or {})
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     with disk_errors(path):
         try:
             path.mkdir(parents=True, exist_ok=True)
+            lock = FolderLock(path)
+        except OSError:
+            if missing:
+                shutil.rmtree(missing[-1], ignore_errors=True)
+            raise
+        try:
             # First of all, so that what a kill leaves is known for a map folder, opens, and can be overwritten.
             write_atomically(path / MANIFEST, manifest_json(manifest))
             _remove_map(path)
@@ -92,19 +108,45 @@ def create_map_folder(
                 (path / name).mkdir(exist_ok=True)
             sync(path)
         except OSError:
+            lock.release()
             if missing:
                 shutil.rmtree(missing[-1], ignore_errors=True)
             raise
-    return MapFolder(path, manifest)
+    return MapFolder(path, manifest, lock)
+
+
+def reopen_map_folder(path: Path) -> MapFolder:
+    """Return the map folder of a run that ended early, to be continued; locked until it is closed.
+
+    Raises:
+        MapFolderError: no map is there, its format is another, or another process writes it.
+    """
+    manifest = read_manifest(path)
+    with disk_errors(path):
+        lock = FolderLock(path)
+        try:
+            for name in _FOLDERS:
+                (path / name).mkdir(exist_ok=True)
+            for partial in path.rglob(f".*{PARTIAL_SUFFIX}"):
+                partial.unlink()
+            saved = open_map(path)
+        except BaseException:
+            lock.release()
+            raise
+    return MapFolder(path, replace(manifest, finished_cleanly=False), lock, saved.snapshot)
 
 
 class MapFolder:
     """A map folder being written, by one process, from any of its threads; `drop_...` never wait for the disk."""
 
-    def __init__(self, path: Path, manifest: Manifest) -> None:
+    def __init__(
+        self, path: Path, manifest: Manifest, lock: FolderLock | None = None, snapshot: MapSnapshot = _EMPTY
+    ) -> None:
         self.path = path
         self.manifest = manifest
-        self._last = _EMPTY
+        self._folder_lock = lock
+        self._last = snapshot
+        self._shapes_to_keep: set[str] = set()
         self._on_disk: set[Path] = set()
         self._dropped: set[Path] = set()
         self._drop_requests: deque[Path] = deque()
@@ -145,9 +187,9 @@ class MapFolder:
         """Remove a view's pixels once the saved map does not refer to them."""
         self._drop_requests.extend(crop_files(self.views, name))
 
-    def drop_shape(self, mesh_name: str) -> None:
-        """Remove a mesh once the saved map does not refer to it."""
-        self._drop_requests.append(self.shapes / mesh_name)
+    def keep_shape(self, mesh_name: str) -> None:
+        """Never remove a mesh: the map was known to have it at some moment."""
+        self._shapes_to_keep.add(mesh_name)
 
     def write_json(self, name: Literal["ledger.json", "timings.json"], data: Any) -> None:
         """Replace a file beside the map by `data`, which JSON must know.
@@ -158,16 +200,22 @@ class MapFolder:
         with disk_errors(self.path):
             write_atomically(self.path / name, pretty_json(data))
 
-    def finish(self, *, finished_cleanly: bool) -> Manifest:
-        """Close the map: note its digest and how the run ended, and remove what a clean end left unreferenced.
+    def finish(self, *, finished_cleanly: bool, is_reproducible: bool = True) -> Manifest:
+        """Note the map's digest and how the run ended, and remove what a clean end left unreferenced.
 
         Raises:
             MapFolderError: the disk refused; the map opens as not finished.
         """
-        self.manifest = replace(self.manifest, finished_cleanly=finished_cleanly, digest=map_digest(self._last))
+        self.manifest = replace(
+            self.manifest,
+            finished_cleanly=finished_cleanly,
+            is_reproducible=is_reproducible,
+            digest=map_digest(self._last),
+        )
         with self._lock, disk_errors(self.path):
             if finished_cleanly:
-                self._dropped.update(self.views.iterdir(), self.shapes.iterdir())
+                past = {self.shapes / name for name in self._shapes_to_keep}
+                self._dropped.update(self.views.iterdir(), set(self.shapes.iterdir()) - past)
             self._remove_dropped()
             if not (self.path / _OBJECTS).exists():
                 document, _ = encode_snapshot(self._last)
@@ -175,6 +223,11 @@ class MapFolder:
             write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
             sync(self.path)
         return self.manifest
+
+    def close(self) -> None:
+        """Let other processes write the folder."""
+        if self._folder_lock is not None:
+            self._folder_lock.release()
 
     def _write_missing(self, files: Mapping[str, bytes]) -> None:
         for name, data in files.items():
@@ -223,6 +276,32 @@ class SavedMap:
     def views(self) -> Path:
         """The folder of the kept views' pixels, for `read_crop`."""
         return self.folder / "views"
+
+    def as_known_at(self, stamp_ns: int) -> MapSnapshot:
+        """Return the map exactly as the core held it at a stamp; an empty one before the first keyframe.
+
+        Raises:
+            MapFolderError: the journal is missing, damaged or of another version.
+        """
+        from hickory_stream.engine.time_travel import as_known_at
+
+        return as_known_at(self.folder, stamp_ns)
+
+    def at(self, stamp_ns: int) -> MapSnapshot:
+        """Return what is known in the end, restricted to the objects and views that had been seen by a stamp."""
+        from hickory_stream.engine.time_travel import seen_by
+
+        return seen_by(self.snapshot, stamp_ns)
+
+    def diff(self, first_ns: int, second_ns: int) -> tuple[Change, ...]:
+        """Return what happened to the objects between two stamps, as the core knew them then.
+
+        Raises:
+            MapFolderError: the journal is missing, damaged or of another version.
+        """
+        from hickory_stream.engine.time_travel import changes
+
+        return changes(self.as_known_at(first_ns), self.as_known_at(second_ns))
 
     def mesh_path(self, shape: ObjectShape) -> Path:
         """Return the GLB file of a shape."""
@@ -303,6 +382,7 @@ def _check_place(path: Path, overwrite: bool) -> None:
         found = sorted(entry.name for entry in path.iterdir())
     if not found:
         return
+    check_unlocked(path)
     is_map = is_map_folder(path)
     foreign = [name for name in found if not _is_ours(name)] if is_map else found
     if is_map and not overwrite:
@@ -313,7 +393,7 @@ def _check_place(path: Path, overwrite: bool) -> None:
 
 
 def _is_ours(name: str) -> bool:
-    return name == MANIFEST or name in _FILES or name in _FOLDERS or name.endswith(PARTIAL_SUFFIX)
+    return name in (MANIFEST, LOCK) or name in _FILES or name in _FOLDERS or name.endswith(PARTIAL_SUFFIX)
 
 
 def _remove_map(path: Path) -> None:

@@ -1,7 +1,7 @@
-"""Shape jobs of a playback: handed to the workers at once, committed by their due stamps.
+"""Shape jobs: handed to the workers at once, committed by their due stamps (playback) or as they arrive (live).
 
-A result is committed at the first keyframe at or after its due stamp, in the order (due stamp, ticket), and the run
-waits for one that is late: so that neither the number nor the speed of workers can change the map.
+In a playback a result is committed at the first keyframe at or after its due stamp, in the order (due stamp, ticket),
+and the run waits for one that is late: so that neither the number nor the speed of workers can change the map.
 """
 
 from __future__ import annotations
@@ -11,13 +11,23 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.jobs import job_folder, take_result, write_job
-from hickory_stream.errors import WorkerError
+from hickory_stream.engine.jobs import (
+    is_answered,
+    is_complete,
+    job_folder,
+    keep_input,
+    remove_job,
+    take_result,
+    write_job,
+)
+from hickory_stream.engine.step import OpenJob
+from hickory_stream.errors import MapFolderError, WorkerError
 from hickory_stream.events import ShapeFailed, ShapeReady
 
 if TYPE_CHECKING:
     from hickory_stream.engine.session import MapFolder
-    from hickory_stream.engine.workers import LocalWorkers
+    from hickory_stream.engine.shape_cache import ShapeCache
+    from hickory_stream.engine.workers import ShapeWorkers
     from hickory_stream.events import RequestShape
     from hickory_stream.shapes.build import ShapeConfig
 
@@ -27,16 +37,21 @@ class _Open:
     due_ns: int
     object_id: int
     answer: asyncio.Future[str | None]
+    cache_key: str | None = None
 
 
 class ShapeQueue:
     """The jobs that are open, and what the ended ones took: `timings_s` by step, `counts` by fate."""
 
-    def __init__(self, folder: MapFolder, workers: LocalWorkers, config: ShapeConfig) -> None:
+    def __init__(
+        self, folder: MapFolder, workers: ShapeWorkers, config: ShapeConfig, cache: ShapeCache | None = None
+    ) -> None:
         self._folder = folder
         self._workers = workers
         self._config = config
+        self._cache = cache
         self._open: dict[int, _Open] = {}
+        self._failed: dict[int, int] = {}
         self.timings_s: defaultdict[str, float] = defaultdict(float)
         self.counts: Counter[str] = Counter()
 
@@ -49,9 +64,45 @@ class ShapeQueue:
         """Hand a job to the workers."""
         folder = job_folder(self._folder.jobs, request.ticket)
         await asyncio.to_thread(write_job, folder, request, self._folder.views, self._config)
-        answer = self._workers.submit(folder)
-        self._open[request.ticket] = _Open(request.due_ns, request.object_id, answer)
+        key = await asyncio.to_thread(self._cache.key, folder) if self._cache is not None else None
+        if self._cache is not None and key is not None and await asyncio.to_thread(self._cache.fetch, key, folder):
+            answer, key = _answered(), None
+            self.counts["cached"] += 1
+        else:
+            answer = self._workers.submit(folder)
+        self._open[request.ticket] = _Open(request.due_ns, request.object_id, answer, key)
         self.counts["requested"] += 1
+
+    @property
+    def open_jobs(self) -> tuple[OpenJob, ...]:
+        """The jobs whose results are still to be committed."""
+        return tuple(
+            OpenJob(ticket=ticket, object_id=job.object_id, due_ns=job.due_ns) for ticket, job in self._open.items()
+        )
+
+    def adopt(self, job: OpenJob) -> None:
+        """Take over a job that was asked for before the run was interrupted; what it gave already is not done again.
+
+        Raises:
+            MapFolderError: its input is not complete: the power failed before it reached the disk.
+        """
+        folder = job_folder(self._folder.jobs, job.ticket)
+        if is_answered(folder):
+            answer = _answered()
+        elif is_complete(folder):
+            answer = self._workers.submit(folder)
+        else:
+            raise MapFolderError(f"{folder}, which the map waits for, did not reach the disk; play the log again")
+        self._open[job.ticket] = _Open(job.due_ns, job.object_id, answer)
+
+    def forget(self, tickets: list[int]) -> None:
+        """Remove the folders of jobs that are over; the input of one that failed is kept."""
+        for ticket in tickets:
+            folder = job_folder(self._folder.jobs, ticket)
+            if ticket in self._failed:
+                keep_input(folder, self._folder.path / "failed", self._failed.pop(ticket))
+            else:
+                remove_job(folder)
 
     def cancel(self, ticket: int) -> None:
         """Forget a job whose result is no longer wanted; if it runs, it runs out."""
@@ -59,6 +110,15 @@ class ShapeQueue:
         if job is not None:
             job.answer.cancel()
             self.counts["cancelled"] += 1
+
+    def has_due(self, stamp_ns: int | None) -> bool:
+        """Return whether a result is to be committed at a stamp (None: any)."""
+        return any(stamp_ns is None or job.due_ns <= stamp_ns for job in self._open.values())
+
+    async def next_arrived(self, stamp_ns: int) -> ShapeReady | ShapeFailed | None:
+        """Return a result that is there, to be committed at a stamp; None if there is none."""
+        arrived = sorted(ticket for ticket, job in self._open.items() if job.answer.done())
+        return await self._commit(arrived[0], stamp_ns) if arrived else None
 
     async def next_due(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
         """Return the next result that is due at a stamp (None: any), waiting for it if it is late; None if none is."""
@@ -81,9 +141,19 @@ class ShapeQueue:
             else:
                 for step, seconds in answer.timings_s.items():
                     self.timings_s[step] += seconds
+                if self._cache is not None and job.cache_key is not None:
+                    await asyncio.to_thread(self._cache.store, job.cache_key, folder)
                 if answer.shape is not None:
                     self.counts["ready"] += 1
                     return ShapeReady(ticket=ticket, object_id=job.object_id, stamp_ns=stamp_ns, shape=answer.shape)
                 reason = answer.reason
         self.counts["failed"] += 1
+        self._failed[ticket] = job.object_id
         return ShapeFailed(ticket=ticket, object_id=job.object_id, stamp_ns=stamp_ns, reason=reason)
+
+
+def _answered() -> asyncio.Future[str | None]:
+    """Return the future of a job whose answer lies in its folder already."""
+    answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+    answer.set_result(None)
+    return answer

@@ -8,35 +8,72 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import queue
 import sys
+import threading
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hickory_stream.engine.jobs import read_job, write_result
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import build_shape, make_reconstructor
 
+if TYPE_CHECKING:
+    from hickory_stream.ports import Reconstruction, Reconstructor, ShapeInputs
+
 
 def main() -> None:
-    """Serve jobs until standard input ends, or nobody takes the answers any more: the run was killed."""
+    """Serve jobs until standard input ends: the run is over, or was killed; a job in progress is then left at once."""
     answers = os.dup(1)
     os.dup2(2, 1)
+    jobs: queue.Queue[str] = queue.Queue()
+    threading.Thread(target=_listen, args=(jobs,), name="listen", daemon=True).start()
     with contextlib.suppress(BrokenPipeError):
         _say(answers, {"ready": os.getpid()})
-        for line in sys.stdin:
-            folder = Path(json.loads(line)["job"])
-            _say(answers, {"done": str(folder), "error": _serve(folder)})
+        while True:
+            folder = Path(json.loads(jobs.get())["job"])
+            _say(answers, {"done": str(folder), "error": serve(folder)})
+
+
+def _listen(jobs: queue.Queue[str]) -> None:
+    for line in sys.stdin:
+        jobs.put(line)
+    os._exit(0)
 
 
 def _say(answers: int, message: dict[str, Any]) -> None:
     os.write(answers, json.dumps(message).encode() + b"\n")
 
 
-def _serve(folder: Path) -> str | None:
+class _Checked:
+    """A reconstructor whose meshes are looked at before anybody computes with them."""
+
+    def __init__(self, reconstructor: Reconstructor) -> None:
+        self._reconstructor = reconstructor
+        self.name = reconstructor.name
+
+    def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
+        """Return what the other one gives, or why it cannot be used."""
+        made = self._reconstructor.reconstruct(inputs)
+        if isinstance(made, NoShape):
+            return made
+        vertices, faces = made.mesh.vertices, made.mesh.faces
+        if len(vertices) == 0 or len(faces) == 0:
+            return NoShape(reason=f"an empty mesh: {len(vertices)} vertices, {len(faces)} faces")
+        if not (np.isfinite(vertices).all() and np.isfinite(made.world_from_object).all()):
+            return NoShape(reason="a mesh with vertices or a place that are not finite")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            return NoShape(reason=f"a mesh whose faces name vertices that there are not ({len(vertices)} are)")
+        return made
+
+
+def serve(folder: Path) -> str | None:
     """Do one job; return why the worker itself failed, None if it answered."""
     try:
         inputs, config = read_job(folder)
-        built = build_shape(inputs, make_reconstructor(config.reconstructor, config), config)
+        built = build_shape(inputs, _Checked(make_reconstructor(config.reconstructor, config)), config)
     except Exception as error:  # noqa: BLE001 -- the child's main loop: a poisonous job must not end the worker
         built = NoShape(reason=f"{type(error).__name__}: {error}")
     try:

@@ -19,22 +19,23 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 _CAPACITY = 16
-_CLOSE_TIMEOUT_S = 30.0
+_CLOSE_TIMEOUT_S = 5.0
 
 
 class SinkThread:
-    """Runs one sink; `show` waits while its queue is full (playback loses nothing)."""
+    """Runs one sink; `show` waits while its queue is full (playback loses nothing), or counts in `num_dropped`."""
 
     def __init__(self, sink: Sink, *, is_essential: bool) -> None:
         self._sink = sink
-        self._is_essential = is_essential
+        self.is_essential = is_essential
         self._queue: queue.Queue[FrameReport | None] = queue.Queue(_CAPACITY)
         self._error: BaseException | None = None
+        self.num_dropped = 0
         self._thread = threading.Thread(target=self._work, name=f"sink-{type(sink).__name__}", daemon=True)
         self._thread.start()
 
-    async def show(self, report: FrameReport) -> None:
-        """Hand a report over.
+    async def show(self, report: FrameReport, *, waits: bool = True) -> None:
+        """Hand a report over; unless it `waits`, a sink for looking that is behind does not get it.
 
         Raises:
             HickoryError: an essential sink has failed.
@@ -43,15 +44,18 @@ class SinkThread:
         try:
             self._queue.put_nowait(report)
         except queue.Full:
+            if not waits and not self.is_essential:
+                self.num_dropped += 1
+                return
             await asyncio.to_thread(self._queue.put, report)
 
     async def close(self) -> None:
-        """Let the sink finish what it was given; a sink for looking is given up after 30 s.
+        """Let the sink finish what it was given; a sink for looking is given up after 5 s.
 
         Raises:
             HickoryError: an essential sink has failed.
         """
-        timeout_s = None if self._is_essential else _CLOSE_TIMEOUT_S
+        timeout_s = None if self.is_essential else _CLOSE_TIMEOUT_S
         try:
             await asyncio.to_thread(self._queue.put, None, timeout=timeout_s)
         except queue.Full:
@@ -66,7 +70,7 @@ class SinkThread:
         return self._queue.qsize()
 
     def _raise_if_failed(self) -> None:
-        if self._error is not None and self._is_essential:
+        if self._error is not None and self.is_essential:
             raise self._error
 
     def _work(self) -> None:
@@ -80,7 +84,7 @@ class SinkThread:
                 self._sink.show(report)
             except Exception as error:  # noqa: BLE001 -- a sink is foreign code: its failure is kept and judged above
                 self._error = error
-                if not self._is_essential:
+                if not self.is_essential:
                     logger.warning("%s failed and is set aside: %s", type(self._sink).__name__, error)
                 if report is None:
                     return None

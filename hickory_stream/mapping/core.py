@@ -6,8 +6,9 @@ same map, to the byte.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, assert_never
+from typing import TYPE_CHECKING, Any, assert_never
 
 import numpy as np
 
@@ -81,6 +82,10 @@ class MappingConfig:
     space_voxel_m: float = 0.05
 
 
+# Given, or made anew from the rest.
+_NOT_STATE = frozenset({"_config", "_shown"})
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Pending:
     """The keyframe whose features are being computed: candidates for best view by observation, and where it went."""
@@ -126,12 +131,32 @@ class MapperCore:
                 return self._shape_ended(event)
             case TimeJumped():
                 self._stamp_ns = None
-                self._decide("drop", None, f"stamps jumped from {event.from_ns} to {event.to_ns}")
+                self._decide("drop", None, f"{event.kind}: stamps jumped from {event.from_ns} to {event.to_ns}")
                 return []
             case SourceEnded():
                 return self._source_ended()
             case _:
                 assert_never(event)
+
+    def state(self) -> dict[str, object]:
+        """Return all that decides what comes next, by name; later events do not change it."""
+        return {name: copy(value) for name, value in vars(self).items() if name not in _NOT_STATE}
+
+    @classmethod
+    def from_state(cls, config: MappingConfig, state: Mapping[str, Any]) -> MapperCore:
+        """Return a core that goes on from what `state` returned.
+
+        Raises:
+            ValueError: the state is that of another version.
+        """
+        core = cls(config)
+        if state.keys() != core.state().keys():
+            raise ValueError(f"a state of {sorted(state)}; expected {sorted(core.state())}")
+        for name, value in state.items():
+            empty = getattr(core, name)
+            # A written state has tuples where there were lists.
+            setattr(core, name, type(empty)(value) if isinstance(empty, (list, dict, set)) else value)
+        return core
 
     def snapshot(self) -> MapSnapshot:
         """Return the map as it is now."""

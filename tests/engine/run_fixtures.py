@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
     from pathlib import Path
 
-    from hickory_stream.engine.run import Progress
+    from hickory_stream.engine.run import Mode, Progress
     from hickory_stream.engine.session import MapFolder
-    from hickory_stream.ports import Sink, Source
+    from hickory_stream.ports import Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot
 
 NUM_FRAMES = 8
@@ -61,6 +61,8 @@ def map_scene(
     sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None = None,
     loops: int = 1,
     rate: float | None = None,
+    mode: Mode = "playback",
+    segmenter: Segmenter | None = None,
     on_progress: Callable[[Mapper, Progress], None] = lambda _, __: None,
     on_snapshot: Callable[[Mapper, MapSnapshot], Awaitable[None]] | None = None,
 ) -> SceneRun:
@@ -70,7 +72,7 @@ def map_scene(
         async with Mapper(
             scene_config(tmp_path / f"{name}-config", *overrides),
             out=tmp_path / name,
-            segmenter=InstanceSegmenter(SceneSource(NUM_FRAMES).instances),
+            segmenter=segmenter or InstanceSegmenter(SceneSource(NUM_FRAMES).instances),
             extractor=MeanColorExtractor(),
         ) as mapper:
             snapshots = []
@@ -79,6 +81,7 @@ def map_scene(
                 sinks=sinks,
                 loops=loops,
                 rate=rate,
+                mode=mode,
                 progress=lambda progress: on_progress(mapper, progress),
             )
             async for snapshot in played:

@@ -129,3 +129,16 @@ def test_a_cancelled_wait_takes_nothing_with_it() -> None:
 def test_a_channel_without_room_is_refused() -> None:
     with pytest.raises(ValueError, match="capacity 0"):
         Channel(0)
+
+
+def test_a_channel_that_drops_gives_back_the_oldest_and_never_waits() -> None:
+    async def run() -> None:
+        channel: Channel[int] = Channel(2, "drop_oldest")
+        assert [await channel.send(i) for i in range(5)] == [None, None, 0, 1, 2]
+        assert channel.statistics().dropped == 3
+        assert await channel.receive_all() == [3, 4]
+        await channel.close()
+        with pytest.raises(ChannelClosed):
+            await channel.receive_all()
+
+    asyncio.run(run())

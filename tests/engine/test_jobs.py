@@ -97,7 +97,7 @@ def test_the_answer_is_the_shape_that_was_built(tmp_path: Path, request_3: Reque
     assert set(taken.timings_s) == {"reconstruct", "fit", "inflate"}
 
 
-def test_the_hash_holds_for_the_mesh_in_the_map_and_the_job_is_removed(
+def test_the_hash_holds_for_the_mesh_in_the_map_and_the_job_stays_until_it_is_written_down(
     tmp_path: Path, request_3: RequestShape, config: ShapeConfig
 ) -> None:
     folder, shapes = written(tmp_path, request_3, config), tmp_path / "shapes"
@@ -106,7 +106,7 @@ def test_the_hash_holds_for_the_mesh_in_the_map_and_the_job_is_removed(
     shape = take_result(folder, 1, 3, shapes).shape
     assert shape is not None
     assert sha256_of(read_glb(shapes / shape.mesh_name)) == shape.mesh_sha256
-    assert not folder.exists()
+    assert folder.exists()
 
 
 def test_the_reason_for_no_shape_comes_back(tmp_path: Path, request_3: RequestShape, config: ShapeConfig) -> None:
@@ -114,7 +114,7 @@ def test_the_reason_for_no_shape_comes_back(tmp_path: Path, request_3: RequestSh
     write_result(folder, NoShape(reason="too thin"), "")
     taken = take_result(folder, 1, 3, tmp_path / "shapes")
     assert (taken.shape, taken.reason) == (None, "too thin")
-    assert not folder.exists()
+    assert folder.exists()
 
 
 @pytest.mark.parametrize("damage", ["missing", "empty", "cut", "keys", "mesh"])

@@ -79,7 +79,8 @@ def test_jobs_that_time_out_leave_objects_without_shape_and_a_run_that_ends(tmp_
     run = map_scene(tmp_path, "run.job_timeout_s=1e-9", "mapping.requests.max_failures=1")
     assert [tracked.shape for tracked in run.snapshots[-1].objects] == [None] * 3
     ledger = json.loads((run.folder.path / "ledger.json").read_text())
-    assert ledger["shapes"] == {"requested": 3, "failed": 3}
+    assert ledger["shapes"] == {"requested": 3, "failed": 3, "limits": 3}
+    assert not run.folder.manifest.is_reproducible
     assert shape_workers() == []
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import psutil
 import pytest
 
-from hickory_stream.engine.workers import LocalWorkers
+from hickory_stream.engine.workers import LocalWorkers, WorkerLimits
 from tests.engine.run_fixtures import shape_workers
 
 if TYPE_CHECKING:
@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.timeout(120)
 
 
-def use_workers(use: Callable[[LocalWorkers], Awaitable[Any]], count: int = 1, timeout_s: float = 60.0) -> Any:
+def use_workers(
+    use: Callable[[LocalWorkers], Awaitable[Any]], count: int = 1, timeout_s: float = 60.0, **options: Any
+) -> Any:
     async def run() -> Any:
-        async with LocalWorkers(count, timeout_s) as workers:
+        async with LocalWorkers(count, WorkerLimits(time_s=timeout_s, memory_mb=4000.0), **options) as workers:
             return await use(workers)
 
     return asyncio.run(run())
@@ -110,19 +112,19 @@ def test_a_child_that_hangs_is_ended_after_the_timeout_and_its_job_done_by_anoth
         child.send_signal(signal.SIGSTOP)
         assert await workers.submit(job(tmp_path, "b")) is None
         assert not psutil.pid_exists(child.pid)
-        return workers.num_timeouts
+        return workers.num_limits
 
-    assert use_workers(use, timeout_s=2.0) == 1
+    assert use_workers(use, timeout_s=2.0) == 0
 
 
 def test_a_job_that_always_takes_too_long_is_given_up_with_the_reason(tmp_path: Path) -> None:
     async def use(workers: LocalWorkers) -> tuple[str | None, int]:
-        return await workers.submit(job(tmp_path, "a")), workers.num_timeouts
+        return await workers.submit(job(tmp_path, "a")), workers.num_limits
 
-    reason, num_timeouts = use_workers(use, timeout_s=1e-9)
+    reason, num_limits = use_workers(use, timeout_s=1e-9)
     assert reason is not None
     assert "no answer within" in reason
-    assert num_timeouts == 2
+    assert num_limits == 1
     assert shape_workers() == []
 
 
@@ -161,4 +163,4 @@ def test_leaving_with_an_error_and_jobs_under_way_ends_every_child(tmp_path: Pat
 
 def test_no_workers_at_all_are_refused() -> None:
     with pytest.raises(ValueError, match="found 0 workers"):
-        LocalWorkers(0, 60.0)
+        LocalWorkers(0, WorkerLimits(time_s=60.0, memory_mb=4000.0))

@@ -32,7 +32,7 @@ def play(log: Path, out: Path, *arguments: str) -> Played:
     command = [sys.executable, "-m", "hickory_stream", "play", str(log), "--out", str(out), "--overwrite"]
     started = time.perf_counter()
     process = subprocess.Popen(
-        [*command, "--viewer", "none", "--json", *arguments],
+        [*command, "--viewer", "none", "--json", "--set", "mapper.run.shape_cache=false", *arguments],
         cwd=ROOT,
         text=True,
         stdout=subprocess.PIPE,

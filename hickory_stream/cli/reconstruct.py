@@ -1,0 +1,51 @@
+"""`hickory-stream reconstruct`: repeat one shape job by hand, in this process, to see what it does."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.parser import Commands
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    reconstruct = commands.add_parser("reconstruct", parents=[common], help="repeat a shape job that failed")
+    reconstruct.set_defaults(run=run)
+    reconstruct.add_argument("view", type=Path, metavar="VIEW", help="the input of a job: a folder in MAP/failed")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status: 1 where there is no shape this time, either."""
+    from hickory_stream.engine.jobs import JOB, MESH, read_job, write_result
+    from hickory_stream.errors import HickoryError
+    from hickory_stream.ports import NoShape
+    from hickory_stream.shapes.build import build_shape, make_reconstructor
+
+    folder: Path = options.view
+    if not (folder / JOB).is_file():
+        raise InputError(f"{folder} holds no {JOB}; name a folder of MAP/failed, which keeps the input of failed jobs")
+    try:
+        inputs, config = read_job(folder)
+    except HickoryError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder} is no readable job: {error}") from error
+    built = build_shape(inputs, make_reconstructor(config.reconstructor, config), config)
+    try:
+        write_result(folder, built, config.reconstructor)
+    except OSError as error:
+        raise InputError(f"cannot write the answer into {folder}: {error.strerror}") from error
+    if isinstance(built, NoShape):
+        print(json.dumps({"shape": None, "reason": built.reason}) if options.json else f"no shape: {built.reason}")
+        return 1
+    said = {"shape": str(folder / MESH), "superquadrics": len(built.fitted), "seconds": dict(built.timings_s)}
+    text = f"{folder / MESH}: {len(built.fitted)} superquadrics in {sum(built.timings_s.values()):.1f} s"
+    print(json.dumps(said) if options.json else text)
+    return 0

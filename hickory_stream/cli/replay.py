@@ -1,0 +1,50 @@
+"""`hickory-stream replay`: go through a recorded run again, from its map folder alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.parser import Commands
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    replay = commands.add_parser(
+        "replay", parents=[common, configured], help="repeat a recorded run from its journal, and compare the map"
+    )
+    replay.set_defaults(run=run)
+    replay.add_argument("map", type=Path, metavar="MAP")
+    replay.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording of it")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status: 1 where the map that comes out is another one."""
+    from hickory_stream.cli.values import read_settings
+    from hickory_stream.engine.digest import map_digest
+    from hickory_stream.engine.replay import replay
+    from hickory_stream.engine.session import open_map
+    from hickory_stream.sinks.rerun_sink import RerunSink
+    from hickory_stream.sinks.rerun_viewer import parse_viewer
+
+    settings = read_settings(options)
+    saved = open_map(options.map)
+    sinks = []
+    if options.rrd is not None:
+        sinks.append(RerunSink(settings.rerun, options.map, options.rrd, parse_viewer("none")))
+    snapshot = replay(options.map, sinks)
+    digest = map_digest(snapshot)
+    recorded = saved.manifest.digest
+    if options.json:
+        said = {"event": "replayed", "digest": digest, "recorded_digest": recorded, "is_same": digest == recorded}
+        print(json.dumps({**said, "objects": len(snapshot.objects)}))
+    elif recorded is None:
+        print(f"{options.map}: {len(snapshot.objects)} objects; its run never ended, so that there is no digest yet")
+    else:
+        told = "the same map" if digest == recorded else f"another map: {recorded[:16]} was recorded"
+        print(f"{options.map}: {len(snapshot.objects)} objects, digest {digest[:16]}, {told}")
+    return 0 if recorded in (None, digest) else 1

@@ -1,0 +1,67 @@
+"""`hickory-stream resume`: go on with a playback that was interrupted."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.cli.play import finish, make_sinks, make_style
+from hickory_stream.cli.values import read_settings
+from hickory_stream.errors import MapFolderError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.parser import Commands
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import Sink
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    resume = commands.add_parser(
+        "resume", parents=[common, configured], help="go on with an interrupted playback, to the same map"
+    )
+    resume.set_defaults(run=run)
+    resume.add_argument("map", type=Path, metavar="MAP")
+    resume.add_argument("--source", metavar="LOG", help="where the log is now, if it was moved")
+    resume.add_argument("--viewer", default="none", help="none (default), auto, spawn, web or connect=URL")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from hickory_stream.engine.play import play
+    from hickory_stream.engine.resume import check_interrupted, save_live
+    from hickory_stream.progress import ProgressPrinter
+    from hickory_stream.sinks.rerun_viewer import parse_viewer
+    from players import open_noted
+
+    settings = read_settings(options)
+    viewer = parse_viewer(options.viewer)
+    manifest = check_interrupted(options.map)
+    if manifest.run.get("mode") == "live":
+        digest = save_live(options.map)
+        said = {"event": "saved", "map": str(options.map), "finished_cleanly": False, "digest": digest}
+        print(json.dumps(said) if options.json else f"{options.map}: saved as of its last step; its frames are gone")
+        return 0
+    note = dict(manifest.run.get("source", {}))
+    if options.source is not None:
+        note["uri"] = options.source
+    if "uri" not in note:
+        raise MapFolderError(f"{options.map} does not say what it was made of; resume it from Python (Mapper.resuming)")
+    source = open_noted(note)
+    if not options.json:
+        sys.stderr.write(f"resuming {options.map}: {source.info.uri}\n")
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        return make_sinks(folder, settings, viewer, None)
+
+    printer = ProgressPrinter(make_style(options))
+    try:
+        played = play(source, None, out=options.map, sinks=sinks, progress=printer)
+    finally:
+        printer.close()
+        source.close()
+    return finish(options, options.map, played)

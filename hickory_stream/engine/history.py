@@ -1,0 +1,147 @@
+"""A recorded run, gone through again: without perception, workers or a clock, to the same map.
+
+From the journal alone: the core is given its events, from the beginning or from the last checkpoint before the moment
+that is asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hickory_stream.engine.reading import Position
+from hickory_stream.engine.run import Continued
+from hickory_stream.engine.step import OpenJob, StepKind
+from hickory_stream.errors import MapFolderError
+from hickory_stream.events import (
+    CancelShape,
+    Effect,
+    Event,
+    Publish,
+    RequestShape,
+    ShapeFailed,
+    ShapeReady,
+)
+from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.keyframes import Keyframe
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from hickory_stream.engine.journal import Journal
+    from hickory_stream.engine.step import JournalEntry
+    from hickory_stream.mapping.core import MappingConfig
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Replayed:
+    """A step gone through again: what it was, and what the core published in it (None: it was no keyframe)."""
+
+    index: int
+    entry: JournalEntry
+    published: Publish | None
+
+
+class Replay:
+    """The core of a recorded run as it was after some step; `run_to` moves it on."""
+
+    def __init__(self, journal: Journal, config: MappingConfig) -> None:
+        self._journal = journal
+        self._config = config
+        self.core = MapperCore(config)
+        self.open_jobs: dict[int, OpenJob] = {}
+        self.num_steps = 0
+
+    def seek(self, index: int) -> None:
+        """Bring the core to where it was after a step, from the last checkpoint before it.
+
+        Raises:
+            MapFolderError: the journal is damaged.
+        """
+        found = self._journal.checkpoint_before(index)
+        if found is not None:
+            after, checkpoint = found
+            try:
+                self.core = MapperCore.from_state(self._config, checkpoint.core)
+            except ValueError:
+                pass  # a checkpoint of another version: the events are all that is needed
+            else:
+                self.open_jobs = {job.ticket: job for job in checkpoint.open_jobs}
+                self.num_steps = after + 1
+        for _ in self.steps(index + 1):
+            pass
+
+    def steps(self, end: int) -> Iterator[Replayed]:
+        """Go on to before the step `end`, step by step."""
+        while self.num_steps < end:
+            entry = self._journal.entry(self.num_steps)
+            published: Publish | None = None
+            for event in entry.events:
+                for effect in self._handle(event):
+                    if isinstance(effect, Publish):
+                        published = effect
+            self.num_steps += 1
+            yield Replayed(index=self.num_steps - 1, entry=entry, published=published)
+
+    def _handle(self, event: Event) -> list[Effect]:
+        try:
+            effects = self.core.handle(event)
+        except (ValueError, KeyError) as error:
+            raise MapFolderError(
+                f"{self._journal.path} does not fit this version: {error}; play the log again"
+            ) from error
+        if isinstance(event, ShapeReady | ShapeFailed):
+            self.open_jobs.pop(event.ticket, None)
+        for effect in effects:
+            if isinstance(effect, RequestShape):
+                job = OpenJob(ticket=effect.ticket, object_id=effect.object_id, due_ns=effect.due_ns)
+                self.open_jobs[effect.ticket] = job
+            elif isinstance(effect, CancelShape):
+                self.open_jobs.pop(effect.ticket, None)
+        return effects
+
+
+def continued_from(journal: Journal, config: MappingConfig) -> Continued | None:
+    """Return where an interrupted run can go on, None where it had not come to its first keyframe.
+
+    Raises:
+        MapFolderError: the journal does not fit this version.
+    """
+    if len(journal) == 0:
+        return None
+    last = len(journal) - 1
+    replay = Replay(journal, config)
+    replay.seek(last)
+    step = journal.step(last)
+    frames = step.frames
+    index = last
+    while not frames:
+        index -= 1
+        frames = journal.step(index).frames
+    is_keyframe = step.kind is StepKind.KEYFRAME
+    return Continued(
+        core=replay.core,
+        step=step,
+        position=Position(
+            round_index=step.round_index,
+            first_index=step.first_index,
+            last_index=frames[-1].index,
+            keyframe=Keyframe(stamp_ns=frames[-1].stamp_ns, world_from_camera=frames[-1].world_from_camera)
+            if is_keyframe
+            else None,
+            last_ns=frames[-1].stamp_ns,
+        ),
+        open_jobs=tuple(replay.open_jobs.values()),
+        mesh_names=tuple(sorted(mesh_names(journal))),
+        last_frame=frames[-1],
+    )
+
+
+def mesh_names(journal: Journal) -> set[str]:
+    """Return the meshes that the map had at some moment."""
+    names = set()
+    for index in range(len(journal)):
+        for event in journal.events(index, "ShapeReady"):
+            assert isinstance(event, ShapeReady)
+            names.add(event.shape.mesh_name)
+    return names

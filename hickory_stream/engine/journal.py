@@ -1,0 +1,372 @@
+"""`journal.mcap`: every event of a run, step by step, so that the run can be continued, repeated and looked back at.
+
+Each step is one compressed chunk with a CRC: a file that was cut anywhere holds all steps before the cut. Messages are
+CBOR (see `record_codec`), one channel per kind of event; the channel `step` says where the run stood, `checkpoint`
+holds the core's state now and then, `color` the compressed images of keyframes. The log time is the stamp.
+
+A chunk reaches the operating system when its step is over, so that a killed process loses nothing of it; it reaches the
+disk (fsync) at most `flush_s` later, which is what a lost power supply may cost.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+import time
+from bisect import bisect_right
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.records import Chunk, Message
+from mcap.stream_reader import breakup_chunk
+from mcap.writer import CompressionType, Writer
+
+from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
+from hickory_stream.engine.checkpoints import packed, unpacked
+from hickory_stream.engine.record_codec import decode, encode, encode_array
+from hickory_stream.engine.step import Checkpoint, JournalEntry, Step, StepKind
+from hickory_stream.errors import MapFolderError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.events import Event
+
+JOURNAL = "journal.mcap"
+_PROFILE = "hickory-stream/1"
+_STEP, _CHECKPOINT, _COLOR = 1, 2, 3
+_TOPICS = {_STEP: "step", _CHECKPOINT: "checkpoint", _COLOR: "color"}
+_EVENTS = ("FrameObserved", "FeaturesReady", "ShapeReady", "ShapeFailed", "TimeJumped", "SourceEnded")
+_CHANNELS = {name: 16 + i for i, name in enumerate(_EVENTS)}
+_MAGIC = b"\x89MCAP0\r\n"
+_CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
+_NO_LIMIT = 1 << 60
+_CACHED_CHUNKS = 64
+_DAMAGE = (McapError, zstandard.ZstdError, ValueError, KeyError, IndexError, struct.error, EOFError, MemoryError)
+
+
+# ---- writing --------------------------------------------------------------------------------------------------------
+
+
+class JournalWriter:
+    """Appends to the journal of a map folder. Not to be called from two threads at a time.
+
+    `continued` holds the steps to begin with: they are copied, so that the file is one whole MCAP file at the end, and
+    the old file is replaced only when that is done.
+
+    Raises:
+        MapFolderError: the disk refused; also from each method.
+    """
+
+    def __init__(self, folder: Path, *, flush_s: float, continued: Journal | None = None) -> None:
+        self._path = folder / JOURNAL
+        self._flush_s = flush_s
+        self._parts = _Parts()
+        self._num_chunks = 0
+        self._synced_s = time.monotonic()
+        partial = folder / f".{JOURNAL}{PARTIAL_SUFFIX}"
+        with disk_errors(self._path):
+            self._file = partial.open("wb")
+            try:
+                self._writer = Writer(self._file, chunk_size=_NO_LIMIT, compression=CompressionType.ZSTD)
+                self._writer.start(profile=_PROFILE, library="hickory-stream")
+                self._register()
+                for chunk in continued.chunks() if continued is not None else ():
+                    self._copy(chunk)
+                self._file.flush()
+                os.fsync(self._file.fileno())
+                partial.replace(self._path)
+            except BaseException:
+                self._file.close()
+                partial.unlink(missing_ok=True)
+                raise
+
+    def append(self, entry: JournalEntry, color: bytes | None = None) -> None:
+        """Add a step; `color` is the compressed image of its keyframe."""
+        stamp_ns = entry.step.stamp_ns
+        with disk_errors(self._path):
+            # First in its chunk: it tells what the chunk is.
+            self._add(_STEP, stamp_ns, encode(entry.step))
+            for event in entry.events:
+                self._add(_CHANNELS[type(event).__name__], stamp_ns, encode(event))
+            if color is not None:
+                self._add(_COLOR, stamp_ns, color)
+            self._end_chunk()
+
+    def checkpoint(self, checkpoint: Checkpoint, stamp_ns: int) -> None:
+        """Add the state after the last step; arrays that an earlier checkpoint holds are referred to."""
+        with disk_errors(self._path):
+            self._parts.begin(self._num_chunks)
+            document = encode(replace(checkpoint, core=packed(checkpoint.core)), self._parts)
+            new = self._parts.end()
+            self._add(_CHECKPOINT, stamp_ns, document)
+            for part in new:
+                self._add(_CHECKPOINT, stamp_ns, part)
+            self._end_chunk()
+
+    def sync(self) -> None:
+        """Wait until everything has reached the disk."""
+        with disk_errors(self._path):
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._synced_s = time.monotonic()
+
+    def close(self) -> None:
+        """Write the index that makes it a whole MCAP file, and close it."""
+        if self._file.closed:
+            return
+        with disk_errors(self._path):
+            try:
+                self._writer.finish()
+                self.sync()
+                sync(self._path.parent)
+            finally:
+                self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as a kill would leave it."""
+        try:
+            self._file.close()
+        except OSError:
+            pass  # the disk refused before: what is not there is not there
+
+    def _register(self) -> None:
+        """Register every channel; ids that follow from the order are part of the format."""
+        names = {**_TOPICS, **{number: f"event/{name}" for name, number in _CHANNELS.items()}}
+        for number in range(1, max(names) + 1):
+            topic = names.get(number, f"reserved/{number}")
+            encoding = "image" if number == _COLOR else "cbor"
+            assert self._writer.register_channel(topic, encoding, schema_id=0) == number
+
+    def _copy(self, chunk: list[Message]) -> None:
+        for message in chunk:
+            self._add(message.channel_id, message.log_time, message.data)
+        self._end_chunk()
+
+    def _add(self, channel: int, stamp_ns: int, data: bytes) -> None:
+        self._writer.add_message(channel, max(0, stamp_ns), data, max(0, stamp_ns), sequence=self._num_chunks)
+
+    def _end_chunk(self) -> None:
+        self._writer.flush()
+        self._num_chunks += 1
+        if time.monotonic() - self._synced_s >= self._flush_s:
+            self.sync()
+
+
+class _Parts:
+    """Where the arrays of the checkpoints are: (chunk, number in the chunk), by identity, while they are alive."""
+
+    def __init__(self) -> None:
+        self._places: dict[int, tuple[NDArray[Any], tuple[int, int]]] = {}
+        self._used: dict[int, tuple[NDArray[Any], tuple[int, int]]] = {}
+        self._new: list[bytes] = []
+        self._chunk = 0
+
+    def begin(self, chunk: int) -> None:
+        self._chunk, self._new, self._used = chunk, [], {}
+
+    def put(self, array: NDArray[Any], encoded: Callable[[], bytes]) -> tuple[int, int]:
+        """Return where the array is; arrays of records never change, so that one and the same needs no comparison."""
+        del encoded
+        known = self._used.get(id(array)) or self._places.get(id(array))
+        if known is None:
+            # The first message of the chunk is the document.
+            known = (array, (self._chunk, 1 + len(self._new)))
+            self._new.append(encode_array(array))
+        self._used[id(array)] = known
+        return known[1]
+
+    def end(self) -> list[bytes]:
+        # What this checkpoint did not use is forgotten, so that the arrays of the past can go.
+        self._places = self._used
+        return self._new
+
+
+# ---- reading --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a chunk is in the file."""
+
+    start: int
+    end: int
+    is_step: bool
+    stamp_ns: int
+
+
+class Journal:
+    """A journal that is read; open it with `with`. Complete or not, it holds what was whole when it was opened.
+
+    Raises:
+        MapFolderError: there is none, or it is none of this format.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / JOURNAL
+        try:
+            with self.path.open("rb") as file:
+                empty = os.fstat(file.fileno()).st_size == 0
+                self._data: Any = b"" if empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except FileNotFoundError as error:
+            raise MapFolderError(
+                f"{folder} holds no {JOURNAL}: the map keeps no history; play the log again"
+            ) from error
+        except OSError as error:
+            raise MapFolderError(f"cannot read {self.path}: {error.strerror or error}") from error
+        self._places = _scan(self._data, self.path)
+        self._steps = [i for i, place in enumerate(self._places) if place.is_step]
+        self._cache: OrderedDict[int, list[Message]] = OrderedDict()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._cache.clear()
+        if isinstance(self._data, mmap.mmap):
+            self._data.close()
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """The stamp of every step."""
+        return np.array([self._places[i].stamp_ns for i in self._steps], dtype=np.int64)
+
+    @property
+    def num_bytes(self) -> int:
+        """How much of the file is whole."""
+        return self._places[-1].end if self._places else 0
+
+    def entry(self, index: int) -> JournalEntry:
+        """Return a step with its events.
+
+        Raises:
+            MapFolderError: it is damaged.
+        """
+        first, *others = self._messages(self._steps[index])
+        events = [message.data for message in others if message.channel_id in _CHANNELS.values()]
+        return JournalEntry(step=self._decoded(first.data), events=tuple(self._decoded(data) for data in events))
+
+    def step(self, index: int) -> Step:
+        """Return a step without its events."""
+        step: Step = self._decoded(self._messages(self._steps[index])[0].data)
+        return step
+
+    def events(self, index: int, kind: str) -> list[Event]:
+        """Return the events of one kind in a step."""
+        return [self._decoded(m.data) for m in self._messages(self._steps[index]) if m.channel_id == _CHANNELS[kind]]
+
+    def color(self, index: int) -> bytes | None:
+        """Return the compressed image of a step's keyframe, None where there is none."""
+        found = [m.data for m in self._messages(self._steps[index]) if m.channel_id == _COLOR]
+        return found[0] if found else None
+
+    def checkpoint_before(self, index: int) -> tuple[int, Checkpoint] | None:
+        """Return the last checkpoint at or before a step, and the step after which it was made; None: there is none."""
+        following = self._steps[index + 1] if index + 1 < len(self._steps) else len(self._places)
+        for chunk in range(following - 1, -1, -1):
+            if not self._places[chunk].is_step:
+                return bisect_right(self._steps, chunk) - 1, self._checkpoint(chunk)
+        return None
+
+    def entries(self, first: int = 0) -> Iterator[JournalEntry]:
+        """Yield the steps from one on."""
+        for index in range(first, len(self)):
+            yield self.entry(index)
+
+    def cut_to_resumable(self) -> None:
+        """Forget what a run cannot be continued from: what follows the first damage, or was committed at a stop."""
+        for position, chunk in enumerate(self._steps):
+            try:
+                kind = self.step(position).kind
+            except MapFolderError:
+                kind = StepKind.CLOSING
+            if kind is StepKind.CLOSING:
+                self._cut(chunk)
+                break
+        for chunk, place in enumerate(self._places):
+            if not place.is_step:
+                try:
+                    self._messages(chunk)
+                except MapFolderError:
+                    self._cut(chunk)
+                    break
+
+    def chunks(self) -> Iterator[list[Message]]:
+        """Yield the messages of each chunk."""
+        for chunk in range(len(self._places)):
+            yield self._messages(chunk)
+
+    def _cut(self, chunk: int) -> None:
+        self._places = self._places[:chunk]
+        self._steps = [i for i in self._steps if i < chunk]
+
+    def _checkpoint(self, chunk: int) -> Checkpoint:
+        def part(other: int, number: int) -> NDArray[Any]:
+            array: NDArray[Any] = self._decoded(self._messages(other)[number].data)
+            return array
+
+        checkpoint: Checkpoint = self._decoded(self._messages(chunk)[0].data, part)
+        return replace(checkpoint, core=unpacked(checkpoint.core))
+
+    def _decoded(self, data: bytes, part: Callable[[int, int], NDArray[Any]] | None = None) -> Any:
+        try:
+            return decode(data, part)
+        except ValueError as error:
+            raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
+
+    def _messages(self, chunk: int) -> list[Message]:
+        cached = self._cache.get(chunk)
+        if cached is not None:
+            self._cache.move_to_end(chunk)
+            return cached
+        place = self._places[chunk]
+        try:
+            record = Chunk.read(ReadDataStream(BytesIO(self._data[place.start : place.end])))
+            messages = [m for m in breakup_chunk(record, validate_crc=True) if isinstance(m, Message)]
+        except _DAMAGE as error:
+            raise MapFolderError(
+                f"{self.path} is damaged at byte {place.start}: {error}; play the log again"
+            ) from error
+        self._cache[chunk] = messages
+        if len(self._cache) > _CACHED_CHUNKS:
+            self._cache.popitem(last=False)
+        return messages
+
+
+def _scan(data: Any, path: Path) -> list[_Place]:
+    """Return the chunks that are whole: the record is there, and the index after it, which says what is in it."""
+    if len(data) < len(_MAGIC):
+        return []
+    if data[: len(_MAGIC)] != _MAGIC:
+        raise MapFolderError(f"{path} is no MCAP file; play the log again")
+    places: list[_Place] = []
+    at, chunk = len(_MAGIC), None
+    while at + 9 <= len(data):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        start, end = at + 9, at + 9 + length
+        if end > len(data):
+            break
+        if opcode == _CHUNK_OPCODE and length >= 16:
+            chunk = (start, end, struct.unpack_from("<Q", data, start)[0])
+        elif opcode == _INDEX_OPCODE and chunk is not None and length >= 2:
+            channel = struct.unpack_from("<H", data, start)[0]
+            places.append(_Place(chunk[0], chunk[1], channel == _STEP, chunk[2]))
+            chunk = None
+        at = end
+    return places

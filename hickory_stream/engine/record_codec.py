@@ -1,0 +1,186 @@
+"""Any record of the mapper as CBOR (RFC 8949), and back, exactly: what the journal is made of.
+
+A record is a map of its fields under a tag with its name; only records of our own packages are ever made from it, by
+their constructors. Arrays are stored so that they compress: keys of voxels as differences, numbers byte by byte.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import pkgutil
+from enum import Enum
+from functools import cache
+from typing import TYPE_CHECKING, Any, Protocol
+
+import cbor2
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+# Of the range that is free for everybody's use ("first come, first served", RFC 8949, 9.2).
+_RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
+_PART_BYTES = 1024
+_PLAIN, _BITS, _DIFFERENCES, _PLANES = range(4)
+
+
+class PartStore(Protocol):
+    """Keeps large arrays beside the document, so that what did not change is not written again."""
+
+    def put(self, array: NDArray[Any], encoded: Callable[[], bytes]) -> tuple[int, int]:
+        """Return where an array is kept; `encoded()` gives its bytes if it is new."""
+        ...
+
+
+def encode(value: Any, parts: PartStore | None = None) -> bytes:
+    """Return a value made of records, arrays, enums, tuples, dicts, sets, numbers and text; no other kind is taken.
+
+    Raises:
+        TypeError: it holds something else.
+    """
+    return cbor2.dumps(_plain(value, parts))
+
+
+def decode(data: bytes, part: Callable[[int, int], NDArray[Any]] | None = None) -> Any:
+    """Return what `encode` was given, lists as tuples; `part` gives an array from where a `PartStore` has put it.
+
+    Raises:
+        ValueError: the bytes are damaged, or hold a record that this version does not know.
+    """
+    try:
+        return _value(cbor2.loads(data), part)
+    except (cbor2.CBORDecodeError, TypeError, KeyError, IndexError) as error:
+        raise ValueError(f"no record of this version: {error!r}") from error
+
+
+def encode_array(array: NDArray[Any]) -> bytes:
+    """Return an array alone."""
+    return cbor2.dumps(_array_tag(array))
+
+
+# ---- writing --------------------------------------------------------------------------------------------------------
+
+
+def _plain(value: Any, parts: PartStore | None) -> Any:
+    match value:
+        case None | bool() | bytes():
+            return value
+        case Enum():
+            return cbor2.CBORTag(_ENUM, [type(value).__name__, value.value])
+        case str():
+            return str(value)
+        case int() | np.integer():
+            return int(value)
+        case float() | np.floating():
+            return float(value)
+        case np.ndarray():
+            if parts is None or value.nbytes < _PART_BYTES:
+                return _array_tag(value)
+            return cbor2.CBORTag(_PART, list(parts.put(value, lambda: encode_array(value))))
+        case tuple() | list():
+            return [_plain(item, parts) for item in value]
+        case set() | frozenset():
+            return cbor2.CBORTag(_SET, [_plain(item, parts) for item in sorted(value)])
+        case _ if dataclasses.is_dataclass(value):
+            name = type(value).__name__
+            assert _records().get(name) is type(value), f"{name} is no record of the registry"
+            fields = {f.name: _plain(getattr(value, f.name), parts) for f in dataclasses.fields(value)}
+            return cbor2.CBORTag(_RECORD, [name, fields])
+        case _ if hasattr(value, "items"):
+            return cbor2.CBORTag(_MAP, [[_plain(key, parts), _plain(item, parts)] for key, item in value.items()])
+    raise TypeError(f"a journal holds no {type(value).__name__}")
+
+
+def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
+    little = np.asarray(array, dtype=array.dtype.newbyteorder("<"), order="C")
+    method, data = _PLAIN, b""
+    if little.dtype == bool:
+        method, data = _BITS, np.packbits(little).tobytes()
+    elif little.dtype.itemsize == 1 or little.nbytes < 64:
+        data = little.tobytes()
+    elif little.dtype == np.int64 and little.ndim == 1:
+        method, data = _DIFFERENCES, _planes(np.diff(little, prepend=np.int64(0)))
+    else:
+        method, data = _PLANES, _planes(little)
+    return cbor2.CBORTag(_ARRAY, [little.dtype.str, list(little.shape), method, data])
+
+
+def _planes(array: NDArray[Any]) -> bytes:
+    """Return the first bytes of all numbers, then the second ones, ...: columns after one another."""
+    columns = np.ascontiguousarray(array.reshape(array.shape[0], -1).T)
+    return columns.reshape(-1).view(np.uint8).reshape(-1, array.dtype.itemsize).T.tobytes()
+
+
+# ---- reading --------------------------------------------------------------------------------------------------------
+
+
+def _value(item: Any, part: Callable[[int, int], NDArray[Any]] | None) -> Any:
+    if isinstance(item, list | tuple):
+        return tuple(_value(entry, part) for entry in item)
+    if not isinstance(item, cbor2.CBORTag):
+        return item
+    content = item.value
+    if item.tag == _RECORD:
+        name, fields = content
+        return _records()[name](**{key: _value(entry, part) for key, entry in fields.items()})
+    if item.tag == _ARRAY:
+        return _array(*content)
+    if item.tag == _PART:
+        if part is None:
+            raise ValueError("the record refers to parts of another one")
+        return part(*content)
+    if item.tag == _MAP:
+        return {_value(key, part): _value(entry, part) for key, entry in content}
+    if item.tag == _SET:
+        return {_value(entry, part) for entry in content}
+    if item.tag == _ENUM:
+        name, text = content
+        return _records()[name](text)
+    raise ValueError(f"unknown tag {item.tag}")
+
+
+def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArray[Any]:
+    dtype = np.dtype(dtype_name)
+    if dtype.hasobject:
+        raise ValueError(f"a journal holds no arrays of {dtype}")
+    count = int(np.prod(shape, dtype=np.int64))
+    if method == _BITS:
+        array = np.unpackbits(np.frombuffer(data, np.uint8), count=count).astype(bool)
+    elif method == _PLAIN:
+        array = np.frombuffer(data, dtype)
+    elif method in (_DIFFERENCES, _PLANES):
+        planes = np.frombuffer(data, np.uint8).reshape(dtype.itemsize, -1)
+        array = np.ascontiguousarray(planes.T).reshape(-1).view(dtype)
+        if method == _DIFFERENCES:
+            array = np.cumsum(array, dtype=np.int64)
+        else:
+            array = np.ascontiguousarray(array.reshape(-1, shape[0]).T)
+    else:
+        raise ValueError(f"unknown storage {method} of an array")
+    array = array.reshape(shape).astype(dtype.newbyteorder("="), copy=False)
+    array.flags.writeable = False
+    return array
+
+
+@cache
+def _records() -> dict[str, Any]:
+    """Return the dataclasses and enums of records, events, geometry and mapping by their names."""
+    import hickory_stream.geometry
+    import hickory_stream.mapping
+
+    names = ["hickory_stream.records", "hickory_stream.events", "hickory_stream.engine.step"]
+    names.append("hickory_stream.engine.checkpoints")
+    for package in (hickory_stream.geometry, hickory_stream.mapping):
+        names += [f"{package.__name__}.{module.name}" for module in pkgutil.iter_modules(package.__path__)]
+    found: dict[str, Any] = {}
+    for name in names:
+        for kind in vars(importlib.import_module(name)).values():
+            is_record = isinstance(kind, type) and (dataclasses.is_dataclass(kind) or issubclass(kind, Enum))
+            # Of a configuration the manifest holds the values; events have none.
+            if is_record and kind.__module__ == name and not kind.__name__.endswith("Config"):
+                assert kind.__name__ not in found, f"two records are called {kind.__name__}"
+                found[kind.__name__] = kind
+    return found

@@ -1,0 +1,114 @@
+"""The third mode: a recorded run again, from the map folder alone, shown to sinks as it was shown then.
+
+There is no depth in a map folder: what is shown of a keyframe are its image, its masks, the decisions and the map.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.engine.history import Replay
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.resume import recorded_config
+from hickory_stream.engine.step import StepKind
+from hickory_stream.events import FrameObserved
+from hickory_stream.records import FrameReport, Segmentation
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from hickory_stream.engine.history import Replayed
+    from hickory_stream.engine.step import FramePose
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.ports import Sink
+    from hickory_stream.records import MapSnapshot
+
+
+def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
+    """Return the map that the events of a map folder's journal make; `sinks` are shown every step, and closed.
+
+    Raises:
+        MapFolderError: there is no map or no journal, or it is damaged or of another version.
+    """
+    config = recorded_config(path)
+    num_keyframes = 0
+    try:
+        with Journal(path) as journal:
+            again = Replay(journal, config.mapping)
+            last: FramePose | None = None
+            camera: Camera | None = None
+            for replayed in again.steps(len(journal)):
+                step = replayed.entry.step
+                camera = step.camera
+                last = step.frames[-1] if step.frames else last
+                for sink in sinks:
+                    for report in _reports(replayed, journal, num_keyframes):
+                        sink.show(report)
+                num_keyframes = step.num_keyframes
+            snapshot = again.core.snapshot()
+            if last is not None and camera is not None:
+                for sink in sinks:
+                    sink.show(
+                        FrameReport(
+                            index=last.index + 1,
+                            stamp_ns=last.stamp_ns,
+                            keyframe_index=num_keyframes,
+                            camera=camera,
+                            world_from_camera=last.world_from_camera,
+                            color_bytes=None,
+                            snapshot=snapshot,
+                        )
+                    )
+    finally:
+        for sink in sinks:
+            sink.close()
+    return snapshot
+
+
+def _reports(replayed: Replayed, journal: Journal, keyframe_index: int) -> list[FrameReport]:
+    """Return the reports of a step: its frames, the keyframe last with all that is known of it."""
+    step, published = replayed.entry.step, replayed.published
+    observed = next((event for event in replayed.entry.events if isinstance(event, FrameObserved)), None)
+    is_keyframe = step.kind is StepKind.KEYFRAME and observed is not None and published is not None
+    reports = []
+    for frame in step.frames:
+        plain = FrameReport(
+            index=frame.index,
+            stamp_ns=frame.stamp_ns,
+            keyframe_index=None,
+            camera=step.camera,
+            world_from_camera=frame.world_from_camera,
+            color_bytes=None,
+        )
+        if not is_keyframe or observed is None or published is None or frame.index != observed.frame_index:
+            reports.append(plain)
+            continue
+        reports.append(
+            FrameReport(
+                index=frame.index,
+                stamp_ns=frame.stamp_ns,
+                keyframe_index=keyframe_index,
+                camera=step.camera,
+                world_from_camera=frame.world_from_camera,
+                color_bytes=journal.color(replayed.index),
+                segmentation=_segmentation(observed, step.camera),
+                observations=observed.observations,
+                object_ids=published.object_ids,
+                decisions=published.decisions,
+                snapshot=published.snapshot,
+                metrics=(*step.metrics, *published.metrics),
+            )
+        )
+    return reports
+
+
+def _segmentation(observed: FrameObserved, camera: Camera) -> Segmentation:
+    """Return the masks of the observations as one image; which pixels were structure is not known any more."""
+    instances = np.zeros((camera.height, camera.width), dtype=np.int32)
+    for observation in observed.observations:
+        x0, y0, x1, y1 = observation.box_px
+        instances[y0:y1, x0:x1][observation.mask] = observation.index + 1
+    return Segmentation(instances=instances, structure=np.zeros(instances.shape, dtype=bool))

@@ -1,0 +1,114 @@
+"""Going on with a run that was interrupted: killed, stopped, or ended by an error.
+
+A playback continues after its last complete step and comes to the same map as one that was never interrupted. Of a live
+run, whose frames are gone, everything up to the last step is saved.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.config import MapperConfig, from_dict
+from hickory_stream.engine.history import continued_from
+from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
+from hickory_stream.engine.manifest import Manifest, read_manifest
+from hickory_stream.engine.session import MapFolder, reopen_map_folder
+from hickory_stream.errors import ConfigError, MapFolderError, RecordingError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.engine.run import Continued
+    from hickory_stream.records import SourceInfo
+
+
+def recorded_config(path: Path) -> MapperConfig:
+    """Return the configuration that a map was made with.
+
+    Raises:
+        MapFolderError: there is no map, or its configuration is that of another version.
+    """
+    manifest = read_manifest(path)
+    try:
+        return from_dict(MapperConfig, _plain(manifest.config))
+    except ConfigError as error:
+        raise MapFolderError(
+            f"{path} was made by hickory-stream {manifest.software_version}: {error}; play the log again"
+        ) from error
+
+
+def check_interrupted(path: Path) -> Manifest:
+    """Return the manifest of a map whose run was interrupted.
+
+    Raises:
+        MapFolderError: there is no map, or its run had finished.
+    """
+    manifest = read_manifest(path)
+    if manifest.finished_cleanly:
+        raise MapFolderError(f"{path} is finished: there is nothing to resume; `inspect` shows it")
+    return manifest
+
+
+def reopen(path: Path, info: SourceInfo, config: MapperConfig) -> tuple[MapFolder, JournalWriter, Continued | None]:
+    """Return a map folder whose playback is to be continued, its journal, and where it goes on (None: anew).
+
+    Raises:
+        MapFolderError: there is no map, nothing to continue, or what is there cannot be continued.
+        RecordingError: the source is another one than that of the map.
+    """
+    manifest = check_interrupted(path)
+    if manifest.run.get("mode") != "playback":
+        raise MapFolderError(f"{path} is the map of a live run, whose frames are gone; `resume` saves what it had")
+    if manifest.source["identity"] != info.identity:
+        raise RecordingError(
+            f"{info.uri} is not the log that {path} was made of ({manifest.source['uri']}); give that one"
+        )
+    folder = reopen_map_folder(path)
+    try:
+        with Journal(path) as journal:
+            journal.cut_to_resumable()
+            continued = continued_from(journal, config.mapping)
+            if continued is not None:
+                _check_views(folder, continued)
+            return folder, JournalWriter(path, flush_s=config.journal.flush_s, continued=journal), continued
+    except BaseException:
+        folder.close()
+        raise
+
+
+def save_live(path: Path) -> str:
+    """Save the map of a live run that was killed, as of its last complete step; return the digest.
+
+    Raises:
+        MapFolderError: there is no map, nothing to save, or the disk refused.
+    """
+    check_interrupted(path)
+    config = recorded_config(path)
+    folder = reopen_map_folder(path)
+    try:
+        with Journal(path) as journal:
+            journal.cut_to_resumable()
+            continued = continued_from(journal, config.mapping)
+            JournalWriter(path, flush_s=config.journal.flush_s, continued=journal).close()
+        if continued is not None:
+            for name in continued.mesh_names:
+                folder.keep_shape(name)
+            folder.save(continued.core.snapshot())
+        return folder.finish(finished_cleanly=False, is_reproducible=False).digest or ""
+    finally:
+        folder.close()
+
+
+def _check_views(folder: MapFolder, continued: Continued) -> None:
+    """Refuse a map whose views did not all reach the disk."""
+    for tracked in continued.core.snapshot().objects:
+        for view in tracked.views:
+            if not (folder.views / f"{view.name}.json").is_file():
+                raise MapFolderError(
+                    f"{folder.path} lacks views/{view.name}, which {JOURNAL} tells of: the power failed before it "
+                    "reached the disk; play the log again"
+                )
+
+
+def _plain(config: Any) -> dict[str, Any]:
+    return dict(config)

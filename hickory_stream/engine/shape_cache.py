@@ -1,0 +1,107 @@
+"""Shapes that were built before, by what they were built from: a second playback of a log costs no reconstruction.
+
+The key is a hash of the whole input of a job (pixels, points, configuration), of the sources of the packages that build
+shapes, and of the versions of the libraries that they compute with: whatever could change a shape changes its key.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import shutil
+import sys
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+logger = logging.getLogger(__name__)
+
+_FOLDER = "shapes"
+_ANSWER = ("mesh.glb", "result.json")
+_CODE = ("shapes", "geometry")
+_LIBRARIES = ("numpy", "scipy", "numba", "scikit-image", "open3d-cpu", "open3d", "trimesh")
+_MOST_ENTRIES = 4000
+_PRUNED_ENTRIES = 3000
+
+
+def shape_cache_folder() -> Path:
+    """Return where shapes are kept: below $HICKORY_CACHE, or a folder of the user's cache."""
+    named = os.environ.get("HICKORY_CACHE")
+    return (Path(named) if named else Path.home() / ".cache" / "hickory-stream") / _FOLDER
+
+
+class ShapeCache:
+    """A folder of answers by the hash of their jobs. What the disk refuses is a miss: it is a cache."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def key(self, job: Path) -> str:
+        """Return the hash of a job's input and of what would answer it."""
+        digest = hashlib.sha256(_environment().encode())
+        for path in sorted(job.iterdir()):
+            if path.name not in _ANSWER:
+                content = path.read_bytes()
+                digest.update(f"{path.name}:{len(content)}:".encode())
+                digest.update(content)
+        return digest.hexdigest()
+
+    def fetch(self, key: str, job: Path) -> bool:
+        """Put a known answer into a job's folder; return whether there was one."""
+        entry = self._folder / key[:2] / key
+        try:
+            if not (entry / "result.json").is_file():
+                return False
+            for path in entry.iterdir():
+                shutil.copyfile(path, job / path.name)
+            os.utime(entry)
+        except OSError as error:
+            logger.debug("shape cache: %s", error)
+            (job / "result.json").unlink(missing_ok=True)
+            return False
+        return True
+
+    def store(self, key: str, job: Path) -> None:
+        """Keep the answer of a job."""
+        entry = self._folder / key[:2] / key
+        partial = entry.with_name(f".{key}.{os.getpid()}")
+        try:
+            if entry.exists():
+                return
+            partial.mkdir(parents=True)
+            for name in _ANSWER:
+                if (job / name).exists():
+                    shutil.copyfile(job / name, partial / name)
+            partial.rename(entry)
+        except OSError as error:
+            logger.debug("shape cache: %s", error)
+            shutil.rmtree(partial, ignore_errors=True)
+
+    def prune(self) -> None:
+        """Remove what was not used for the longest time, where there is too much."""
+        try:
+            entries = sorted(self._folder.glob("??/*"), key=lambda entry: entry.stat().st_mtime)
+        except OSError:
+            return
+        if len(entries) > _MOST_ENTRIES:
+            for entry in entries[:-_PRUNED_ENTRIES]:
+                shutil.rmtree(entry, ignore_errors=True)
+
+
+@cache
+def _environment() -> str:
+    """Return what computes a shape, beside its input: our code, Python, and the libraries."""
+    root = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for package in _CODE:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return f"{digest.hexdigest()} {sys.version_info[:2]} {' '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return "none"

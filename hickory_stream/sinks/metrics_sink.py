@@ -1,0 +1,62 @@
+"""Numbers of a run for Prometheus: text over HTTP, on the loopback address unless told otherwise."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import InputError
+
+if TYPE_CHECKING:
+    from hickory_stream.records import FrameReport
+
+_FAMILIES = {
+    "time": ("hickory_stage_seconds", "Seconds that the last keyframe took, by stage", "stage"),
+    "queue": ("hickory_queue_length", "Items that wait, by queue", "queue"),
+    "engine": ("hickory_engine", "State of the engine: delay of the loop, workers, memory, frames dropped", "what"),
+    "core": ("hickory_core", "State of the core: objects by phase, share of features saved", "what"),
+}
+
+
+class MetricsSink:
+    """A `Sink` that answers `GET /metrics` on a port; 0 takes a free one. `port` says which it is.
+
+    Raises:
+        InputError: the port cannot be had.
+    """
+
+    def __init__(self, port: int, bind: str = "127.0.0.1") -> None:
+        # Imported here: a run that nobody measures does without.
+        from prometheus_client import CollectorRegistry, Counter, Gauge, start_http_server
+
+        registry = CollectorRegistry()
+        self._frames = Counter("hickory_frames", "Frames that were read", registry=registry)
+        self._keyframes = Counter("hickory_keyframes", "Keyframes that were mapped", registry=registry)
+        self._objects = Gauge("hickory_objects", "Objects in the map", registry=registry)
+        self._families = {
+            group: Gauge(name, text, (label,), registry=registry) for group, (name, text, label) in _FAMILIES.items()
+        }
+        try:
+            self._server, self._thread = start_http_server(port, bind, registry)
+        except OSError as error:
+            raise InputError(
+                f"cannot answer on {bind}:{port}: {error.strerror}; choose another --metrics-port"
+            ) from error
+        self.port = int(self._server.server_port)
+
+    def show(self, report: FrameReport) -> None:
+        """Take the numbers of a report."""
+        self._frames.inc()
+        if report.snapshot is not None:
+            self._objects.set(len(report.snapshot.objects))
+        if report.frame is not None:
+            self._keyframes.inc()
+        for name, value in report.metrics:
+            group, _, label = name.partition("/")
+            if group in self._families:
+                self._families[group].labels(label).set(value)
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join(2.0)

@@ -1,0 +1,107 @@
+"""Reconstructors that misbehave in every way we know: the job fails with its reason, the rest of the map is there."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hickory_stream.cli import main
+from hickory_stream.engine.session import open_map
+from hickory_stream.errors import ConfigError
+from tests.engine.bad_worker import write_interpreter
+from tests.engine.run_fixtures import map_scene, shape_workers
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.timeout(120)
+
+ONCE = ("mapping.requests.max_failures=1", "mapping.requests.first_sightings=99", "run.workers=1")
+
+
+@pytest.mark.parametrize(
+    ("way", "reason", "is_reproducible"),
+    [
+        ("empty", "an empty mesh", True),
+        ("nan", "not finite", True),
+        ("raises", "out of ideas", True),
+        ("segfaults", "SIGSEGV", False),
+        ("kills-itself", "SIGKILL", False),
+        ("hangs", "no answer within 1 s", False),
+        ("grows", "more than 300 MB of memory", False),
+    ],
+)
+def test_a_job_that_goes_wrong_says_why_and_leaves_the_rest_of_the_map(
+    tmp_path: Path, way: str, reason: str, is_reproducible: bool
+) -> None:
+    python = write_interpreter(tmp_path / "python", way)
+    limits = ("run.job_timeout_s=1.0",) if way == "hangs" else ("run.job_memory_mb=300.0",) if way == "grows" else ()
+    run = map_scene(tmp_path, *ONCE, *limits, f"run.worker_python={python}")
+    saved = open_map(run.folder.path)
+    assert saved.manifest.finished_cleanly
+    assert saved.manifest.is_reproducible == is_reproducible
+    assert [tracked.shape for tracked in saved.snapshot.objects] == [None] * 3
+    assert all(len(tracked.points_world) for tracked in saved.snapshot.objects)
+    assert saved.ledger["shapes"]["failed"] == 3
+    assert reason in _reasons(run.folder.path)
+    # The input is kept, and can be tried by hand with the reconstructor that works.
+    kept = sorted((run.folder.path / "failed").iterdir())
+    assert [folder.name for folder in kept] == ["000001", "000002", "000003"]
+    if way == "nan":
+        assert main(["reconstruct", str(kept[0])]) == 0
+        assert (kept[0] / "mesh.glb").is_file()
+    assert shape_workers() == []
+
+
+def _reasons(path: Path) -> str:
+    from hickory_stream.engine.journal import Journal
+
+    with Journal(path) as journal:
+        return " ".join(str(event) for i in range(len(journal)) for event in journal.events(i, "ShapeFailed"))
+
+
+def test_a_reconstructor_may_print_what_it_likes(tmp_path: Path) -> None:
+    python = write_interpreter(tmp_path / "python", "prints")
+    run = map_scene(tmp_path, *ONCE, f"run.worker_python={python}")
+    assert all(tracked.shape is not None for tracked in open_map(run.folder.path).snapshot.objects)
+
+
+def test_an_interpreter_that_does_not_exist_is_refused_before_anything_is_played(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="worker_python is /no/such/python, which is no program"):
+        map_scene(tmp_path, "run.worker_python=/no/such/python")
+    assert not (tmp_path / "map").exists()
+
+
+def test_an_interpreter_that_cannot_run_a_worker_fails_every_job_with_the_reason(tmp_path: Path) -> None:
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\nexit 3\n")
+    broken.chmod(0o755)
+    run = map_scene(tmp_path, *ONCE, f"run.worker_python={broken}")
+    assert "ended with status 3" in _reasons(run.folder.path)
+    assert open_map(run.folder.path).manifest.finished_cleanly
+
+
+@pytest.mark.parametrize("content", [None, "not json", '{"views": []}'])
+def test_what_is_no_job_cannot_be_repeated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None
+) -> None:
+    if content is not None:
+        (tmp_path / "job.json").write_text(content)
+    assert main(["reconstruct", str(tmp_path), "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["event"] == "error"
+
+
+def test_a_second_playback_takes_its_shapes_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HICKORY_CACHE", str(tmp_path / "cache"))
+    first = map_scene(tmp_path, "run.shape_cache=true", name="first")
+    python = write_interpreter(tmp_path / "python", "raises")
+    second = map_scene(tmp_path, "run.shape_cache=true", f"run.worker_python={python}", name="second")
+    shapes = open_map(second.folder.path).ledger["shapes"]
+    assert shapes["cached"] == shapes["requested"] == shapes["ready"] >= 3
+    assert second.digest == first.digest
+    changed = map_scene(
+        tmp_path, "run.shape_cache=true", "shapes.inflate.r_safe_m=0.03", f"run.worker_python={python}", name="third"
+    )
+    assert "cached" not in open_map(changed.folder.path).ledger["shapes"]

@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hickory_stream.engine.folder_lock import LOCK, FolderLock, check_unlocked
+from hickory_stream.errors import MapFolderError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HOLD = """
+import sys, pathlib
+from hickory_stream.engine.folder_lock import FolderLock
+lock = FolderLock(pathlib.Path(sys.argv[1]))
+print("held", flush=True)
+sys.stdin.readline()
+"""
+
+
+def test_a_second_process_is_refused_with_the_pid_of_the_first_until_that_is_killed(tmp_path: Path) -> None:
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path)], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
+    with pytest.raises(MapFolderError, match=f"is being written by process {holder.pid};"):
+        FolderLock(tmp_path)
+    with pytest.raises(MapFolderError, match=str(holder.pid)):
+        check_unlocked(tmp_path)
+    holder.kill()
+    holder.communicate()
+    FolderLock(tmp_path).release()
+    assert not (tmp_path / LOCK).exists()
+
+
+def test_a_released_or_forgotten_lock_can_be_taken_again(tmp_path: Path) -> None:
+    lock = FolderLock(tmp_path)
+    assert (tmp_path / LOCK).read_text() == f"{os.getpid()}\n"
+    lock.release()
+    lock.release()
+    again = FolderLock(tmp_path)
+    del again
+    FolderLock(tmp_path).release()

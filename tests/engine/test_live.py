@@ -1,0 +1,223 @@
+"""Live runs: they wait for nothing, lose what they must, and count it."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.cli import main
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.journal import JOURNAL, Journal
+from hickory_stream.engine.replay import replay
+from hickory_stream.engine.session import open_map
+from hickory_stream.errors import RecordingError
+from hickory_stream.testing import START_NS, InstanceSegmenter, RememberingSink, SceneSource
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import Sink
+    from hickory_stream.records import Frame, FrameReport, ObservedSpace, RawFrame, Segmentation
+
+pytestmark = pytest.mark.timeout(120)
+
+
+class HeldSegmenter(InstanceSegmenter):
+    """Holds its first frame until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__(SceneSource(NUM_FRAMES).instances)
+        self.go_on = threading.Event()
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+        assert self.go_on.wait(60)
+        return super().segment(frame, prior, prepared)
+
+
+class TellingSource(SceneSource):
+    """Lets a segmenter go on when it has been read to its end."""
+
+    def __init__(self, segmenter: HeldSegmenter, rounds: int) -> None:
+        super().__init__(NUM_FRAMES)
+        self._segmenter = segmenter
+        self._rounds = rounds
+
+    def frames(self) -> Iterator[RawFrame]:
+        yield from super().frames()
+        self._rounds -= 1
+        if self._rounds == 0:
+            self._segmenter.go_on.set()
+
+
+def fates(path: Path) -> dict[str, int]:
+    frames: dict[str, int] = dict(open_map(path).ledger["frames"])
+    return frames
+
+
+def test_a_live_run_that_keeps_up_maps_every_keyframe_and_replays_to_the_same_map(tmp_path: Path) -> None:
+    run = map_scene(tmp_path, mode="live", rate=3.0)
+    manifest = open_map(run.folder.path).manifest
+    assert manifest.finished_cleanly
+    assert not manifest.is_reproducible
+    assert manifest.run["mode"] == "live"
+    frames = fates(run.folder.path)
+    assert frames["read"] == NUM_FRAMES == frames["keyframes"] + frames.get("keyframes_dropped", 0)
+    assert all(tracked.shape is not None for tracked in run.snapshots[-1].objects)
+    assert map_digest(replay(run.folder.path)) == run.digest
+
+
+def test_what_comes_while_the_map_is_behind_is_dropped_and_every_frame_accounted_for(tmp_path: Path) -> None:
+    segmenter = HeldSegmenter()
+    source = TellingSource(segmenter, rounds=6)
+    map_scene(tmp_path, *NO_SHAPES, source=source, segmenter=segmenter, mode="live", loops=6)
+    frames = fates(tmp_path / "map")
+    assert frames["read"] == 6 * NUM_FRAMES
+    # One was held, the newest of those that waited was mapped, the oldest had no room.
+    assert frames["keyframes"] == 2
+    assert frames["frames_dropped"] == 6 * NUM_FRAMES - 1 - 32
+    assert frames["keyframes_dropped"] == 32 - 1
+    lost = frames["frames_dropped"] + frames["keyframes_dropped"] + frames.get("between_keyframes", 0)
+    assert frames["read"] == frames["keyframes"] + lost
+    with Journal(tmp_path / "map") as journal:
+        assert journal.step(1).frames[-1].index == 6 * NUM_FRAMES - 1
+
+
+class HangingSink(RememberingSink):
+    def __init__(self) -> None:
+        super().__init__()
+        self.go_on = threading.Event()
+
+    def show(self, report: FrameReport) -> None:
+        assert self.go_on.wait(60)
+        super().show(report)
+
+
+def test_a_viewer_that_hangs_holds_nothing_up(tmp_path: Path) -> None:
+    hanging = HangingSink()
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        from hickory_stream.sinks.disk_sink import DiskSink
+
+        # It goes on when the map is there: had it been waited for, that would never be.
+        return [(DiskSink(folder), True), (hanging, False), (Releasing(hanging), False)]
+
+    map_scene(tmp_path, *NO_SHAPES, mode="live", loops=4, rate=20.0, sinks=sinks)
+    frames = fates(tmp_path / "map")
+    assert frames["read"] == 4 * NUM_FRAMES
+    assert frames["reports_not_shown"] > 0
+
+
+class Releasing(RememberingSink):
+    """Lets a hanging sink go when it is closed itself."""
+
+    def __init__(self, hanging: HangingSink) -> None:
+        super().__init__()
+        self._hanging = hanging
+
+    def close(self) -> None:
+        self._hanging.go_on.set()
+
+
+def test_a_killed_live_run_is_saved_up_to_its_last_step(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import json
+
+    folder = map_scene(tmp_path, *NO_SHAPES, mode="live", rate=3.0).folder.path
+    with Journal(folder) as journal:
+        end = journal._places[4].end
+    (folder / JOURNAL).write_bytes((folder / JOURNAL).read_bytes()[: end + 60])
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps({**manifest, "finished_cleanly": False}))
+    assert main(["resume", str(folder), "--json"]) == 0
+    saved = json.loads(capsys.readouterr().out)
+    assert saved["event"] == "saved"
+    assert saved["digest"] == map_digest(open_map(folder).snapshot) == map_digest(replay(folder))
+    assert not open_map(folder).manifest.finished_cleanly
+
+
+# ---- clocks that jump ------------------------------------------------------------------------------------------------
+
+
+class Restamped(SceneSource):
+    """The scene with stamps of one's own, in seconds from the start."""
+
+    def __init__(self, seconds: tuple[float, ...]) -> None:
+        super().__init__(len(seconds))
+        self._seconds = seconds
+
+    def frames(self) -> Iterator[RawFrame]:
+        for raw, second in zip(super().frames(), self._seconds, strict=True):
+            stamp_ns = START_NS + int(second * 1e9)
+            yield replace(raw, stamp_ns=stamp_ns, decode=lambda raw=raw, s=stamp_ns: replace(raw.decode(), stamp_ns=s))
+
+
+class AnyStamp(InstanceSegmenter):
+    """Finds nothing: what is tested here is time."""
+
+    def __init__(self) -> None:
+        super().__init__({})
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+        none = np.zeros(frame.depth_m.shape, dtype=np.int32)
+        return InstanceSegmenter({frame.stamp_ns: none}).segment(frame)
+
+
+def jumps(path: Path, seconds: tuple[float, ...], loops: int = 1) -> tuple[list[str], dict[str, int]]:
+    map_scene(path, *NO_SHAPES, source=Restamped(seconds), segmenter=AnyStamp(), loops=loops)
+    with Journal(path / "map") as journal:
+        kinds = [str(e.kind) for i in range(len(journal)) for e in journal.events(i, "TimeJumped")]  # type: ignore[union-attr]
+    return kinds, fates(path / "map")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "kinds"),
+    [
+        ((0.0, 0.3, 0.6), []),
+        ((0.0, 0.3, 30.0), []),
+        ((0.0, 0.3, 300.0), ["seek"]),
+        ((0.0, 5.0, 10.0, 3.0), ["seek"]),
+        ((0.0, 5.0, -1000.0), ["restart"]),
+    ],
+)
+def test_a_seek_and_a_restart_of_the_clock_are_told_apart(
+    tmp_path: Path, seconds: tuple[float, ...], kinds: list[str]
+) -> None:
+    found, frames = jumps(tmp_path, seconds)
+    assert found == kinds
+    assert frames["read"] == len(seconds)
+
+
+def test_a_looped_log_is_a_loop(tmp_path: Path) -> None:
+    assert jumps(tmp_path, (0.0, 0.3), loops=3)[0] == ["loop", "loop"]
+
+
+def test_a_frame_that_is_merely_late_is_left_out_and_no_jump(tmp_path: Path) -> None:
+    kinds, frames = jumps(tmp_path, (0.0, 0.3, 0.6, 0.4, 0.9))
+    assert kinds == []
+    assert frames == {"read": 5, "keyframes": 4, "frames_late": 1, "keyframes_without_depth": 0} or frames == {
+        "read": 5,
+        "keyframes": 4,
+        "frames_late": 1,
+    }
+
+
+def test_a_live_frame_that_is_torn_is_counted(tmp_path: Path) -> None:
+    class Torn(SceneSource):
+        def frames(self) -> Iterator[RawFrame]:
+            for raw in super().frames():
+                yield replace(raw, decode=_torn) if raw.index == 3 else raw
+
+    map_scene(tmp_path, *NO_SHAPES, source=Torn(NUM_FRAMES), mode="live", rate=3.0)
+    frames = fates(tmp_path / "map")
+    assert frames["frames_undecodable"] + frames.get("keyframes_dropped", 0) >= 1
+    assert frames["read"] == NUM_FRAMES == sum(frames.values()) - frames["read"]
+
+
+def _torn() -> Frame:
+    raise RecordingError("a torn image")

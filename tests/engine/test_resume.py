@@ -1,0 +1,128 @@
+"""Runs that end early and go on: the map is that of a run that was never interrupted."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.journal import JOURNAL, Journal
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.replay import replay
+from hickory_stream.engine.session import open_map
+from hickory_stream.errors import MapFolderError, RecordingError
+from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor, SceneSource
+from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.engine.run import Progress
+
+pytestmark = pytest.mark.timeout(120)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+    return map_scene(tmp_path_factory.mktemp("undisturbed"))
+
+
+def resume(path: Path, source: SceneSource | None = None) -> str | None:
+    async def run() -> str | None:
+        segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
+        async with Mapper.resuming(path, segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
+            async for _ in mapper.run(source or SceneSource(NUM_FRAMES)):
+                pass
+            assert mapper.folder is not None
+            return mapper.folder.manifest.digest
+
+    return asyncio.run(run())
+
+
+def test_the_journal_alone_gives_the_same_map(undisturbed: SceneRun) -> None:
+    assert map_digest(replay(undisturbed.folder.path)) == undisturbed.digest
+
+
+def test_the_journal_is_a_whole_mcap_file_that_names_every_event(undisturbed: SceneRun) -> None:
+    from mcap.reader import make_reader
+
+    with (undisturbed.folder.path / JOURNAL).open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    topics = {channel.topic: number for number, channel in summary.channels.items()}
+    counts = summary.statistics.channel_message_counts
+    assert counts[topics["event/FrameObserved"]] == NUM_FRAMES
+    assert counts[topics["event/SourceEnded"]] == 1
+    assert counts[topics["event/ShapeReady"]] >= 3
+
+
+@pytest.mark.parametrize("keyframes", [1, 4, 7])
+def test_a_run_that_was_stopped_goes_on_to_the_same_map(undisturbed: SceneRun, tmp_path: Path, keyframes: int) -> None:
+    def stop(mapper: Mapper, progress: Progress) -> None:
+        if progress.keyframes == keyframes:
+            mapper.stop()
+
+    # With patience for what runs: its shapes come ahead of their time, and must not stay.
+    stopped = map_scene(tmp_path, "run.grace_s=20.0", on_progress=stop)
+    assert not stopped.folder.manifest.finished_cleanly
+    assert resume(tmp_path / "map") == undisturbed.digest
+    saved = open_map(tmp_path / "map")
+    assert saved.manifest.finished_cleanly
+    assert saved.ledger == json.loads((undisturbed.folder.path / "ledger.json").read_text())
+    assert map_digest(replay(tmp_path / "map")) == undisturbed.digest
+    assert not (tmp_path / "map/jobs").exists()
+
+
+def test_a_run_whose_source_broke_goes_on_when_it_is_whole_again(undisturbed: SceneRun, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="torn"):
+        map_scene(tmp_path, source=BreakingSource(SceneSource(NUM_FRAMES), 5, RecordingError("torn")))
+    assert resume(tmp_path / "map") == undisturbed.digest
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.6, 0.97])
+def test_a_journal_that_was_cut_is_gone_on_with_from_its_last_whole_step(
+    undisturbed: SceneRun, tmp_path: Path, share: float
+) -> None:
+    folder = tmp_path / "map"
+    shutil.copytree(undisturbed.folder.path, folder)
+    journal = folder / JOURNAL
+    journal.write_bytes(journal.read_bytes()[: int(share * journal.stat().st_size)])
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps({**manifest, "finished_cleanly": False}))
+    try:
+        assert resume(folder) == undisturbed.digest
+    except MapFolderError as error:
+        # The run had ended, and what its steps of long ago waited for was cleared away: that is said, nothing is lost.
+        assert "did not reach the disk" in str(error) or "lacks views" in str(error)
+        assert open_map(folder).snapshot.objects
+
+
+def test_a_finished_map_a_live_map_and_another_log_are_refused(undisturbed: SceneRun, tmp_path: Path) -> None:
+    with pytest.raises(MapFolderError, match="is finished: there is nothing to resume"):
+        resume(undisturbed.folder.path)
+
+    def stop(mapper: Mapper, progress: Progress) -> None:
+        if progress.keyframes == 2:
+            mapper.stop()
+
+    map_scene(tmp_path, on_progress=stop)
+    with pytest.raises(RecordingError, match="is not the log that"):
+        resume(tmp_path / "map", SceneSource(NUM_FRAMES + 1))
+    manifest = json.loads((tmp_path / "map/manifest.json").read_text())
+    (tmp_path / "map/manifest.json").write_text(json.dumps({**manifest, "run": {"mode": "live", "loops": 1}}))
+    with pytest.raises(MapFolderError, match="live run, whose frames are gone"):
+        resume(tmp_path / "map")
+
+
+def test_a_run_that_was_cut_before_its_first_keyframe_begins_anew(undisturbed: SceneRun, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError):
+        map_scene(tmp_path, source=BreakingSource(SceneSource(NUM_FRAMES), 0, RecordingError("no first frame")))
+    assert (tmp_path / "map").exists()
+    with Journal(tmp_path / "map") as journal:
+        assert len(journal) == 0
+    assert resume(tmp_path / "map") == undisturbed.digest

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.session import open_map
+from hickory_stream.engine.time_travel import changes, own_clock_s, stamp_of
+from hickory_stream.errors import InputError, MapFolderError
+from hickory_stream.testing import PERIOD_NS, START_NS, RememberingSink, SceneSource
+from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
+from tests.engine.snapshot_fixtures import make_snapshot
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.engine.session import MapFolder, SavedMap
+    from hickory_stream.ports import Sink
+    from hickory_stream.records import FrameReport
+
+pytestmark = pytest.mark.timeout(120)
+
+
+@dataclass(frozen=True)
+class Watched:
+    run: SceneRun
+    reports: list[FrameReport]
+
+    @property
+    def saved(self) -> SavedMap:
+        return open_map(self.run.folder.path)
+
+
+def watch(path: Path, *overrides: str, loops: int = 1) -> Watched:
+    from hickory_stream.sinks.disk_sink import DiskSink
+
+    sink = RememberingSink()
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        return [(DiskSink(folder), True), (sink, True)]
+
+    return Watched(map_scene(path, *overrides, sinks=sinks, loops=loops), sink.reports)
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Watched:
+    return watch(tmp_path_factory.mktemp("watched"), "journal.checkpoint_keyframes=3")
+
+
+def test_the_map_at_every_keyframe_is_exactly_the_one_that_was_published_then(watched: Watched) -> None:
+    # The last keyframe has the stamp of the finished map, which the next test is about.
+    for report in watched.reports[:-2]:
+        assert report.snapshot is not None
+        assert map_digest(watched.saved.as_known_at(report.stamp_ns)) == map_digest(report.snapshot)
+        between = watched.saved.as_known_at(report.stamp_ns + PERIOD_NS // 2)
+        assert map_digest(between) == map_digest(report.snapshot)
+
+
+def test_the_map_at_the_end_is_the_finished_one_and_before_the_start_it_is_empty(watched: Watched) -> None:
+    assert map_digest(watched.saved.as_known_at(START_NS + 10**12)) == watched.run.digest
+    assert watched.saved.as_known_at(START_NS - 1).objects == ()
+
+
+def test_checkpoints_hold_only_what_has_changed(watched: Watched) -> None:
+    with Journal(watched.run.folder.path) as journal:
+        found = journal.checkpoint_before(len(journal) - 1)
+        assert found is not None
+        assert found[0] == 5
+        assert journal.checkpoint_before(1) is None
+        first = journal.checkpoint_before(2)
+        assert first is not None
+        assert first[0] == 2
+
+
+def test_every_mesh_that_the_map_ever_had_is_still_there(watched: Watched) -> None:
+    for report in watched.reports:
+        for tracked in report.snapshot.objects if report.snapshot else ():
+            if tracked.shape is not None:
+                watched.saved.mesh(tracked.shape)
+
+
+def test_final_knowledge_is_restricted_to_what_had_been_seen(watched: Watched) -> None:
+    saved = watched.saved
+    early = saved.at(START_NS + PERIOD_NS)
+    assert {o.id for o in early.objects} == {o.id for o in saved.snapshot.objects if o.first_seen_ns <= early.stamp_ns}
+    assert all(view.stamp_ns <= START_NS + PERIOD_NS for o in early.objects for view in o.views)
+    assert [o.shape is not None for o in early.objects] == [True] * 3
+    assert map_digest(saved.at(START_NS + 10**12)) == watched.run.digest
+    assert saved.at(START_NS - 1).objects == ()
+
+
+def test_a_difference_names_what_appeared_and_what_changed(watched: Watched) -> None:
+    start, end = START_NS - 1, START_NS + 10**12
+    kinds = {(change.object_id, change.kind) for change in watched.saved.diff(start, end)}
+    assert kinds == {(1, "appeared"), (2, "appeared"), (3, "appeared")}
+    later = watched.saved.diff(START_NS, end)
+    assert {(1, "shape changed"), (2, "shape changed"), (3, "shape changed")} <= {
+        (change.object_id, change.kind) for change in later
+    }
+    assert watched.saved.diff(end, end) == ()
+
+
+def test_differences_know_merged_moved_and_dropped_objects() -> None:
+    before = make_snapshot()
+    first, second, *_ = before.objects
+    merged = replace(first, merged_ids=(second.id,))
+    after = replace(before, objects=(merged, *before.objects[2:]))
+    (change,) = changes(before, after)
+    assert (change.kind, change.object_id, change.text) == ("merged", second.id, f"is now a part of #{first.id}")
+    (dropped,) = changes(before, replace(before, objects=before.objects[1:]))
+    assert (dropped.kind, dropped.object_id) == ("dropped", first.id)
+    shift = np.eye(4)
+    shift[:3, 3] = (0.3, 0.0, 0.0)
+    moved = replace(first, box=replace(first.box, world_from_box=shift @ first.box.world_from_box))
+    (change,) = changes(before, replace(before, objects=(moved, *before.objects[1:])))
+    assert change.kind == "moved"
+    assert "by 0.30 m" in change.text
+
+
+def test_times_are_seconds_of_the_maps_own_clock_or_stamps(watched: Watched) -> None:
+    folder = watched.run.folder.path
+    assert stamp_of(folder, "0") == START_NS
+    assert stamp_of(folder, "0.3") == START_NS + PERIOD_NS
+    assert stamp_of(folder, "0.5") == START_NS + PERIOD_NS
+    assert stamp_of(folder, f"{START_NS + 5}ns") == START_NS + 5
+    for wrong in ("-1", "99", "noon", f"{START_NS - 1}ns", "5ns", "nan"):
+        with pytest.raises(InputError, match=r"expected seconds from 0 to 2\.1"):
+            stamp_of(folder, wrong)
+
+
+def test_the_own_clock_runs_on_through_a_jump() -> None:
+    stamps = np.array([10, 11, 12, 10, 11, 500, 501], dtype=np.int64) * 10**9
+    assert own_clock_s(stamps, 60.0).tolist() == [0, 1, 2, 2, 3, 3, 4]
+
+
+def test_of_a_looped_log_the_last_round_counts(tmp_path: Path) -> None:
+    looped = watch(tmp_path, "mapping.requests.max_failures=0", "journal.checkpoint_keyframes=3", loops=2)
+    second_round = looped.reports[NUM_FRAMES + 2]
+    assert second_round.snapshot is not None
+    assert map_digest(looped.saved.as_known_at(second_round.stamp_ns)) == map_digest(second_round.snapshot)
+
+
+def test_a_map_without_a_journal_says_so(watched: Watched, tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(watched.run.folder.path, tmp_path / "map")
+    (tmp_path / "map/journal.mcap").unlink()
+    with pytest.raises(MapFolderError, match="holds no journal"):
+        open_map(tmp_path / "map").as_known_at(START_NS)
+    assert SceneSource(NUM_FRAMES).info.start_ns == START_NS

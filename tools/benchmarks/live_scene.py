@@ -1,0 +1,200 @@
+"""A live run of the in-memory scene at 30 Hz and 640x480, in a process of its own.
+
+Three times: with perception slowed by a factor, with the embedded one as it is, and with a sink that stalls besides;
+each prints one line of JSON. Run by `tools.benchmarks.engine`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import threading
+import time
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import psutil
+
+from hickory_stream.config import MapperConfig
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.session import open_map
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.perception.geometric import GeometricSegmenter
+from hickory_stream.records import Frame, RawFrame, SourceInfo
+from hickory_stream.sinks.disk_sink import DiskSink
+from hickory_stream.testing import SCENE_BOXES, START_NS, cast_scene, scene_pose
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import Segmenter, Sink
+    from hickory_stream.records import FrameReport, ObservedSpace, Segmentation
+
+_CAMERA = Camera(width=640, height=480, fx=560.0, fy=560.0, cx=319.5, cy=239.5)
+_PERIOD_NS = 33_333_333
+_STEPS = 24
+
+
+class FastScene:
+    """A source of the scene: a camera that walks around the boxes, 30 frames a second for `seconds`."""
+
+    def __init__(self, seconds: float) -> None:
+        self._num_frames = int(seconds * 1e9 / _PERIOD_NS)
+        self._num_yielded = 0
+
+    @property
+    def info(self) -> SourceInfo:
+        """What there is to play."""
+        return SourceInfo(
+            uri="memory:fast-scene",
+            kind="synthetic scene",
+            identity=f"fast-scene-{self._num_frames}",
+            camera=_CAMERA,
+            num_frames=self._num_frames,
+            start_ns=START_NS,
+            end_ns=START_NS + self._num_frames * _PERIOD_NS,
+            streams=(),
+        )
+
+    @cached_property
+    def _images(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [cast_scene(SCENE_BOXES, _CAMERA, scene_pose(i))[:2] for i in range(_STEPS)]
+
+    def frames(self) -> Iterator[RawFrame]:
+        """Yield the frames."""
+        assert self._images
+        for i in range(self._num_frames):
+            self._num_yielded += 1
+            # There and back again, a step a third of a second.
+            phase = (i // 10) % (2 * _STEPS - 2)
+            step = phase if phase < _STEPS else 2 * _STEPS - 2 - phase
+            yield RawFrame(
+                index=i,
+                stamp_ns=START_NS + i * _PERIOD_NS,
+                camera=_CAMERA,
+                world_from_camera=scene_pose(step),
+                decode=partial(self._decode, i, step),
+            )
+
+    def _decode(self, index: int, step: int) -> Frame:
+        rgb, depth_m = self._images[step]
+        return Frame(
+            index=index,
+            stamp_ns=START_NS + index * _PERIOD_NS,
+            rgb=rgb,
+            depth_m=depth_m,
+            camera=_CAMERA,
+            world_from_camera=scene_pose(step),
+        )
+
+    def ledger(self) -> Mapping[str, int]:
+        """Return how many frames were yielded."""
+        return {"frames": self._num_yielded}
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class SlowedSegmenter:
+    """A segmenter that takes `factor` times as long as another one."""
+
+    def __init__(self, segmenter: Segmenter, factor: float) -> None:
+        self._segmenter = segmenter
+        self._factor = factor
+
+    def prepare(self, frame: Frame) -> object:
+        """Prepare, slowly."""
+        started = time.perf_counter()
+        prepared = self._segmenter.prepare(frame)
+        time.sleep((self._factor - 1) * (time.perf_counter() - started))
+        return prepared
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+        """Segment, slowly."""
+        started = time.perf_counter()
+        segmentation = self._segmenter.segment(frame, prior, prepared)
+        time.sleep((self._factor - 1) * (time.perf_counter() - started))
+        return segmentation
+
+
+class StallingSink:
+    """A sink that does nothing for `seconds` when it is first shown something."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+
+    def show(self, report: FrameReport) -> None:
+        """Stall once."""
+        del report
+        seconds, self._seconds = self._seconds, 0.0
+        time.sleep(seconds)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def main() -> None:
+    """Run, and print what was measured."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--seconds", type=float, required=True)
+    parser.add_argument("--slower", type=float, required=True)
+    parser.add_argument("--stall", type=float, required=True)
+    options = parser.parse_args()
+    peak_mb = [0.0]
+    threading.Thread(target=_watch_memory, args=(peak_mb,), daemon=True).start()
+    # What is compiled on first use is no part of a robot's day.
+    asyncio.run(_run(options.out, 0.5, 1.0, 0.0))
+    for slower, stall_s in ((options.slower, 0.0), (1.0, 0.0), (1.0, options.stall)):
+        asyncio.run(_run(options.out, options.seconds, slower, stall_s))
+        print(json.dumps({**_measured(options.out), "peak_mb": peak_mb[0]}), flush=True)
+
+
+async def _run(out: Path, seconds: float, slower: float, stall_s: float) -> None:
+    config = MapperConfig()
+    # Shapes are not what is measured here: no job is ever asked for.
+    requests = replace(config.mapping.requests, max_failures=0)
+    config = replace(config, mapping=replace(config.mapping, requests=requests))
+    segmenter = SlowedSegmenter(GeometricSegmenter(config.perception.geometric), slower)
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        made: list[tuple[Sink, bool]] = [(DiskSink(folder), True)]
+        return [*made, (StallingSink(stall_s), False)] if stall_s else made
+
+    async with Mapper(config, out=out, overwrite=True, segmenter=segmenter) as mapper:
+        async for _ in mapper.run(FastScene(seconds), sinks=sinks, rate=1.0, mode="live"):
+            pass
+
+
+def _measured(out: Path) -> dict[str, float]:
+    frames = dict(open_map(out).ledger["frames"])
+    fates = ("keyframes", "between_keyframes", "keyframes_dropped", "frames_dropped", "frames_late")
+    with Journal(out) as journal:
+        steps = [journal.step(i) for i in range(len(journal)) if journal.step(i).kind == "keyframe"]
+    latencies_s = np.array([dict(step.metrics)["time/latency"] for step in steps])
+    periods_s = np.diff([step.stamp_ns for step in steps]) / 1e9
+    return {
+        "keyframes": float(frames["keyframes"]),
+        "dropped": float(frames.get("keyframes_dropped", 0) + frames.get("frames_dropped", 0)),
+        "unaccounted": float(frames["read"] - sum(frames.get(fate, 0) for fate in fates)),
+        "latency_keyframes": float(latencies_s.max() / periods_s.mean()) if len(periods_s) else 0.0,
+        "latency_s": float(latencies_s.max()),
+        "period_s": float(periods_s.mean()) if len(periods_s) else 0.0,
+    }
+
+
+def _watch_memory(peak_mb: list[float]) -> None:
+    process = psutil.Process()
+    while True:
+        peak_mb[0] = max(peak_mb[0], process.memory_info().rss / 1e6)
+        time.sleep(0.05)
+
+
+if __name__ == "__main__":
+    main()
