@@ -9,14 +9,16 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
-DefinitionFormat = Literal["msg", "idl", "none"]
-Wire = Literal["cdr", "ros1", "other"]
+    from players.flaws import Flaws
+
+DefinitionFormat = Literal["msg", "idl", "protobuf", "jsonschema", "none"]
+Wire = Literal["cdr", "ros1", "protobuf", "json", "other"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,8 +33,7 @@ class Topic:
     definition: str
 
 
-@dataclass(frozen=True, slots=True)
-class LogMessage:
+class LogMessage(NamedTuple):
     """A message as it lies in the log; `log_ns` is when it was received, which says little about when it was true."""
 
     topic: str
@@ -67,8 +68,25 @@ class Log(Protocol):
         """The topics, sorted by name."""
         ...
 
+    @property
+    def flaws(self) -> Flaws:
+        """What was found to be damaged so far; complete after a pass over all topics."""
+        ...
+
+    @property
+    def checksum(self) -> str:
+        """What protects the messages against altered bytes, in words; "" where nothing does."""
+        ...
+
+    def declared(self) -> Mapping[str, int] | None:
+        """Return how many messages of each topic the log says to hold, None where it does not say."""
+        ...
+
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
-        """Yield the messages of some topics, from the beginning, reading each chunk of the file once."""
+        """Yield the messages of some topics, from the beginning, reading each chunk of the file once.
+
+        What cannot be read is skipped and noted in `flaws`.
+        """
         ...
 
 

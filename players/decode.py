@@ -132,10 +132,10 @@ def color_of_pixels(pixels: NDArray[Any], encoding: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(rgb)
 
 
-def depth_of_pixels(pixels: NDArray[Any]) -> NDArray[np.float32]:
+def depth_of_pixels(pixels: NDArray[Any], units_per_m: float = 1000.0) -> NDArray[np.float32]:
     """Return raw pixels of one of `DEPTH_ENCODINGS` as float32 metres: integers are millimetres (REP 118)."""
     if pixels.dtype == np.uint16:
-        return metres_of_u16(pixels, 1000.0)
+        return metres_of_u16(pixels, units_per_m)
     return np.where(np.isfinite(pixels) & (pixels > 0), pixels, np.float32(np.nan)).astype(np.float32)
 
 

@@ -26,6 +26,7 @@ from players.folder_text import (
     read_tum_track,
     read_world_from_log,
 )
+from players.options import DEFAULT_MAX_POSE_GAP_NS
 from players.profile import Intrinsics, Profile, load_profile
 from players.register import Registration
 from players.sync import Leftover, Stamped, default_tolerance_ns, pair_nearest
@@ -47,10 +48,10 @@ _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     """Return the source of `frame-NNNNNN.{color.jpg|color.png, depth.png, pose.txt}` with `camera-intrinsics.txt`.
 
-    Intrinsics and poses are the depth camera's; the profile (default: 7scenes) says where the colour camera is. Stamps
-    are the number in the name over the profile's frame rate.
+    Intrinsics and poses are the depth camera's; the profile (default: seven_scenes) says where the colour camera is.
+    Stamps are the number in the name over the profile's frame rate.
     """
-    profile_name = options.profile or "7scenes"
+    profile_name = options.profile or "seven_scenes"
     profile = load_profile(profile_name)
     depth_intrinsics = read_intrinsics(folder / INTRINSICS)
     poses = _by_number(folder.glob("frame-*.pose.txt"))
@@ -102,7 +103,7 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     tolerance_ns = options.sync_tolerance_ns
     if tolerance_ns is None:
         tolerance_ns = default_tolerance_ns(*([stamp_ns for stamp_ns, _ in rows] for rows in images.values()))
-    track = read_tum_track(files["groundtruth"], options.max_pose_gap_ns)
+    track = read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
     found = _Collector(folder, profile)
     stamped = [Stamped("color", *row) for row in images["rgb"]] + [Stamped("depth", *row) for row in images["depth"]]
     for match in pair_nearest(sorted(stamped, key=lambda image: image.stamp_ns), tolerance_ns):

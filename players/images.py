@@ -54,12 +54,12 @@ class LogImage:
         return np.asarray(self.message.data, dtype=np.uint8).tobytes()
 
 
-def image_of(topic: Topic, message: Any) -> LogImage:
-    """Return the image of a message of an image topic."""
+def image_of(topic: Topic, message: Any, stamp_ns: int | None = None) -> LogImage:
+    """Return the image of a message of an image topic; `stamp_ns` stands in for that of its header."""
     is_compressed = topic.type_name == COMPRESSED_IMAGE
     return LogImage(
         topic=topic.name,
-        stamp_ns=header_stamp_ns(message),
+        stamp_ns=header_stamp_ns(message) if stamp_ns is None else stamp_ns,
         frame=frame_name(message.header.frame_id),
         size=_compressed_size(message) if is_compressed else _raw_size(message),
         is_compressed=is_compressed,
@@ -109,16 +109,16 @@ def color_of(image: LogImage) -> NDArray[np.uint8]:
     return color_of_pixels(raw_pixels(image.message, str(image)), image.encoding)
 
 
-def depth_of(image: LogImage) -> NDArray[np.float32]:
-    """Return the depth (H, W) float32 in metres, NaN = no return.
+def depth_of(image: LogImage, units_per_m: float = _UNITS_PER_M) -> NDArray[np.float32]:
+    """Return the depth (H, W) float32 in metres, NaN = no return; integers are of `units_per_m`.
 
     Raises:
         RecordingError: the image is empty, torn, or of an encoding that is not known.
     """
     check_depth_encoding(image)
     if image.is_compressed:
-        return decode_depth_png(png_part(image.data(), str(image)), _UNITS_PER_M, str(image))
-    return depth_of_pixels(raw_pixels(image.message, str(image)))
+        return decode_depth_png(png_part(image.data(), str(image)), units_per_m, str(image))
+    return depth_of_pixels(raw_pixels(image.message, str(image)), units_per_m)
 
 
 def _raw_size(message: Any) -> tuple[int, int]:

@@ -35,6 +35,7 @@ from hickory_stream.events import (
     FeaturesReady,
     FrameObserved,
     KeepView,
+    PoseJumped,
     Publish,
     RequestShape,
     ShapeFailed,
@@ -78,12 +79,15 @@ class Progress:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Read:
-    """One frame on its way: `frame` and what was `prepared` where it is a keyframe; `jump` where time jumped before."""
+    """One frame on its way: `frame` and what was `prepared` where it is a keyframe.
+
+    `jump` where time or the odometry jumped before it.
+    """
 
     raw: RawFrame
     frame: Frame | None
     prepared: object
-    jump: TimeJumped | None
+    jump: TimeJumped | PoseJumped | None
 
 
 class Run:
@@ -189,7 +193,7 @@ class Run:
                 index = offset
                 while self.is_complete and (raw := await self._in(self._reader, next, frames, None)) is not None:
                     index = offset + raw.index
-                    jump = self._jump(last_ns, raw.stamp_ns)
+                    jump = self._jump(last_ns, raw)
                     last, last_ns = (None if jump else last), raw.stamp_ns
                     await pump.wait(raw.stamp_ns)
                     frame, prepared = None, None
@@ -204,11 +208,14 @@ class Run:
         finally:
             await self._channel.close()
 
-    def _jump(self, last_ns: int | None, stamp_ns: int) -> TimeJumped | None:
-        if last_ns is None or 0 <= stamp_ns - last_ns <= self._config.run.time_jump_s * 1e9:
-            return None
-        self.counts["time_jumps"] += 1
-        return TimeJumped(from_ns=last_ns, to_ns=stamp_ns)
+    def _jump(self, last_ns: int | None, raw: RawFrame) -> TimeJumped | PoseJumped | None:
+        if last_ns is not None and not 0 <= raw.stamp_ns - last_ns <= self._config.run.time_jump_s * 1e9:
+            self.counts["time_jumps"] += 1
+            return TimeJumped(from_ns=last_ns, to_ns=raw.stamp_ns)
+        if raw.after_from_before is not None:
+            self.counts["pose_jumps"] += 1
+            return PoseJumped(stamp_ns=raw.stamp_ns, after_from_before=raw.after_from_before)
+        return None
 
     async def _decoded(self, raw: RawFrame, index: int) -> Frame | None:
         """Return the frame, None where its images are torn: counted, and the next frame is tried as keyframe."""
