@@ -110,7 +110,7 @@ class PosePlan:
             if reader.epoch_of(key) > epoch:
                 continue
             track = reader.track(key, epoch)
-            if track is None or track.newest_ns is None or track.newest_ns < stamp_ns:
+            if track is None or not track.reaches(stamp_ns):
                 return False
         return True
 

@@ -1,6 +1,10 @@
 """Poses over time while they stream by: interpolated between two of them, over no gap and across no jump.
 
-`poses.PoseTrack` holds a whole trajectory; this one grows at its end and forgets its beginning.
+`poses.PoseTrack` holds a whole trajectory; this one grows at its end and forgets its beginning. Between poses that are
+far apart in time (visual odometry at 5 Hz) motion is a cubic through four of them: a straight line is millimetres off.
+
+Where the odometry jumps (a loop closure of its own) the poses go on where they were: the map is made in a world that
+does not tear. The jump itself is told, for whoever keeps submaps.
 """
 
 from __future__ import annotations
@@ -11,7 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.rigid import interpolate, invert, rotation_angle_rad
+from hickory_stream.geometry.rigid import (
+    from_rotation_translation,
+    interpolate,
+    invert,
+    rotation_angle_rad,
+)
 from players.poses import HOLD_NS, pose_of_row
 
 if TYPE_CHECKING:
@@ -23,6 +32,9 @@ STANDING_M, STANDING_RAD = 0.02, 0.02
 """Poses so near to each other, whatever the time between, were taken standing: visual odometry has no keyframes."""
 
 _MAX_STANDING_NS = 30_000_000_000
+
+SLOW_NS = 45_000_000
+"""Poses further apart than this are joined by a cubic."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -64,6 +76,14 @@ class GrowingTrack:
         self.jumps: list[Jump] = []
         self.first_ns: int | None = None
 
+    def reaches(self, stamp_ns: int) -> bool:
+        """Return whether no later pose can change that of a stamp: two behind it where poses are rare, else one."""
+        after = bisect_left(self._stamps_ns, stamp_ns)
+        left = len(self._stamps_ns) - after
+        if left == 0 or after == 0 or self._stamps_ns[after] == stamp_ns:
+            return left > 0
+        return left > 1 or self._stamps_ns[after] - self._stamps_ns[after - 1] <= SLOW_NS
+
     @property
     def newest_ns(self) -> int | None:
         """The newest stamp that is settled, None before the first."""
@@ -99,15 +119,17 @@ class GrowingTrack:
             return None
         after = bisect_left(self._stamps_ns, stamp_ns)
         if after < len(self._stamps_ns) and self._stamps_ns[after] == stamp_ns:
-            return _pose(self._rows[stamp_ns])
+            return self._pose_at(stamp_ns)
         if 0 < after < len(self._stamps_ns):
             start_ns, end_ns = self._stamps_ns[after - 1], self._stamps_ns[after]
             if self._is_joined(start_ns, end_ns):
+                if end_ns - start_ns > SLOW_NS:
+                    return self._cubic(after, stamp_ns)
                 fraction = (stamp_ns - start_ns) / (end_ns - start_ns)
-                return interpolate(_pose(self._rows[start_ns]), _pose(self._rows[end_ns]), fraction)
+                return interpolate(self._pose_at(start_ns), self._pose_at(end_ns), fraction)
         near = [self._stamps_ns[i] for i in (after - 1, after) if 0 <= i < len(self._stamps_ns)]
         nearest = min(near, key=lambda ns: abs(ns - stamp_ns))
-        return _pose(self._rows[nearest]) if abs(nearest - stamp_ns) <= HOLD_NS else None
+        return self._pose_at(nearest) if abs(nearest - stamp_ns) <= HOLD_NS else None
 
     def any_pose(self) -> NDArray[np.float64]:
         """Return the latest pose: the pose, where the track is constant."""
@@ -124,6 +146,33 @@ class GrowingTrack:
             for stamp_ns in self._stamps_ns[:cut]:
                 del self._rows[stamp_ns]
             del self._stamps_ns[:cut]
+
+    def _pose_at(self, stamp_ns: int) -> NDArray[np.float64]:
+        """Return one of the poses, in the world before any jump."""
+        pose = _pose(self._rows[stamp_ns])
+        for jump in reversed(self.jumps):
+            if jump.stamp_ns <= stamp_ns:
+                pose = invert(jump.after_from_before) @ pose
+        return pose
+
+    def _cubic(self, after: int, stamp_ns: int) -> NDArray[np.float64]:
+        """Return the pose on the Hermite cubic through the poses around a stamp, tangents by their neighbours.
+
+        Rotations are rotation vectors from the pose before, which between two poses are small.
+        """
+        first, last = after - 1, after
+        if first > 0 and self._is_joined(self._stamps_ns[first - 1], self._stamps_ns[first]):
+            first -= 1
+        if last + 1 < len(self._stamps_ns) and self._is_joined(self._stamps_ns[last], self._stamps_ns[last + 1]):
+            last += 1
+        stamps_ns = self._stamps_ns[first : last + 1]
+        poses = [self._pose_at(ns) for ns in stamps_ns]
+        origin = self._stamps_ns[after - 1]
+        base = poses[after - 1 - first]
+        times_s = np.array([(ns - origin) / 1e9 for ns in stamps_ns])
+        points = np.array([np.concatenate([p[:3, 3], rotation_vector(base[:3, :3].T @ p[:3, :3])]) for p in poses])
+        values = _hermite(times_s, points, after - 1 - first, (stamp_ns - origin) / 1e9)
+        return from_rotation_translation(base[:3, :3] @ rotation_of_vector(values[3:]), values[:3])
 
     def _keep(self, stamp_ns: int, row: tuple[float, ...]) -> None:
         if self._stamps_ns and self.is_constant:
@@ -181,13 +230,56 @@ class GrowingTrack:
         return is_near and _angle(a[1], b[1]) <= self._limits.jump_rad + self._limits.turn_radps * dt_s
 
     def _predicted(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Return where the newest pose would be at a stamp by constant velocity, its rotation as it was."""
+        """Return where the newest pose would be at a stamp, if it went on as since the one before."""
         newest_ns = self._stamps_ns[-1]
-        pose = _pose(self._rows[newest_ns])
-        velocity = self._velocity()
-        if velocity is not None:
-            pose[:3, 3] += np.array(velocity) * ((stamp_ns - newest_ns) / 1e9)
-        return pose
+        last = _pose(self._rows[newest_ns])
+        i = bisect_left(self._stamps_ns, newest_ns - 20_000_000 + 1) - 1
+        if i < 0 or not self._is_joined(self._stamps_ns[i], newest_ns):
+            return last
+        before = _pose(self._rows[self._stamps_ns[i]])
+        share = (stamp_ns - newest_ns) / (newest_ns - self._stamps_ns[i])
+        turn = rotation_vector(before[:3, :3].T @ last[:3, :3])
+        position = last[:3, 3] + share * (last[:3, 3] - before[:3, 3])
+        return from_rotation_translation(last[:3, :3] @ rotation_of_vector(share * turn), position)
+
+
+def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation vector (3,) of a (3, 3) rotation."""
+    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    sine = float(np.linalg.norm(skew))
+    angle = rotation_angle_rad(rotation)
+    return 0.5 * skew if sine < 1e-9 else skew * (angle / sine)
+
+
+def rotation_of_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation of a rotation vector, by Rodrigues' formula."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def _hermite(times_s: NDArray[np.float64], points: NDArray[np.float64], i: int, time_s: float) -> NDArray[np.float64]:
+    """Return the value at a time between points i and i + 1, each (D,), on the cubic with parabolic tangents."""
+    steps = np.diff(times_s)
+    slopes = np.diff(points, axis=0) / steps[:, None]
+
+    def tangent(j: int) -> NDArray[np.float64]:
+        if j == 0 or j == len(points) - 1:
+            return np.asarray(slopes[min(j, len(slopes) - 1)])
+        weight = steps[j] / (steps[j - 1] + steps[j])
+        return np.asarray(weight * slopes[j - 1] + (1.0 - weight) * slopes[j])
+
+    step = float(steps[i])
+    t = (time_s - float(times_s[i])) / step
+    return np.asarray(
+        (1 + 2 * t) * (1 - t) ** 2 * points[i]
+        + t * (1 - t) ** 2 * step * tangent(i)
+        + t**2 * (3 - 2 * t) * points[i + 1]
+        + t**2 * (t - 1) * step * tangent(i + 1)
+    )
 
 
 def _pose(row: Sequence[float]) -> NDArray[np.float64]:

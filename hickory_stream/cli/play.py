@@ -7,15 +7,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.status import STOPPED
-from hickory_stream.cli.values import parse_nanoseconds, parse_rate, positive, read_settings
+from hickory_stream.cli.values import parse_rate, positive, read_settings
 
 if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.parser import Commands
     from hickory_stream.engine.session import MapFolder
-    from hickory_stream.ports import Sink
+    from hickory_stream.ports import Sink, Source
     from hickory_stream.progress import Style
     from hickory_stream.settings import Settings
 
@@ -24,7 +25,11 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     """Add the command to the command line."""
     play = commands.add_parser("play", parents=[common, configured], help="map a recorded log")
     play.set_defaults(run=run)
-    play.add_argument("source", help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images")
+    play.add_argument(
+        "source",
+        nargs="+",
+        help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images; several logs are played as one",
+    )
     play.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
     play.add_argument("--overwrite", action="store_true", help="replace the map that is there")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
@@ -35,12 +40,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     )
     play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     play.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
-    topics = play.add_argument_group("streams of a log; all are discovered if not named")
-    for role in ("color", "depth", "color-info", "depth-info", "pose"):
-        topics.add_argument(f"--{role}-topic", metavar="TOPIC")
-    topics.add_argument("--pose-frame", metavar="FRAME", help="the frame whose pose the pose topic gives")
-    topics.add_argument("--sync-tolerance", type=float, metavar="MS", help="between colour and depth (half a period)")
-    topics.add_argument("--profile", metavar="NAME", help="calibration of an image folder: a name or a TOML file")
+    add_source_options(play)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -48,28 +48,16 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import parse_viewer
-    from players import SourceOptions, open_source
+    from players import open_source
     from players.first_frames import FirstFrames
 
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
     rate = parse_rate(options.rate)
-    source = open_source(
-        options.source,
-        SourceOptions(
-            color_topic=options.color_topic,
-            depth_topic=options.depth_topic,
-            color_info_topic=options.color_info_topic,
-            depth_info_topic=options.depth_info_topic,
-            pose_topic=options.pose_topic,
-            pose_frame=options.pose_frame,
-            sync_tolerance_ns=parse_nanoseconds(options.sync_tolerance),
-            profile=options.profile,
-        ),
-    )
+    source: Source = open_source(options.source, source_options(options))
     if options.frames is not None:
         source = FirstFrames(source, positive(options.frames, "--frames"))
-    out = options.out or Path(f"{Path(options.source).resolve().stem}.map")
+    out = options.out or Path(f"{Path(options.source[0]).resolve().stem}.map")
     style: Style = "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
     if not options.json:
         sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
