@@ -29,9 +29,10 @@ from players.images import LogImage, check_color_encoding, check_depth_encoding,
 from players.log_source import LogSetup, LogSource
 from players.messages import TF
 from players.options import DEFAULT_MAX_POSE_GAP_NS
+from players.pose_file import read_pose_file
 from players.profile import Profile, guess_profile, load_profile
 from players.register import Registration
-from players.rig import PosePlan, RigReader, plan_poses
+from players.rig import PosePlan, PoseStream, RigReader, plan_poses
 from players.sync import default_tolerance_ns
 from players.tf import FrameTree
 
@@ -85,6 +86,7 @@ class Opening:
     infos: tuple[str | None, str | None]
     plan: PosePlan | None
     is_pose_named: bool
+    pose_file: tuple[list[int], list[list[float]]] | None
 
     @property
     def max_gap_ns(self) -> int:
@@ -132,6 +134,8 @@ def open_log(log: Log, options: SourceOptions) -> LogSource:
         tolerance_ns = opening.profile.sync_tolerance_ns
     if tolerance_ns is None:
         tolerance_ns = default_tolerance_ns(*stamps)
+    if opening.pose_file is not None:
+        clock_reason += f"; poses of {options.pose_file}"
     used = {plan.stream.topic} if plan.stream is not None else set()
     small = [t for t in log.topics if t.name in used or t.type_name in TF or t.name in (color_info, depth_info)]
     profile = opening.profile
@@ -148,6 +152,7 @@ def open_log(log: Log, options: SourceOptions) -> LogSource:
         pose_span_ns=_span(opening.reader, plan),
         max_gap_ns=opening.max_gap_ns,
         jump_limits=profile.jump_limits,
+        pose_file=opening.pose_file,
         tolerance_ns=tolerance_ns,
         uses_log_time=clock == "log",
         depth_units_per_m=profile.depth_units_per_m,
@@ -187,6 +192,14 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
     wanted = [*poses, *tf_topics(log.topics), *camera_infos(log.topics)]
     max_gap_ns = options.max_pose_gap_ns or profile.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS
     reader = RigReader(wanted, max_gap_ns, profile.jump_limits, uses_log_time=options.clock == "log")
+    pose_file = None
+    if options.pose_file is not None:
+        pose_file = read_pose_file(options.pose_file, profile.pose_file)
+        body = options.pose_frame or (profile.rig.body if profile.rig is not None else "")
+        stream = PoseStream(
+            topic=str(options.pose_file), type_name="file", parent="world", child=body, num_poses=len(pose_file[0])
+        )
+        reader.load(stream, *pose_file)
     opening = Opening(
         log=log,
         options=options,
@@ -198,7 +211,8 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
         reader=reader,
         infos=(None, None),
         plan=None,
-        is_pose_named=is_named,
+        is_pose_named=is_named or pose_file is not None,
+        pose_file=pose_file,
     )
     return _filled(opening, {topic.name for topic in wanted if topic.num_messages != 0})
 

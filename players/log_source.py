@@ -58,6 +58,7 @@ class LogSetup:
     pose_span_ns: tuple[int, int] | None
     max_gap_ns: int
     jump_limits: JumpLimits
+    pose_file: tuple[list[int], list[list[float]]] | None
     tolerance_ns: int
     uses_log_time: bool
     depth_units_per_m: float
@@ -110,6 +111,8 @@ class LogSource:
         ledger = self._ledger = Ledger()
         setup = self._setup
         reader = RigReader(setup.small_topics, setup.max_gap_ns, setup.jump_limits, uses_log_time=setup.uses_log_time)
+        if setup.pose_file is not None and setup.plan.stream is not None:
+            reader.load(setup.plan.stream, *setup.pose_file)
         waiting: deque[tuple[int, Pair]] = deque()
         newest: dict[int, int] = {}
         index, last_ns = 0, None

@@ -148,6 +148,7 @@ class RigReader:
         self._topic_of: dict[Key, str] = {}
         self._statics: dict[tuple[str, str], NDArray[np.float64]] = {}
         self._info_bytes: dict[str, bytes] = {}
+        self._loaded: list[PoseStream] = []
         self.infos: dict[str, CameraInfo] = {}
         self.seen: set[str] = set()
         self.fates: Counter[str] = Counter()
@@ -169,6 +170,13 @@ class RigReader:
                 self._reject(topic, "pose_stamp_off")
             else:
                 self._add_poses(topic, placed.item, placed.epoch)
+
+    def load(self, stream: PoseStream, stamps_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> None:
+        """Take a whole trajectory, as from a file."""
+        track = self._tracks[stream.key, 0] = GrowingTrack(self._max_gap_ns, None)
+        for stamp_ns, row in sorted(zip(stamps_ns, rows, strict=True)):
+            track.add(stamp_ns, row)
+        self._loaded.append(stream)
 
     def end(self) -> None:
         """Take what was held back for want of a following message."""
@@ -196,7 +204,7 @@ class RigReader:
 
     def streams(self) -> tuple[PoseStream, ...]:
         """Return the pose streams so far, each with how many poses the log says to have of it."""
-        found = {}
+        found = {stream.key: stream for stream in self._loaded}
         for key, epoch in self._tracks:
             name, parent, child = key
             if name != "tf" and name in self._topics:
