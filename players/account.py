@@ -90,6 +90,8 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
     declared, lost = log.declared(), log.flaws.lost()
     needed = {setup.topics.color.name, setup.topics.depth.name, *(topic.name for topic in setup.small_topics)}
     entries = []
+    # A copy: the pass may still be going on in another thread.
+    rejected_of = dict(ledger.rejected)
     for topic in log.topics:
         claimed = topic.num_messages if declared is None else declared.get(topic.name, 0)
         unreadable = lost.get(topic.name, 0)
@@ -98,7 +100,7 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
             entries.append(TopicAccount(topic=topic.name, declared=claimed, not_needed=readable, unreadable=unreadable))
             continue
         rejected = Counter(
-            {reason: number for (name, reason), number in ledger.rejected.items() if name == topic.name and number}
+            {reason: number for (name, reason), number in rejected_of.items() if name == topic.name and number}
         )
         read = ledger.read[topic.name]
         bad = ledger.unreadable[topic.name]

@@ -31,6 +31,8 @@ class Topic:
     wire: Wire
     definition_format: DefinitionFormat
     definition: str
+    foreign_type: str = ""
+    """The name of a type that is not ROS's, of which `type_name` is the equal."""
 
 
 class LogMessage(NamedTuple):
@@ -117,6 +119,13 @@ def deserialize(topic: Topic, data: Any) -> Any:
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
 
+    if topic.wire in ("protobuf", "json") and topic.foreign_type:
+        from players.foxglove import decode_foxglove
+
+        try:
+            return decode_foxglove(topic.foreign_type, topic.wire, topic.definition, data)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise UnreadableMessageError(f"{topic.name}: {error!r}") from error
     try:
         store = _typestore(topic.type_name, topic.definition_format, topic.definition)
         if topic.wire == "cdr":
@@ -126,7 +135,7 @@ def deserialize(topic: Topic, data: Any) -> Any:
     # Generated code meets torn bytes with whatever its operations raise.
     except (SerdeError, TypesysError, struct.error, LookupError, ValueError, AssertionError) as error:
         raise UnreadableMessageError(f"{topic.name}: {error!r}") from error
-    raise UnreadableMessageError(f"{topic.name}: messages are neither CDR nor ROS 1")
+    raise UnreadableMessageError(f"{topic.name}: messages are neither CDR nor ROS 1, nor Foxglove's")
 
 
 @lru_cache(maxsize=64)

@@ -26,7 +26,7 @@ class Ledger:
             self._counts[fate] += number
 
     def reject(self, topic: str, reason: str) -> None:
-        """Note a message that was read and cannot be used."""
+        """Note a message that was read and cannot be used; called by the thread that reads."""
         self.rejected[topic, reason] += 1
 
     def as_dict(self) -> dict[str, int]:

@@ -80,6 +80,26 @@ def ledger_line(account: dict[str, Any]) -> str:
     return "ledger: " + ", ".join(parts)
 
 
+def ledger_table(account: dict[str, Any]) -> str:
+    """Return an account as a table with one line per bucket."""
+    frames = account.get("not_keyframe")
+    rows = [
+        ("declared", account["declared"] if account["declared"] is not None else "unknown", ""),
+        ("used", account["used"], ""),
+        ("not needed", account["not_needed"], f"{frames} in frames that are no keyframes" if frames else ""),
+        ("rejected", sum(account["rejected"].values()), _counts(account["rejected"])),
+        (
+            "unreadable",
+            account["unreadable"],
+            f"{account['damaged_places']} damaged places" * bool(account["unreadable"]),
+        ),
+        ("not played", account["not_played"], ""),
+        ("difference", account["difference"], account["explanation"]),
+    ]
+    shown = [row for row in rows if row[1] or row[0] in ("declared", "used", "unreadable") or row[2]]
+    return "\n".join(f"  {name:<10} {number!s:>9}  {detail}".rstrip() for name, number, detail in shown)
+
+
 def _counts(counts: dict[str, int]) -> str:
     return ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
 

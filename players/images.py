@@ -14,10 +14,10 @@ from players.decode import (
     color_of_pixels,
     compressed_size,
     decode_color,
-    decode_depth_png,
+    decode_compressed_depth,
     depth_of_pixels,
-    png_part,
     raw_pixels,
+    rvl_size,
 )
 from players.messages import COMPRESSED_IMAGE, frame_name, header_stamp_ns
 
@@ -87,13 +87,11 @@ def check_depth_encoding(image: LogImage) -> None:
         RecordingError: the encoding is not known.
     """
     if image.is_compressed:
-        is_known = not image.encoding.startswith("32FC1") and "rvl" not in image.encoding.lower()
-    else:
-        is_known = image.encoding in DEPTH_ENCODINGS
-    if not is_known:
+        return  # told by its bytes: format strings are written in every way
+    if image.encoding not in DEPTH_ENCODINGS:
         raise RecordingError(
             f"{image.topic} is encoded as {image.encoding!r}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
-            "or a CompressedImage of 16-bit PNG; name another topic with --depth-topic"
+            "or a CompressedImage of 16-bit PNG or RVL; name another topic with --depth-topic"
         )
 
 
@@ -117,7 +115,7 @@ def depth_of(image: LogImage, units_per_m: float = _UNITS_PER_M) -> NDArray[np.f
     """
     check_depth_encoding(image)
     if image.is_compressed:
-        return decode_depth_png(png_part(image.data(), str(image)), units_per_m, str(image))
+        return decode_compressed_depth(image.data(), image.encoding, units_per_m, str(image))
     return depth_of_pixels(raw_pixels(image.message, str(image)), units_per_m)
 
 
@@ -129,4 +127,4 @@ def _compressed_size(message: Any) -> tuple[int, int] | None:
     """Return the size of a JPEG or PNG, also behind the header of `compressedDepth`."""
     # A JPEG's size stands behind its tables and whatever a camera wrote into its comments.
     head = np.asarray(message.data[: 1 << 16], dtype=np.uint8).tobytes()
-    return compressed_size(head) or compressed_size(head[12:])
+    return compressed_size(head) or compressed_size(head[12:]) or (rvl_size(head) if any(rvl_size(head)) else None)

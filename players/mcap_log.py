@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.errors import RecordingError
 from players.containers import LogMessage, Topic, merged_topics, normalized_type
 from players.flaws import Flaw, Flaws
+from players.foxglove import ROS_TYPES
 from players.unpack import UnpackError, unpack
 
 if TYPE_CHECKING:
@@ -307,7 +308,8 @@ class McapLog:
             topics.append(
                 Topic(
                     name=name,
-                    type_name=normalized_type(type_name),
+                    type_name=ROS_TYPES.get(type_name, normalized_type(type_name)),
+                    foreign_type=type_name if type_name in ROS_TYPES else "",
                     num_messages=counts.get(number, 0),
                     wire=_WIRES.get(encoding, "other"),
                     definition_format=_FORMATS.get(schema_encoding, "none"),

@@ -226,7 +226,7 @@ class RigReader:
 
     def _add_info(self, topic: Topic, message: LogMessage) -> None:
         # Behind the stamp everything is the same in every message of one calibration.
-        content = bytes(message.data[12:])
+        content = bytes(message.data[12:]) if not topic.foreign_type else bytes(message.data)
         if self._info_bytes.get(topic.name) == content:
             return
         try:

@@ -98,7 +98,17 @@ def run(options: argparse.Namespace) -> int:
         )
     else:
         print(f"{out}: {len(objects)} objects, {sum(o.shape is not None for o in objects)} with all four layers")
+        _print_ledger(out)
     return 0 if played.finished_cleanly else STOPPED
+
+
+def _print_ledger(out: Path) -> None:
+    """Print what became of the messages of a log; folders of images have none."""
+    from players.doctor_text import ledger_table
+
+    messages = json.loads((out / "ledger.json").read_text(encoding="utf-8")).get("messages")
+    if messages:
+        print(ledger_table(messages))
 
 
 def _sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None) -> list[tuple[Sink, bool]]:

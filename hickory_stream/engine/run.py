@@ -17,12 +17,13 @@ import time
 from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar, assert_never
+from typing import TYPE_CHECKING, Any, TypeVar, assert_never
 
 import numpy as np
 
 from hickory_stream.engine.channel import Channel, ChannelClosed
 from hickory_stream.engine.crops import write_crop
+from hickory_stream.engine.message_ledger import message_ledger
 from hickory_stream.engine.pump import Pump
 from hickory_stream.engine.shape_queue import ShapeQueue
 from hickory_stream.errors import RecordingError
@@ -49,7 +50,7 @@ from hickory_stream.ports import Crop
 from hickory_stream.records import Frame, FrameReport, MapSnapshot, RawFrame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.session import MapFolder
@@ -127,6 +128,7 @@ class Run:
         self._num_frames = 0
         self._num_keyframes = 0
         self._total: int | None = None
+        self._fates: Callable[[], Mapping[str, int]] = dict
         self.counts: Counter[str] = Counter()
         self.timings_s: defaultdict[str, float] = defaultdict(float)
 
@@ -140,10 +142,12 @@ class Run:
         """Whether the source was played to its end."""
         return not self._stopped.is_set()
 
-    def ledger(self, source: Source) -> dict[str, dict[str, int]]:
+    def ledger(self, source: Source) -> dict[str, dict[str, Any]]:
         """Return what became of every message, frame and job."""
         frames = {"read": self._num_frames, "keyframes": self._num_keyframes, **self.counts}
-        return {"source": dict(source.ledger()), "frames": frames, "shapes": dict(self._shapes.counts)}
+        messages = message_ledger(source, frames)
+        counts = {"source": dict(source.ledger()), "frames": frames, "shapes": dict(self._shapes.counts)}
+        return {**counts, "messages": messages} if messages else counts
 
     def timings(self) -> dict[str, float]:
         """Return seconds of work: by layer as in the paper's table of storage and time, and by stage."""
@@ -170,6 +174,7 @@ class Run:
         """
         info = source.info
         self._total = info.num_frames * loops if info.num_frames is not None else None
+        self._fates = source.ledger
         try:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._read(source, Pump(rate), loops), name="read")
@@ -420,6 +425,7 @@ class Run:
             metrics=(
                 *((f"time/{name}", seconds) for name, seconds in times.items()),
                 *((name, float(length)) for name, length in queues),
+                *((f"ledger/{fate}", float(number)) for fate, number in self._fates().items()),
                 *published.metrics,
             ),
         )

@@ -146,7 +146,7 @@ def test_a_log_without_messages_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("topic", "encoding"), [(scenes.RAW_COLOR, "bayer_rggb8"), (scenes.RAW_DEPTH, "64FC1"), (scenes.RAW_DEPTH, "rgb8")]
+    ("topic", "encoding"), [(scenes.RAW_COLOR, "jpeg2000"), (scenes.RAW_DEPTH, "64FC1"), (scenes.RAW_DEPTH, "rgb8")]
 )
 def test_an_encoding_that_is_not_known_is_refused_at_once(tmp_path: Path, topic: str, encoding: str) -> None:
     def recode(message: scenes.Message) -> scenes.Message:
@@ -156,12 +156,14 @@ def test_an_encoding_that_is_not_known_is_refused_at_once(tmp_path: Path, topic:
         _open(tmp_path, _changed(topic, recode, RAW_LOG))
 
 
-def test_inverse_depth_is_refused_instead_of_being_read_as_millimetres(tmp_path: Path) -> None:
+def test_inverse_depth_without_parameters_is_refused_instead_of_being_read_as_millimetres(tmp_path: Path) -> None:
     def recode(message: scenes.Message) -> scenes.Message:
         return replace(message, message=replace(message.message, format="32FC1; compressedDepth png"))
 
-    with pytest.raises(RecordingError, match="'32FC1; compressedDepth png'; depth must be"):
-        _open(tmp_path, _changed(scenes.PNG_DEPTH, recode))
+    source = _open(tmp_path, _changed(scenes.PNG_DEPTH, recode))
+    with pytest.raises(RecordingError, match="inverse depth without parameters"):
+        next(source.frames()).decode()
+    assert source.ledger()["unreadable_image"] == 1
 
 
 @pytest.mark.parametrize("topic", [scenes.PNG_COLOR, scenes.PNG_DEPTH])
