@@ -19,7 +19,7 @@ from hickory_stream.errors import RecordingError
 from players.containers import LogMessage, Topic, merged_topics, normalized_type
 from players.flaws import Flaw, Flaws
 from players.foxglove import ROS_TYPES
-from players.unpack import UnpackError, unpack
+from players.unpack import UnpackError, release, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -147,6 +147,12 @@ class McapLog:
                 self._survey.declared = declared
                 yield from self._chunked(data, wanted, read)
 
+    def chunk_spans(self, data: mmap.mmap) -> list[tuple[tuple[int, int], int]]:
+        """Return where each chunk begins and ends, and how many messages its index says it has."""
+        for chunk in self._survey.chunks:
+            _is_chunk_at(data, chunk)
+        return [((c.offset, c.offset + c.num_bytes), sum((c.counts or {}).values())) for c in self._survey.chunks]
+
     # ---- reading -----------------------------------------------------------------------------------------------------
 
     def _chunked(self, data: mmap.mmap, wanted: set[str], read: set[int]) -> Iterator[LogMessage]:
@@ -166,6 +172,7 @@ class McapLog:
                 self._bad_chunk(chunk, str(error))
                 continue
             yield from self._records(records, chunk, wanted)
+            release(data, chunk.offset, chunk.offset + chunk.num_bytes)
 
     def _records(self, records: Any, chunk: _Chunk, wanted: set[str]) -> Iterator[LogMessage]:
         """Yield the messages of an unpacked chunk, as views of it."""

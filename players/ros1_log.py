@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.errors import RecordingError
 from players.containers import LogMessage, Topic, merged_topics, normalized_type
 from players.flaws import Flaw, Flaws
-from players.unpack import UnpackError, unpack
+from players.unpack import UnpackError, release, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -44,6 +44,7 @@ class _Chunk:
     compression: str
     size: int
     index: dict[int, tuple[int, int]] = field(default_factory=dict)
+    index_end: int = 0
 
     @property
     def counts(self) -> Counter[int]:
@@ -109,6 +110,15 @@ class Ros1Log:
                     self._bad_chunk(chunk, str(error))
                     continue
                 yield from self._content(content, chunk, names)
+                release(data, chunk.offset, chunk.data_end)
+
+    def chunk_spans(self, data: mmap.mmap) -> list[tuple[tuple[int, int], int]]:
+        """Return where each chunk and the index behind it begin and end, and how many messages it has."""
+        spans = []
+        for place in self._chunk_places:
+            chunk = _chunk_at(data, place)
+            spans.append(((place, chunk.index_end), len(chunk.index)))
+        return spans
 
     def _content(self, content: Any, chunk: _Chunk, names: dict[int, str]) -> Iterator[LogMessage]:
         """Yield the messages of a chunk; after a record that cannot be believed, goes on at the next of the index."""
@@ -404,6 +414,7 @@ def _chunk_at(data: Any, at: int, *, with_index: bool = True) -> _Chunk:
             break
         for seconds, nanoseconds, offset in struct.iter_unpack("<III", data[data_at : place - (place - data_at) % 12]):
             chunk.index[offset] = (connection, seconds * 1_000_000_000 + nanoseconds)
+        chunk.index_end = place
     return chunk
 
 

@@ -45,25 +45,25 @@ class SqliteLog:
         self._is_sound = True
         self._counts: dict[int, int] | None = None
         try:
-            self._topic_rows, self._counts = self._read_topics()
+            self.topic_rows, self._counts = self._read_topics()
         except sqlite3.DatabaseError as error:
             self._give_up(error)
             pages = PageFile(path)
-            self._topic_rows = {}
+            self.topic_rows = {}
             for row in pages.rows("topics"):
                 values = row.values()
                 if values is None or len(values) < 4 or not all(isinstance(value, str) for value in values[1:4]):
                     continue
                 # Rows of topics and of message definitions look alike, but for the slash of a topic's name.
                 if values[1].startswith("/"):
-                    self._topic_rows[row.rowid] = (values[1], values[2], values[3])
+                    self.topic_rows[row.rowid] = (values[1], values[2], values[3])
                 elif values[2] in ("ros2msg", "ros2idl"):
                     self._definitions.setdefault(values[1], values[3])
-            if not self._topic_rows:
+            if not self.topic_rows:
                 raise RecordingError(
                     f"{path} cannot be read as a ROS 2 bag: {error}, and no page of it holds topics"
                 ) from error
-        self.topics = merged_topics([self._topic(number) for number in sorted(self._topic_rows)])
+        self.topics = merged_topics([self._topic(number) for number in sorted(self.topic_rows)])
 
     def declared(self) -> dict[str, int] | None:
         """Return how many messages of each topic the database holds, or None where it is damaged."""
@@ -71,13 +71,13 @@ class SqliteLog:
             return None
         by_topic: Counter[str] = Counter()
         for number, count in self._counts.items():
-            name = self._topic_rows[number][0] if number in self._topic_rows else ""
+            name = self.topic_rows[number][0] if number in self.topic_rows else ""
             by_topic[name] += count
         return dict(by_topic)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the rows; what cannot be read is among the `flaws`."""
-        names = {number: row[0] for number, row in self._topic_rows.items() if row[0] in topics}
+        names = {number: row[0] for number, row in self.topic_rows.items() if row[0] in topics}
         last = -(1 << 63)
         if self._is_sound:
             try:
@@ -102,7 +102,7 @@ class SqliteLog:
                 message = self._message(names[values[1]], values[2], values[3], row.rowid)
                 if message is not None:
                     yield message
-            elif len(values) < 4 or values[1] not in self._topic_rows:
+            elif len(values) < 4 or values[1] not in self.topic_rows:
                 self._flaw(row.offset, f"row {row.rowid} is no message", 0, num_unknown=1)
 
     def _message(self, name: str, log_ns: int, data: Any, rowid: int) -> LogMessage | None:
@@ -150,7 +150,7 @@ class SqliteLog:
         return rows, counts
 
     def _topic(self, number: int) -> Topic:
-        name, type_name, wire = self._topic_rows[number]
+        name, type_name, wire = self.topic_rows[number]
         definition = self._definitions.get(type_name, "")
         is_idl = "IDL:" in definition[:400]
         return Topic(

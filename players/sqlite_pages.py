@@ -86,6 +86,21 @@ class PageFile:
                     return None
         return _columns(bytes(payload))
 
+    def spans(self, row: Row) -> list[tuple[int, int]]:
+        """Return the bytes of a row that is sound: its leaf page's header and cell, and its overflow pages."""
+        size = self._page_bytes
+        leaf = row.offset // size * size
+        found = [(leaf, leaf + size)]
+        local = self._local_bytes(row.payload_bytes)
+        if local < row.payload_bytes:
+            with self._path.open("rb") as stream:
+                page = self._page(stream, leaf // size + 1)
+                (following,) = struct.unpack_from(">I", page, row.offset - leaf + local)
+                while following:
+                    found.append(((following - 1) * size, following * size))
+                    (following,) = struct.unpack_from(">I", self._page(stream, following), 0)
+        return found
+
     def _page(self, stream: Any, number: int) -> bytes:
         stream.seek((number - 1) * self._page_bytes)
         return bytes(stream.read(self._page_bytes))

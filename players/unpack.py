@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import mmap
 from typing import Any, Literal
 
 Compression = Literal["", "none", "lz4", "bz2", "zstd"]
@@ -13,6 +14,13 @@ MAX_UNPACKED_BYTES = 1 << 30
 
 class UnpackError(Exception):
     """Compressed bytes that cannot be unpacked, or that claim too much; says what."""
+
+
+def release(data: mmap.mmap, start: int, end: int) -> None:
+    """Let go of the pages of a mapped file that were read: they would count as memory of the process."""
+    first, last = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE, end // mmap.PAGESIZE * mmap.PAGESIZE
+    if last > first and hasattr(mmap, "MADV_DONTNEED"):
+        data.madvise(mmap.MADV_DONTNEED, first, last - first)
 
 
 def unpack(compression: str, data: Any, size: int | None, *, limit: int = MAX_UNPACKED_BYTES) -> Any:
