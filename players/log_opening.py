@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from players.containers import Log, Topic
     from players.options import SourceOptions
 
-_PROBE_IMAGES = 40
+_PROBE_IMAGES = 15
 """Images of each topic that are looked at for frame names, encodings and periods."""
 
 _PATIENCE_NS = 10_000_000_000

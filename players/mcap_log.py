@@ -407,7 +407,11 @@ def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
     at += 8
     if packed != end - at:
         raise UnpackError(f"says to hold {packed} bytes and holds {end - at}")
-    records = unpack(compression, data[at:end], size)
+    if compression in ("lz4", "zstd"):
+        with memoryview(data) as view, view[at:end] as packed_bytes:
+            records = unpack(compression, packed_bytes, size)
+    else:
+        records = unpack(compression, data[at:end], size)
     if crc and zlib.crc32(records) != crc:
         raise UnpackError("fails its checksum")
     return records

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.errors import RecordingError
 from players.containers import LogMessage, Topic, merged_topics, normalized_type
 from players.flaws import Flaw, Flaws
-from players.unpack import UnpackError, release, unpack
+from players.unpack import UnpackError, release
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -105,7 +105,7 @@ class Ros1Log:
                 if chunk.index and not any(connection in names for connection, _ in chunk.index.values()):
                     continue
                 try:
-                    content = unpack(chunk.compression, data[chunk.data_at : chunk.data_end], chunk.size)
+                    content = _unpacked(data, chunk)
                 except UnpackError as error:
                     self._bad_chunk(chunk, str(error))
                     continue
@@ -245,7 +245,7 @@ class Ros1Log:
         if chunk.index and all(connection in self._connections for connection, _ in chunk.index.values()):
             return
         try:
-            content = unpack(chunk.compression, data[chunk.data_at : chunk.data_end], chunk.size)
+            content = _unpacked(data, chunk)
         except UnpackError as error:
             self._bad_chunk(chunk, str(error))
             return
@@ -316,6 +316,14 @@ class Ros1Log:
         self.flaws.add(
             Flaw(file=self.path.name, offset=offset, what=what, num_bytes=num_bytes, lost=lost, num_unknown=num_unknown)
         )
+
+
+def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
+    """Return the records of a chunk; raises `UnpackError`."""
+    if chunk.compression == "none":
+        return unpack("none", data[chunk.data_at : chunk.data_end], chunk.size)
+    with memoryview(data) as view, view[chunk.data_at : chunk.data_end] as packed:
+        return unpack(chunk.compression, packed, chunk.size)
 
 
 def _record(data: Any, at: int, end: int, *, is_cut_off_well: bool = False) -> tuple[dict[bytes, bytes], int, int]:

@@ -9,6 +9,7 @@ does not tear. The jump itself is told, for whoever keeps submaps.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, insort
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -291,4 +292,7 @@ def _distance(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 def _angle(a: Sequence[float], b: Sequence[float]) -> float:
-    return rotation_angle_rad(_pose(a)[:3, :3].T @ _pose(b)[:3, :3])
+    """Return the angle between two rotations, by the quaternions themselves: this is asked for every pose."""
+    dot = abs(sum(x * y for x, y in zip(a[3:], b[3:], strict=True)))
+    lengths = math.hypot(*a[3:]) * math.hypot(*b[3:])
+    return 2.0 * math.acos(min(1.0, dot / lengths))
