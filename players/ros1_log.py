@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.errors import RecordingError
 from players.containers import LogMessage, Topic, merged_topics, normalized_type
 from players.flaws import Flaw, Flaws
-from players.unpack import UnpackError, release
+from players.unpack import UnpackError, release, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
