@@ -22,6 +22,7 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 _KINDS = (
     "an MCAP file, a ROS 1 bag, a ROS 2 bag (folder or .db3), or a folder of images: "
     "7-Scenes (frame-000000.color.jpg ...), TUM RGB-D (rgb.txt, depth.txt, groundtruth.txt), "
+    "Replica (results/, traj.txt), HOPE (0000_rgb.jpg, 0000_depth.png, 0000.json), "
     "or rgb/ with depth/, cam_params.json and camera_poses.txt"
 )
 
@@ -139,7 +140,16 @@ def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:
         raise RecordingError(f"{folder} cannot be read: {error.strerror or error}") from error
-    from players.folder_layouts import CAM_PARAMS, CAMERA_POSES, open_posed_folder, open_seven_scenes, open_tum
+    from players.folder_layouts import (
+        CAM_PARAMS,
+        CAMERA_POSES,
+        TRAJECTORY,
+        open_hope,
+        open_posed_folder,
+        open_replica,
+        open_seven_scenes,
+        open_tum,
+    )
 
     if "metadata.yaml" in names:
         return None
@@ -147,6 +157,10 @@ def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
         return open_seven_scenes(folder, options)
     if "rgb.txt" in names:
         return open_tum(folder, options)
+    if TRAJECTORY in names and "results" in names:
+        return open_replica(folder, options)
+    if any(name.endswith(("_rgb.jpg", "_rgb.png")) for name in names):
+        return open_hope(folder, options)
     if CAM_PARAMS in names or CAMERA_POSES in names:
         return open_posed_folder(folder, options)
     return None

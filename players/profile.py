@@ -82,6 +82,7 @@ class Profile:
     depth_units_per_m: float = 1000.0
     max_depth_m: float | None = None
     frame_rate_hz: int = 30
+    extrinsics_units_per_m: float = 1.0
     color: Intrinsics | None = None
     color_from_depth_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
