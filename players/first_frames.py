@@ -42,6 +42,12 @@ class FirstFrames:
         account = getattr(self._source, "account", None)
         return account() if account is not None else None
 
+    def interrupt(self) -> None:
+        """Wake the other source, where it may be waiting."""
+        interrupt = getattr(self._source, "interrupt", None)
+        if interrupt is not None:
+            interrupt()
+
     def close(self) -> None:
         """Close the other source."""
         self._source.close()

@@ -7,9 +7,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.cli.keys import HELP, Keys
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.status import STOPPED
 from hickory_stream.cli.values import parse_rate, positive, read_settings
+from hickory_stream.errors import InputError
 
 if TYPE_CHECKING:
     import argparse
@@ -34,6 +36,12 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     play.add_argument("--overwrite", action="store_true", help="replace the map that is there")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
+    play.add_argument("--start", type=float, default=0.0, metavar="S", help="begin so many seconds into the log")
+    play.add_argument("--end", type=float, metavar="S", help="end so many seconds into the log")
+    play.add_argument(
+        "--inject", metavar="FAULTS", help="play it badly, e.g. drop=0.1,teleport=0.02; see --inject-seed"
+    )
+    play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="which frames have faults")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
     play.add_argument(
         "--workers", type=int, metavar="N", help="child processes that build shapes; do not change the map"
@@ -48,13 +56,21 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import parse_viewer
+    from hickory_stream.testing import FaultySource, parse_faults
     from players import open_source
     from players.first_frames import FirstFrames
+    from players.playback import PlaybackClock, PlayedSource
 
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
     rate = parse_rate(options.rate)
     source: Source = open_source(options.source, source_options(options))
+    if options.inject is not None:
+        source = FaultySource(source, parse_faults(options.inject), options.inject_seed)
+    clock = PlaybackClock(rate)
+    if not 0 <= options.start < (options.end if options.end is not None else float("inf")):
+        raise InputError(f"found --start {options.start:g}, expected 0 or more and less than --end {options.end}")
+    source = PlayedSource(source, clock, start_s=options.start, end_s=options.end, keyframes=settings.mapper.keyframes)
     if options.frames is not None:
         source = FirstFrames(source, positive(options.frames, "--frames"))
     out = options.out or Path(f"{Path(options.source[0]).resolve().stem}.map")
@@ -66,18 +82,22 @@ def run(options: argparse.Namespace) -> int:
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
         return _sinks(folder, settings, viewer, options.rrd)
 
-    printer = ProgressPrinter(style)
+    printer = ProgressPrinter(style, clock.describe)
+    keys = Keys(clock)
+    if style == "bar" and sys.stdin.isatty():
+        sys.stderr.write(f"{HELP}\n")
     try:
-        played = play(
-            source,
-            settings.mapper,
-            out=out,
-            overwrite=options.overwrite,
-            sinks=sinks,
-            rate=rate,
-            loops=positive(options.loop, "--loop"),
-            progress=printer,
-        )
+        with keys:
+            played = play(
+                source,
+                settings.mapper,
+                out=out,
+                overwrite=options.overwrite,
+                sinks=sinks,
+                rate=None,  # the clock of the source keeps it
+                loops=positive(options.loop, "--loop"),
+                progress=printer,
+            )
     finally:
         printer.close()
         source.close()

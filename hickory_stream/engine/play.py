@@ -65,7 +65,7 @@ async def _play(
 ) -> Played:
     snapshot: MapSnapshot | None = None
     async with Mapper(config, out=out, overwrite=overwrite) as mapper:
-        with _Signals(mapper):
+        with _Signals(mapper, getattr(source, "interrupt", None)):
             async for newest in mapper.run(source, sinks=sinks, rate=rate, loops=loops, progress=progress):
                 snapshot = newest
         assert mapper.folder is not None
@@ -76,8 +76,9 @@ async def _play(
 class _Signals:
     """While entered: the first signal stops the mapper, the second cancels its task."""
 
-    def __init__(self, mapper: Mapper) -> None:
+    def __init__(self, mapper: Mapper, interrupt: Callable[[], None] | None) -> None:
         self._mapper = mapper
+        self._interrupt = interrupt  # of a source that may be waiting
         self._task = asyncio.current_task()
         self._loop = asyncio.get_running_loop()
         self._count = 0
@@ -96,5 +97,7 @@ class _Signals:
         self._count += 1
         if self._count == 1:
             self._mapper.stop()
+            if self._interrupt is not None:
+                self._interrupt()
         elif self._task is not None:
             self._task.cancel()
