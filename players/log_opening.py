@@ -224,16 +224,19 @@ def _filled(opening: Opening, wanted: set[str]) -> Opening:
     log, reader, topics = opening.log, opening.reader, opening.topics
     probes = {topics.color.name: opening.color, topics.depth.name: opening.depth}
     first_ns: int | None = None
+    passed_ns = 0
     for count, message in enumerate(log.messages({*wanted, *probes})):
         probe = probes.get(message.topic)
         if probe is None:
             reader.add(message)
-        elif not probe.is_full:
-            _look_at(probe, message.data, message.log_ns)
-        first_ns = message.log_ns if first_ns is None else first_ns
+        else:
+            # Time passes by the images: another bag of the log may have been recorded years later, from a replay.
+            first_ns = message.log_ns if first_ns is None else first_ns
+            passed_ns = max(passed_ns, message.log_ns - first_ns)
+            if not probe.is_full:
+                _look_at(probe, message.data, message.log_ns)
         if count % 50 and count > 50:
             continue
-        passed_ns = message.log_ns - first_ns
         if passed_ns > _HORIZON_NS:
             break
         if opening.color.is_full and opening.depth.is_full and (wanted <= reader.seen or passed_ns > _PATIENCE_NS):
