@@ -306,6 +306,7 @@ def _plan(opening: Opening, camera_frame: str) -> PosePlan:
         pose_frame=options.pose_frame,
         is_named=opening.is_pose_named,
         rig=profile.rig if options.pose_frame is None else None,
+        rig_topics=(*profile.topics.get("pose", ()), *([str(options.pose_file)] if options.pose_file else [])),
         profile_name=profile.name,
     )
 

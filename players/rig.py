@@ -27,7 +27,7 @@ from players.timeline import Order, Timeline
 from players.tracks import GrowingTrack, JumpLimits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -290,9 +290,12 @@ def plan_poses(
     pose_frame: str | None,
     is_named: bool,
     rig: RigLinks | None,
+    rig_topics: Collection[str],
     profile_name: str,
 ) -> PosePlan:
     """Return how the camera's pose comes about; `is_named`: a pose topic was asked for, so that TF is no substitute.
+
+    `rig` is the profile's, and holds for `rig_topics` only: what another topic's body is, a profile does not know.
 
     Raises:
         CalibrationError: no pose can be carried to the camera's frame.
@@ -314,8 +317,9 @@ def plan_poses(
             )
     elif carried := [plan for s in streams if s.child and (plan := _carried(s, tree, camera_frame, pose_frame))]:
         return max(carried, key=_preference)
-    if rig is not None and streams:
-        stream = max(streams, key=lambda s: (s.num_poses, s.topic))
+    of_the_rig = [stream for stream in streams if stream.topic in rig_topics]
+    if rig is not None and of_the_rig:
+        stream = max(of_the_rig, key=lambda s: (s.num_poses, s.topic))
         chain = FrameTree(rig.links).chain(rig.body, rig.color)
         if chain is None:
             raise CalibrationError(f"profile {profile_name}: its links do not connect {rig.body} to {rig.color}")
@@ -330,7 +334,10 @@ def plan_poses(
         )
     if not streams and not tree.edges:
         raise RecordingError(f"{path}: the pose topics hold no pose")
-    raise CalibrationError(_unconnected(path, streams, tree, camera_frame))
+    told = _unconnected(path, streams, tree, camera_frame)
+    if rig is not None:
+        told += f". The profile {profile_name} knows the body of {' or '.join(rig_topics)} only: play that log, too"
+    raise CalibrationError(told)
 
 
 def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame: str | None) -> PosePlan | None:

@@ -27,11 +27,16 @@ MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
 _CHUNK_OP = re.compile(rb"\x04\x00\x00\x00op=\x05")
 _MAX_HEADER_BYTES = 1 << 20
+_LOOKED_AT = 32
 _SIZE = struct.Struct("<I")
 
 
 class _NoRecordError(Exception):
     """Bytes that are no record."""
+
+
+class _WrongIndexError(Exception):
+    """The index names a chunk where there is none."""
 
 
 @dataclass(slots=True)
@@ -70,8 +75,10 @@ class Ros1Log:
         self._connections: dict[int, Topic] = {}
         self._declared: Counter[int] | None = None
         self._chunk_places: list[int] = []
+        self._is_indexed = True
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             if not self._read_index(data):
+                self._is_indexed = False
                 self._connections.clear()
                 self._declared = None
                 self._walk_whole(data)
@@ -94,23 +101,39 @@ class Ros1Log:
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the file; what cannot be read is among the `flaws`."""
-        names = {number: topic.name for number, topic in self._connections.items() if topic.name in topics}
+        read: set[int] = set()
         with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            for place in self._chunk_places:
-                try:
-                    chunk = _chunk_at(data, place)
-                except _NoRecordError as error:
-                    self._flaw(place, f"a chunk of the index is not there: {error}", 0)
-                    continue
-                if chunk.index and not any(connection in names for connection, _ in chunk.index.values()):
-                    continue
-                try:
-                    content = _unpacked(data, chunk)
-                except UnpackError as error:
-                    self._bad_chunk(chunk, str(error))
-                    continue
-                yield from self._content(content, chunk, names)
-                release(data, chunk.offset, chunk.data_end)
+            try:
+                yield from self._chunks(data, set(topics), read)
+            except _WrongIndexError:
+                self._is_indexed = False
+                self._chunk_places.clear()
+                self._walk_whole(data)
+                yield from self._chunks(data, set(topics), read)
+
+    def _chunks(self, data: mmap.mmap, topics: set[str], read: set[int]) -> Iterator[LogMessage]:
+        """Yield the messages of the chunks that were not `read` yet."""
+        names = {number: topic.name for number, topic in self._connections.items() if topic.name in topics}
+        for place in self._chunk_places:
+            if place in read:
+                continue
+            try:
+                chunk = _chunk_at(data, place)
+            except _NoRecordError as error:
+                if self._is_indexed:
+                    raise _WrongIndexError from error
+                self._flaw(place, f"a chunk is not there: {error}", 0)
+                continue
+            read.add(place)
+            if chunk.index and not any(connection in names for connection, _ in chunk.index.values()):
+                continue
+            try:
+                content = _unpacked(data, chunk)
+            except UnpackError as error:
+                self._bad_chunk(chunk, str(error))
+                continue
+            yield from self._content(content, chunk, names)
+            release(data, chunk.offset, chunk.data_end)
 
     def chunk_spans(self, data: mmap.mmap) -> list[tuple[tuple[int, int], int]]:
         """Return where each chunk and the index behind it begin and end, and how many messages it has."""
@@ -204,11 +227,13 @@ class Ros1Log:
             return False
         self._declared = declared
         is_whole = len(self._connections) == num_connections and len(self._chunk_places) == num_chunks
-        # A shuffled or overwritten bag has chunks elsewhere than its index says.
-        if not is_whole or not all(_is_chunk(data, place) for place in self._chunk_places):
+        # An overwritten bag has chunks elsewhere than its index says. A few are looked at, the others when they are
+        # read: to touch all chunks of a long bag would take minutes on a disk.
+        self._chunk_places.sort()
+        step = max(1, len(self._chunk_places) // _LOOKED_AT)
+        if not is_whole or not all(_is_chunk(data, place) for place in self._chunk_places[::step]):
             self._chunk_places.clear()
             return False
-        self._chunk_places.sort()
         return True
 
     def _walk_whole(self, data: mmap.mmap) -> None:

@@ -84,7 +84,20 @@ def test_every_message_is_accounted_for(recorded: tuple[str, list[Path], Truth])
     assert account["unreadable"] == account["difference"] == account["not_played"] == 0
 
 
-def test_the_odometry_of_kimera_multi_is_needed(recorded: tuple[str, list[Path], Truth]) -> None:
+def test_the_wheels_are_never_taken_for_the_body_of_the_visual_odometry(
+    recorded: tuple[str, list[Path], Truth],
+) -> None:
+    layout, files, _ = recorded
+    if layout != "kimera_multi":
+        pytest.skip("of Kimera-Multi only")
+    told = (
+        r"jackal_velocity_controller/odom gives acl_jackal2/base.*knows the body of /acl_jackal/kimera_vio_ros/odometry"
+    )
+    with pytest.raises(CalibrationError, match=told):
+        open_source(files[0])
+
+
+def test_a_robot_that_is_not_known_is_refused(recorded: tuple[str, list[Path], Truth]) -> None:
     layout, files, _ = recorded
     if layout != "kimera_multi":
         pytest.skip("of Kimera-Multi only")
