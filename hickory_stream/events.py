@@ -86,6 +86,20 @@ class TimeJumped:
     kind: Literal["loop", "seek", "restart"] = "seek"
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PoseJumped:
+    """The odometry jumped before the frame of `stamp_ns`: a loop closure of its own, or a lost track.
+
+    `after_from_before` (4, 4) takes what was in its old world into its new one.
+    """
+
+    stamp_ns: int
+    after_from_before: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self, "after_from_before", float, (4, 4))
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceEnded:
     """No frame will follow; the core asks for what is still worth building."""
@@ -93,7 +107,7 @@ class SourceEnded:
     stamp_ns: int
 
 
-Event = FrameObserved | FeaturesReady | ShapeReady | ShapeFailed | TimeJumped | SourceEnded
+Event = FrameObserved | FeaturesReady | ShapeReady | ShapeFailed | TimeJumped | PoseJumped | SourceEnded
 
 # ---- effects --------------------------------------------------------------------------------------------------------
 

@@ -8,6 +8,8 @@ import time
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from hickory_stream.engine.run import Progress
 
 Style = Literal["bar", "lines", "json", "none"]
@@ -21,8 +23,9 @@ _WIDTH = 30
 class ProgressPrinter:
     """Prints progress to standard error; a call costs nothing when it is not yet time to print."""
 
-    def __init__(self, style: Style) -> None:
+    def __init__(self, style: Style, where: Callable[[], str] | None = None) -> None:
         self._style = style
+        self._where = where
         self._started_s = time.monotonic()
         self._printed_s = 0.0
         self._phase = ""
@@ -49,6 +52,8 @@ class ProgressPrinter:
     def _text(self, progress: Progress, elapsed_s: float) -> str:
         rate = progress.frames / elapsed_s if elapsed_s > 0 else 0.0
         counts = f"{progress.objects} objects"
+        if self._where is not None:
+            counts = f"{self._where()}, {counts}"
         if progress.open_shapes:
             counts += f", {progress.open_shapes} shapes to come"
         if progress.total is None:

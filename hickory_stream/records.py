@@ -54,7 +54,8 @@ class RawFrame:
     """A posed frame that is still compressed: only keyframes are ever decoded.
 
     `decode()` returns the `Frame`, or raises `RecordingError` where an image is torn. `color_bytes` are the log's own
-    compressed colour (JPEG or PNG), for the viewer; None when the log had none.
+    compressed colour (JPEG or PNG), for the viewer; None when the log had none. `after_from_before` (4, 4) where the
+    odometry jumped since the frame before: it takes the old world into the new one.
     """
 
     index: int
@@ -63,9 +64,12 @@ class RawFrame:
     world_from_camera: NDArray[np.float64]
     decode: Callable[[], Frame]
     color_bytes: bytes | None = None
+    after_from_before: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_camera", np.float64, (4, 4))
+        if self.after_from_before is not None:
+            freeze(self, "after_from_before", np.float64, (4, 4))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -9,14 +9,16 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
-DefinitionFormat = Literal["msg", "idl", "none"]
-Wire = Literal["cdr", "ros1", "other"]
+    from players.flaws import Flaws
+
+DefinitionFormat = Literal["msg", "idl", "protobuf", "jsonschema", "none"]
+Wire = Literal["cdr", "ros1", "protobuf", "json", "other"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -29,10 +31,11 @@ class Topic:
     wire: Wire
     definition_format: DefinitionFormat
     definition: str
+    foreign_type: str = ""
+    """The name of a type that is not ROS's, of which `type_name` is the equal."""
 
 
-@dataclass(frozen=True, slots=True)
-class LogMessage:
+class LogMessage(NamedTuple):
     """A message as it lies in the log; `log_ns` is when it was received, which says little about when it was true."""
 
     topic: str
@@ -67,8 +70,25 @@ class Log(Protocol):
         """The topics, sorted by name."""
         ...
 
+    @property
+    def flaws(self) -> Flaws:
+        """What was found to be damaged so far; complete after a pass over all topics."""
+        ...
+
+    @property
+    def checksum(self) -> str:
+        """What protects the messages against altered bytes, in words; "" where nothing does."""
+        ...
+
+    def declared(self) -> Mapping[str, int] | None:
+        """Return how many messages of each topic the log says to hold, None where it does not say."""
+        ...
+
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
-        """Yield the messages of some topics, from the beginning, reading each chunk of the file once."""
+        """Yield the messages of some topics, from the beginning, reading each chunk of the file once.
+
+        What cannot be read is skipped and noted in `flaws`.
+        """
         ...
 
 
@@ -99,6 +119,13 @@ def deserialize(topic: Topic, data: Any) -> Any:
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
 
+    if topic.wire in ("protobuf", "json") and topic.foreign_type:
+        from players.foxglove import decode_foxglove
+
+        try:
+            return decode_foxglove(topic.foreign_type, topic.wire, topic.definition, data)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise UnreadableMessageError(f"{topic.name}: {error!r}") from error
     try:
         store = _typestore(topic.type_name, topic.definition_format, topic.definition)
         if topic.wire == "cdr":
@@ -108,7 +135,7 @@ def deserialize(topic: Topic, data: Any) -> Any:
     # Generated code meets torn bytes with whatever its operations raise.
     except (SerdeError, TypesysError, struct.error, LookupError, ValueError, AssertionError) as error:
         raise UnreadableMessageError(f"{topic.name}: {error!r}") from error
-    raise UnreadableMessageError(f"{topic.name}: messages are neither CDR nor ROS 1")
+    raise UnreadableMessageError(f"{topic.name}: messages are neither CDR nor ROS 1, nor Foxglove's")
 
 
 @lru_cache(maxsize=64)

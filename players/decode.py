@@ -5,6 +5,7 @@ A torn image is refused rather than shown: decoders fill the missing rows with g
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _NO_RETURN_U16 = 65535
+MAX_PIXELS = 64_000_000
+"""An image that claims more is damaged or a bomb: no camera of a robot has so many."""
 
 _RAW_TYPES = {
     "rgb8": ("u1", 3),
@@ -31,8 +34,23 @@ _RAW_TYPES = {
     "mono16": ("u2", 1),
     "16UC1": ("u2", 1),
     "32FC1": ("f4", 1),
+    **dict.fromkeys(("yuv422", "uyvy", "UYVY", "yuv422_yuy2", "yuyv", "YUYV"), ("u1", 2)),
+    **dict.fromkeys(("nv12", "nv21"), ("u1", 1)),
+    **dict.fromkeys(("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8"), ("u1", 1)),
+    **dict.fromkeys(("bayer_rggb16", "bayer_bggr16", "bayer_gbrg16", "bayer_grbg16"), ("u2", 1)),
 }
-COLOR_ENCODINGS = ("rgb8", "bgr8", "8UC3", "rgba8", "bgra8", "8UC4", "mono8", "8UC1", "mono16")
+# OpenCV names a Bayer pattern by the second row's second and third pixel: rggb there is BG.
+_CONVERSIONS = {
+    **dict.fromkeys(("yuv422", "uyvy", "UYVY"), cv2.COLOR_YUV2RGB_UYVY),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv", "YUYV"), cv2.COLOR_YUV2RGB_YUYV),
+    "nv12": cv2.COLOR_YUV2RGB_NV12,
+    "nv21": cv2.COLOR_YUV2RGB_NV21,
+    "bayer_rggb": cv2.COLOR_BayerBG2RGB,
+    "bayer_bggr": cv2.COLOR_BayerRG2RGB,
+    "bayer_gbrg": cv2.COLOR_BayerGR2RGB,
+    "bayer_grbg": cv2.COLOR_BayerGB2RGB,
+}
+COLOR_ENCODINGS = tuple(name for name in _RAW_TYPES if name not in ("16UC1", "32FC1"))
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 
 
@@ -84,6 +102,10 @@ def decode_depth_png(data: bytes, units_per_m: float, what: str) -> NDArray[np.f
     Raises:
         RecordingError: the image is empty, torn or not a PNG of one 16-bit channel.
     """
+    return metres_of_u16(_decode_u16_png(data, what), units_per_m)
+
+
+def _decode_u16_png(data: bytes, what: str) -> NDArray[np.uint16]:
     _check_whole(data, what)
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
@@ -91,7 +113,53 @@ def decode_depth_png(data: bytes, units_per_m: float, what: str) -> NDArray[np.f
     if image.dtype != np.uint16 or image.ndim != 2:
         found = f"{image.dtype} with {1 if image.ndim == 2 else image.shape[2]} channels"
         raise RecordingError(f"{what} is {found}; depth must be 16 bits in one channel")
-    return metres_of_u16(np.asarray(image, dtype=np.uint16), units_per_m)
+    return np.asarray(image, dtype=np.uint16)
+
+
+def decode_compressed_depth(data: bytes, encoding: str, units_per_m: float, what: str) -> NDArray[np.float32]:
+    """Return the depth (H, W) float32 metres of a CompressedImage, whatever its format string says of it.
+
+    16-bit PNG, bare or behind the 12 bytes of `compressedDepth` (int32 kind, float32 A, float32 B); RVL behind the same
+    bytes. Where `encoding` begins with 32FC1 the numbers are inverse depth: A / (number - B) metres.
+
+    Raises:
+        RecordingError: it is empty, torn, of another kind, or inverse depth without its parameters.
+    """
+    if not data:
+        raise RecordingError(f"{what} is empty")
+    is_inverse = encoding.strip().startswith("32FC1")
+    numbers = _depth_numbers(data, what)
+    if not is_inverse:
+        return metres_of_u16(numbers, units_per_m)
+    kind, a, b = struct.unpack_from("<iff", data, 0)
+    if data[:8] == _PNG or kind != 0 or not (np.isfinite((a, b)).all() and a > 0):
+        raise RecordingError(f"{what} is inverse depth without parameters (kind {kind}, A {a:g}, B {b:g})")
+    with np.errstate(divide="ignore"):
+        depth_m = np.float32(a) / (numbers.astype(np.float32) - np.float32(b))
+    depth_m[(numbers == 0) | ~np.isfinite(depth_m) | (depth_m <= 0)] = np.nan
+    return np.asarray(depth_m, dtype=np.float32)
+
+
+def _depth_numbers(data: bytes, what: str) -> NDArray[np.uint16]:
+    """Return the integers (H, W) of compressed depth."""
+    if data[:8] == _PNG or data[12:20] == _PNG:
+        return _decode_u16_png(png_part(data, what), what)
+    width, height = rvl_size(data)
+    if 0 < width * height <= MAX_PIXELS and width * height <= 64 * len(data) * 64:
+        from players.rvl import decode_rvl
+
+        pixels = decode_rvl(data[20:], width * height)
+        if pixels is not None:
+            return pixels.reshape(height, width)
+    raise RecordingError(f"{what} holds neither a PNG of 16 bits nor RVL ({len(data)} bytes)")
+
+
+def rvl_size(data: bytes) -> tuple[int, int]:
+    """Return (width, height) as RVL says behind the 12 bytes of `compressedDepth`; (0, 0) if too short or absurd."""
+    if len(data) < 24:
+        return 0, 0
+    width, height = struct.unpack_from("<ii", data, 12)
+    return (width, height) if 0 < width < 1 << 16 and 0 < height < 1 << 16 else (0, 0)
 
 
 def metres_of_u16(raw: NDArray[np.uint16], units_per_m: float) -> NDArray[np.float32]:
@@ -111,19 +179,26 @@ def raw_pixels(message: Any, what: str) -> NDArray[Any]:
     big = bool(message.is_bigendian)
     wire = np.dtype(dtype).newbyteorder(">" if big else "<")
     row_bytes = message.width * channels * wire.itemsize
+    # The planes of colour follow those of brightness as rows of their own: half as many again.
+    height = message.height * 3 // 2 if message.encoding in ("nv12", "nv21") else message.height
     step = max(int(message.step), row_bytes)
     data = np.asarray(message.data, dtype=np.uint8)
     # The padding of the last row may be missing.
-    if row_bytes == 0 or message.height == 0 or data.size < step * (message.height - 1) + row_bytes:
+    if row_bytes == 0 or height == 0 or data.size < step * (height - 1) + row_bytes:
         expected = f"{message.width}x{message.height} {message.encoding} with {step} bytes a row"
         raise RecordingError(f"{what} holds {data.size} bytes; expected {expected}")
-    rows = np.lib.stride_tricks.as_strided(data, (message.height, row_bytes), (step, 1), writeable=False)
+    rows = np.lib.stride_tricks.as_strided(data, (height, row_bytes), (step, 1), writeable=False)
     pixels = np.ascontiguousarray(rows).view(wire).astype(np.dtype(dtype), copy=False)
-    return pixels if channels == 1 else pixels.reshape(message.height, message.width, channels)
+    return pixels if channels == 1 else pixels.reshape(height, message.width, channels)
 
 
 def color_of_pixels(pixels: NDArray[Any], encoding: str) -> NDArray[np.uint8]:
     """Return raw pixels of one of `COLOR_ENCODINGS` as (H, W, 3) uint8 RGB, without alpha, of 16 bits the top 8."""
+    conversion = _CONVERSIONS.get(encoding.removesuffix("16").removesuffix("8"))
+    if conversion is not None:
+        if pixels.dtype == np.uint16:
+            pixels = (pixels >> 8).astype(np.uint8)
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), conversion), dtype=np.uint8)
     if encoding == "mono16":
         pixels = (pixels >> 8).astype(np.uint8)
     if pixels.ndim == 2:
@@ -132,10 +207,10 @@ def color_of_pixels(pixels: NDArray[Any], encoding: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(rgb)
 
 
-def depth_of_pixels(pixels: NDArray[Any]) -> NDArray[np.float32]:
+def depth_of_pixels(pixels: NDArray[Any], units_per_m: float = 1000.0) -> NDArray[np.float32]:
     """Return raw pixels of one of `DEPTH_ENCODINGS` as float32 metres: integers are millimetres (REP 118)."""
     if pixels.dtype == np.uint16:
-        return metres_of_u16(pixels, 1000.0)
+        return metres_of_u16(pixels, units_per_m)
     return np.where(np.isfinite(pixels) & (pixels > 0), pixels, np.float32(np.nan)).astype(np.float32)
 
 
@@ -152,3 +227,6 @@ def _check_whole(data: bytes, what: str) -> None:
         raise RecordingError(f"{what} is neither JPEG nor PNG (it begins with {data[:8].hex(' ')})")
     if not is_whole:
         raise RecordingError(f"{what} is torn: its end is missing ({len(data)} bytes)")
+    size = compressed_size(data)
+    if size is not None and size[0] * size[1] > MAX_PIXELS:
+        raise RecordingError(f"{what} claims {size[0]}x{size[1]} pixels, over the limit of {MAX_PIXELS}")

@@ -10,7 +10,7 @@ from hickory_stream.errors import RecordingError
 from players.messages import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from players.containers import Topic
     from players.options import SourceOptions
@@ -31,8 +31,10 @@ class ImageTopics:
     depth: Topic
 
 
-def choose_images(path: object, topics: Sequence[Topic], options: SourceOptions) -> ImageTopics:
-    """Return the topics of colour and depth: the best names; for depth, of the same camera as the colour.
+def choose_images(
+    path: object, topics: Sequence[Topic], options: SourceOptions, listed: Mapping[str, Sequence[str]] | None = None
+) -> ImageTopics:
+    """Return the topics of colour and depth: those `listed` by role, else the best names of one camera.
 
     Raises:
         RecordingError: there is none, or the one that was named is not there; lists those that are.
@@ -40,9 +42,16 @@ def choose_images(path: object, topics: Sequence[Topic], options: SourceOptions)
     images = [topic for topic in topics if topic.type_name in (IMAGE, COMPRESSED_IMAGE) and topic.num_messages != 0]
     colors = [topic for topic in images if "depth" not in topic.name.lower() and not _words(topic) & _NEITHER]
     depths = [topic for topic in images if "depth" in topic.name.lower() and not _words(topic) & _NEITHER]
-    color = _named(path, images, options.color_topic, "--color-topic") or max(colors, key=_color_rank, default=None)
-    depth = _named(path, images, options.depth_topic, "--depth-topic") or max(
-        depths, key=lambda topic: _depth_rank(topic, color), default=None
+    listed = listed or {}
+    color = (
+        _named(path, images, options.color_topic, "--color-topic")
+        or _first_of(images, listed.get("color", ()))
+        or max(colors, key=_color_rank, default=None)
+    )
+    depth = (
+        _named(path, images, options.depth_topic, "--depth-topic")
+        or _first_of(images, listed.get("depth", ()))
+        or max(depths, key=lambda topic: _depth_rank(topic, color), default=None)
     )
     if color is None or depth is None:
         if not images:
@@ -52,8 +61,10 @@ def choose_images(path: object, topics: Sequence[Topic], options: SourceOptions)
     return ImageTopics(color=color, depth=depth)
 
 
-def pose_topics(path: object, topics: Sequence[Topic], options: SourceOptions) -> list[Topic]:
-    """Return the topics that may hold the camera's pose: the one that was named, or all of them, TF apart.
+def pose_topics(
+    path: object, topics: Sequence[Topic], options: SourceOptions, listed: Sequence[str] = ()
+) -> list[Topic]:
+    """Return the topics that may hold the camera's pose: the one that was named or listed, or all of them, TF apart.
 
     Raises:
         RecordingError: there is neither pose nor TF, or the topic that was named is not there.
@@ -63,7 +74,7 @@ def pose_topics(path: object, topics: Sequence[Topic], options: SourceOptions) -
         raise RecordingError(
             f"{path} has no poses: no topic of {', '.join((*POSE_TYPES, TF[0]))}; {_listed('topics', topics)}"
         )
-    named = _named(path, posed, options.pose_topic, "--pose-topic")
+    named = _named(path, posed, options.pose_topic, "--pose-topic") or _first_of(posed, listed)
     return [named] if named else [topic for topic in posed if topic.type_name in POSE_TYPES]
 
 
@@ -86,6 +97,12 @@ def info_names(image: Topic) -> tuple[str, str]:
 def is_rectified(image: Topic) -> bool:
     """Return whether the name says that the images are rectified (`image_rect`, `color/rect/image`)."""
     return any(word.startswith("rect") for word in _words(image))
+
+
+def _first_of(topics: Iterable[Topic], names: Sequence[str]) -> Topic | None:
+    """Return the topic that a list names first, or None where none of them is there."""
+    by_name = {topic.name: topic for topic in topics}
+    return next((by_name[name] for name in names if name in by_name), None)
 
 
 def _words(topic: Topic) -> set[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -36,6 +36,17 @@ class FirstFrames:
     def ledger(self) -> Mapping[str, int]:
         """Return what the other source counted so far."""
         return self._source.ledger()
+
+    def account(self) -> Any:
+        """Return where the messages went, where the other source keeps account of them."""
+        account = getattr(self._source, "account", None)
+        return account() if account is not None else None
+
+    def interrupt(self) -> None:
+        """Wake the other source, where it may be waiting."""
+        interrupt = getattr(self._source, "interrupt", None)
+        if interrupt is not None:
+            interrupt()
 
     def close(self) -> None:
         """Close the other source."""

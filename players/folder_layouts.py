@@ -1,4 +1,4 @@
-"""The layouts of image folders: 7-Scenes, TUM RGB-D, and `rgb/ depth/ cam_params.json camera_poses.txt`.
+"""The layouts of image folders: 7-Scenes, TUM RGB-D, Replica, HOPE, and `rgb/ depth/` with its text files.
 
 The world is z up. A `gravity-direction.txt` (the unit vector down in the log's world) turns the log's world upright;
 without one, the log's z axis is taken to be up.
@@ -19,6 +19,7 @@ from players.folder import FolderContent, FolderFrame, FolderSource
 from players.folder_text import (
     GRAVITY,
     read_cam_params,
+    read_hope_camera,
     read_intrinsics,
     read_pose_file,
     read_pose_rows,
@@ -26,6 +27,7 @@ from players.folder_text import (
     read_tum_track,
     read_world_from_log,
 )
+from players.options import DEFAULT_MAX_POSE_GAP_NS
 from players.profile import Intrinsics, Profile, load_profile
 from players.register import Registration
 from players.sync import Leftover, Stamped, default_tolerance_ns, pair_nearest
@@ -41,16 +43,17 @@ if TYPE_CHECKING:
 INTRINSICS = "camera-intrinsics.txt"
 CAM_PARAMS = "cam_params.json"
 CAMERA_POSES = "camera_poses.txt"
+TRAJECTORY = "traj.txt"
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
 def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     """Return the source of `frame-NNNNNN.{color.jpg|color.png, depth.png, pose.txt}` with `camera-intrinsics.txt`.
 
-    Intrinsics and poses are the depth camera's; the profile (default: 7scenes) says where the colour camera is. Stamps
-    are the number in the name over the profile's frame rate.
+    Intrinsics and poses are the depth camera's; the profile (default: seven_scenes) says where the colour camera is.
+    Stamps are the number in the name over the profile's frame rate.
     """
-    profile_name = options.profile or "7scenes"
+    profile_name = options.profile or "seven_scenes"
     profile = load_profile(profile_name)
     depth_intrinsics = read_intrinsics(folder / INTRINSICS)
     poses = _by_number(folder.glob("frame-*.pose.txt"))
@@ -102,7 +105,7 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     tolerance_ns = options.sync_tolerance_ns
     if tolerance_ns is None:
         tolerance_ns = default_tolerance_ns(*([stamp_ns for stamp_ns, _ in rows] for rows in images.values()))
-    track = read_tum_track(files["groundtruth"], options.max_pose_gap_ns)
+    track = read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
     found = _Collector(folder, profile)
     stamped = [Stamped("color", *row) for row in images["rgb"]] + [Stamped("depth", *row) for row in images["depth"]]
     for match in pair_nearest(sorted(stamped, key=lambda image: image.stamp_ns), tolerance_ns):
@@ -164,6 +167,78 @@ def open_posed_folder(folder: Path, options: SourceOptions) -> FolderSource:
             "stamps": f"order / {profile.frame_rate_hz} Hz",
         },
         text_files=[folder / CAM_PARAMS, folder / CAMERA_POSES],
+    )
+
+
+def open_replica(folder: Path, options: SourceOptions) -> FolderSource:
+    """Return the source of a Replica folder: `results/frameN.jpg`, `results/depthN.png`, poses in `traj.txt`.
+
+    Intrinsics and the depth's scale are those of a `cam_params.json` in the folder or above it, else of the profile.
+    """
+    profile = load_profile(options.profile or "replica")
+    parameters = next((f for f in (folder / CAM_PARAMS, folder.parent / CAM_PARAMS) if f.is_file()), None)
+    intrinsics, units_per_m = profile.color, profile.depth_units_per_m
+    if parameters is not None:
+        intrinsics, units_per_m = read_cam_params(parameters)
+    if intrinsics is None:
+        raise CalibrationError(f"{folder} has no {CAM_PARAMS}, and the profile {profile.name} has no intrinsics")
+    poses = read_pose_rows(folder / TRAJECTORY)
+    colors = _by_number(file for file in (folder / "results").glob("frame*") if file.suffix in _COLOR_SUFFIXES)
+    depths = _by_number((folder / "results").glob("depth*.png"))
+    found = _Collector(folder, profile)
+    for number in sorted(colors.keys() | depths.keys()):
+        pose = poses[number] if number < len(poses) else None
+        stamp_ns = number * 1_000_000_000 // profile.frame_rate_hz
+        found.add(stamp_ns, colors.get(number), depths.get(number), pose)
+    return found.source(
+        kind="Replica folder",
+        depth_intrinsics=intrinsics,
+        color_intrinsics=intrinsics,
+        depth_units_per_m=units_per_m,
+        streams={
+            "color": "results/frame*",
+            "depth": "results/depth*.png",
+            "camera_info": str(parameters or f"profile {profile.name}"),
+            "pose": TRAJECTORY,
+            "stamps": f"number in the name / {profile.frame_rate_hz} Hz",
+        },
+        text_files=[folder / TRAJECTORY, *([parameters] if parameters is not None else [])],
+    )
+
+
+def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
+    """Return the source of a HOPE folder: `NNNN_rgb.jpg`, `NNNN_depth.png`, `NNNN.json` with intrinsics and extrinsics.
+
+    The extrinsics are camera_from_world in the profile's units; frames without a json have no pose.
+    """
+    profile = load_profile(options.profile or "hope")
+    colors = _by_number(file for file in folder.glob("*_rgb.*") if file.suffix in _COLOR_SUFFIXES)
+    depths = _by_number(folder.glob("*_depth.png"))
+    jsons = _by_number(folder.glob("*.json"))
+    found = _Collector(folder, profile)
+    intrinsics: Intrinsics | None = None
+    for number in sorted(colors.keys() | depths.keys()):
+        pose = None
+        if number in jsons:
+            camera, pose = read_hope_camera(jsons[number], profile.extrinsics_units_per_m)
+            intrinsics = intrinsics or camera
+        stamp_ns = number * 1_000_000_000 // profile.frame_rate_hz
+        found.add(stamp_ns, colors.get(number), depths.get(number), pose)
+    if intrinsics is None:
+        raise CalibrationError(f"{folder} has no NNNN.json with camera.intrinsics beside its {len(colors)} images")
+    return found.source(
+        kind="HOPE folder",
+        depth_intrinsics=intrinsics,
+        color_intrinsics=intrinsics,
+        depth_units_per_m=profile.depth_units_per_m,
+        streams={
+            "color": "*_rgb.*",
+            "depth": "*_depth.png",
+            "camera_info": "*.json",
+            "pose": "*.json",
+            "stamps": f"number in the name / {profile.frame_rate_hz} Hz",
+        },
+        text_files=[jsons[number] for number in sorted(jsons)],
     )
 
 

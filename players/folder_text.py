@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry.rigid import invert
 from players.poses import PoseTrack, is_pose_row, nearest_rigid, track_of, world_from_down
 from players.profile import Intrinsics
 
@@ -103,6 +104,28 @@ def read_world_from_log(folder: Path) -> NDArray[np.float64]:
 def read_pose_file(file: Path) -> NDArray[np.float64] | None:
     """Return the pose of a file with a 4x4 or 3x4 matrix, or None where it is none (lost tracking writes NaN)."""
     return _rigid_of_row(read_numbers(file))
+
+
+def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArray[np.float64] | None]:
+    """Return the intrinsics and world_from_camera (4, 4) of a HOPE json; None where its extrinsics are no pose.
+
+    Raises:
+        CalibrationError: it cannot be read, or has no intrinsics.
+    """
+    try:
+        camera = json.loads(read_text(file))["camera"]
+        k = np.asarray(camera["intrinsics"], dtype=np.float64).reshape(3, 3)
+        camera_from_world = np.asarray(camera["extrinsics"], dtype=np.float64).reshape(4, 4)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CalibrationError(
+            f"{file}: {error!r}; expected camera.intrinsics (3x3) and camera.extrinsics (4x4, camera from world)"
+        ) from error
+    rigid = nearest_rigid(camera_from_world)
+    if rigid is None or not (k[0, 0] > 0 and k[1, 1] > 0):
+        return Intrinsics(fx=k[0, 0], fy=k[1, 1], cx=k[0, 2], cy=k[1, 2]), None
+    rigid[:3, 3] /= units_per_m
+    intrinsics = Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
+    return intrinsics, invert(rigid)
 
 
 def read_pose_rows(file: Path) -> list[NDArray[np.float64] | None]:

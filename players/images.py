@@ -14,10 +14,10 @@ from players.decode import (
     color_of_pixels,
     compressed_size,
     decode_color,
-    decode_depth_png,
+    decode_compressed_depth,
     depth_of_pixels,
-    png_part,
     raw_pixels,
+    rvl_size,
 )
 from players.messages import COMPRESSED_IMAGE, frame_name, header_stamp_ns
 
@@ -54,12 +54,12 @@ class LogImage:
         return np.asarray(self.message.data, dtype=np.uint8).tobytes()
 
 
-def image_of(topic: Topic, message: Any) -> LogImage:
-    """Return the image of a message of an image topic."""
+def image_of(topic: Topic, message: Any, stamp_ns: int | None = None) -> LogImage:
+    """Return the image of a message of an image topic; `stamp_ns` stands in for that of its header."""
     is_compressed = topic.type_name == COMPRESSED_IMAGE
     return LogImage(
         topic=topic.name,
-        stamp_ns=header_stamp_ns(message),
+        stamp_ns=header_stamp_ns(message) if stamp_ns is None else stamp_ns,
         frame=frame_name(message.header.frame_id),
         size=_compressed_size(message) if is_compressed else _raw_size(message),
         is_compressed=is_compressed,
@@ -87,13 +87,11 @@ def check_depth_encoding(image: LogImage) -> None:
         RecordingError: the encoding is not known.
     """
     if image.is_compressed:
-        is_known = not image.encoding.startswith("32FC1") and "rvl" not in image.encoding.lower()
-    else:
-        is_known = image.encoding in DEPTH_ENCODINGS
-    if not is_known:
+        return  # told by its bytes: format strings are written in every way
+    if image.encoding not in DEPTH_ENCODINGS:
         raise RecordingError(
             f"{image.topic} is encoded as {image.encoding!r}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
-            "or a CompressedImage of 16-bit PNG; name another topic with --depth-topic"
+            "or a CompressedImage of 16-bit PNG or RVL; name another topic with --depth-topic"
         )
 
 
@@ -109,16 +107,16 @@ def color_of(image: LogImage) -> NDArray[np.uint8]:
     return color_of_pixels(raw_pixels(image.message, str(image)), image.encoding)
 
 
-def depth_of(image: LogImage) -> NDArray[np.float32]:
-    """Return the depth (H, W) float32 in metres, NaN = no return.
+def depth_of(image: LogImage, units_per_m: float = _UNITS_PER_M) -> NDArray[np.float32]:
+    """Return the depth (H, W) float32 in metres, NaN = no return; integers are of `units_per_m`.
 
     Raises:
         RecordingError: the image is empty, torn, or of an encoding that is not known.
     """
     check_depth_encoding(image)
     if image.is_compressed:
-        return decode_depth_png(png_part(image.data(), str(image)), _UNITS_PER_M, str(image))
-    return depth_of_pixels(raw_pixels(image.message, str(image)))
+        return decode_compressed_depth(image.data(), image.encoding, units_per_m, str(image))
+    return depth_of_pixels(raw_pixels(image.message, str(image)), units_per_m)
 
 
 def _raw_size(message: Any) -> tuple[int, int]:
@@ -129,4 +127,4 @@ def _compressed_size(message: Any) -> tuple[int, int] | None:
     """Return the size of a JPEG or PNG, also behind the header of `compressedDepth`."""
     # A JPEG's size stands behind its tables and whatever a camera wrote into its comments.
     head = np.asarray(message.data[: 1 << 16], dtype=np.uint8).tobytes()
-    return compressed_size(head) or compressed_size(head[12:])
+    return compressed_size(head) or compressed_size(head[12:]) or (rvl_size(head) if any(rvl_size(head)) else None)

@@ -1,11 +1,13 @@
-"""A recorded log as a source: images paired as they stream by, poses known before the first of them.
+"""A recorded log as a source: images paired and poses interpolated while the log streams by.
 
 Opening reads up to the first complete frame, so that a log that cannot be mapped is refused before anything is written.
-Stamps are those of the headers; the time of recording is never used.
+One pass over the log is enough: a pair of images waits until the poses have reached its stamp, or it is clear that they
+will not.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -16,20 +18,31 @@ from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 from players.containers import UnreadableMessageError, deserialize
 from players.counts import Ledger
-from players.discover import ImageTopics
 from players.identity import files_identity
 from players.images import LogImage, color_of, depth_of, image_of
+from players.peek import peek_stamp_ns
 from players.register import Registration, register_depth
-from players.sync import Leftover, Pair, Stamped, pair_nearest
+from players.rig import RigReader
+from players.sync import Leftover, Pair, Stamped, pair_epochs
+from players.timeline import Order, Timeline
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
+    from players.account import Account
     from players.calibration import Lens
-    from players.containers import Log, Topic
-    from players.rig import CameraPoses
+    from players.containers import Log, LogMessage, Topic
+    from players.discover import ImageTopics
+    from players.rig import PosePlan
+    from players.tracks import JumpLimits
+
+_PATIENCE_NS = 500_000_000
+"""So long, beyond the widest gap, a pair waits for poses while the images go on: it bounds what is held in memory."""
+
+_KEPT_NS = 5_000_000_000
+"""Poses are kept for so long behind the frame at hand."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -37,13 +50,20 @@ class LogSetup:
     """What opening a log has settled."""
 
     topics: ImageTopics
+    small_topics: tuple[Topic, ...]
     color_lens: Lens
     depth_lens: Lens
     registration: Registration
-    poses: CameraPoses
+    plan: PosePlan
+    pose_span_ns: tuple[int, int] | None
+    max_gap_ns: int
+    jump_limits: JumpLimits
+    pose_file: tuple[list[int], list[list[float]]] | None
     tolerance_ns: int
+    uses_log_time: bool
+    depth_units_per_m: float
+    max_depth_m: float | None
     streams: tuple[tuple[str, str], ...]
-    fates: Mapping[str, int]
 
 
 class LogSource:
@@ -78,50 +98,135 @@ class LogSource:
         """What was found when the log was opened; `num_frames` is the most there can be: images may lack partners."""
         return self._info
 
+    @property
+    def setup(self) -> LogSetup:
+        """What opening the log has settled, for whoever explains it."""
+        return self._setup
+
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames from the beginning, in the order of their stamps; what became no frame is in the ledger."""
+        """Yield the frames from the beginning, in the order of their stamps; what became no frame is in the ledger.
+
+        After a jump back in time (a looped log) the stamps begin again.
+        """
         ledger = self._ledger = Ledger()
-        for fate, number in self._setup.fates.items():
+        setup = self._setup
+        reader = RigReader(setup.small_topics, setup.max_gap_ns, setup.jump_limits, uses_log_time=setup.uses_log_time)
+        if setup.pose_file is not None and setup.plan.stream is not None:
+            reader.load(setup.plan.stream, *setup.pose_file)
+        waiting: deque[tuple[int, Pair]] = deque()
+        newest: dict[int, int] = {}
+        index, last_ns = 0, None
+        matches = pair_epochs(self._images(ledger, reader, newest), setup.tolerance_ns)
+        is_ended = False
+        while not is_ended or waiting:
+            match = next(matches, None)
+            if match is None:
+                is_ended = True
+            elif isinstance(match[1], Leftover):
+                self._count_leftover(match[1], ledger)
+            else:
+                waiting.append((match[0], match[1]))
+            while waiting and (is_ended or self._is_settled(*waiting[0], reader, newest)):
+                epoch, pair = waiting.popleft()
+                frame = self._frame(index, pair, epoch, last_ns, ledger, reader)
+                if frame is not None:
+                    index += 1
+                    last_ns = frame.stamp_ns
+                    reader.forget(frame.stamp_ns - _KEPT_NS)
+                    yield frame
+        reader.end()
+        for fate, number in reader.fates.items():
             ledger.count(fate, number)
-        index = 0
-        for match in pair_nearest(self._images(ledger), self._setup.tolerance_ns):
-            if isinstance(match, Leftover):
-                ledger.count(_fate_of(match))
-                continue
-            frame = self._frame(index, match, ledger)
-            if frame is not None:
-                index += 1
-                yield frame
+        for topic, number in reader.rejected.items():
+            ledger.rejected[topic, "bad_pose"] += number
+        ledger.is_complete = True
 
     def ledger(self) -> Mapping[str, int]:
         """Return the counts of the latest pass.
 
-        Each colour image is in one of `frames`, `no_pose`, `frame_of_other_size`, `color_without_depth`, `late_color`
-        or `unreadable_message`, and each depth image likewise; the first three count pairs. `unreadable_image` and
-        `depth_without_returns` are found on decoding, among the `frames`.
+        Each colour image is in one of `frames`, `no_pose`, `frame_of_other_size`, `color_without_depth`, `late_color`,
+        `duplicate_color`, `color_stamp_off` or `unreadable_message`, and each depth image likewise; the first three
+        count pairs. `unreadable_image` and `depth_without_returns` are found on decoding, among the `frames`.
         """
         return self._ledger.as_dict()
+
+    def account(self) -> Account:
+        """Return where every message of the log has ended in the latest pass."""
+        from players.account import account_of
+
+        return account_of(self._log, self._setup, self._ledger)
 
     def close(self) -> None:
         """Do nothing: each pass over the log opens and closes its own files."""
 
-    def _images(self, ledger: Ledger) -> Iterator[Stamped]:
-        """Yield the images of both topics as they lie in the log."""
-        topics = self._setup.topics
-        for image in read_images(self._log, topics, ledger):
-            yield Stamped("color" if image.topic == topics.color.name else "depth", image.stamp_ns, image)
+    def _images(self, ledger: Ledger, reader: RigReader, newest: dict[int, int]) -> Iterator[tuple[int, Stamped]]:
+        """Yield the images of both topics with their epochs as they lie in the log; the rest goes to the rig.
 
-    def _frame(self, index: int, pair: Pair, ledger: Ledger) -> RawFrame | None:
+        `newest` gets the newest stamp of each epoch.
+        """
+        topics = self._setup.topics
+        roles = {topics.color.name: ("color", topics.color), topics.depth.name: ("depth", topics.depth)}
+        timelines = {name: Timeline() for name in roles}
+        for message in self._log.messages({*roles, *(topic.name for topic in self._setup.small_topics)}):
+            ledger.read[message.topic] += 1
+            if message.topic not in roles:
+                reader.add(message)
+                continue
+            stream, topic = roles[message.topic]
+            stamp_ns = message.log_ns if self._setup.uses_log_time else peek_stamp_ns(topic, message.data)
+            if stamp_ns is None:
+                stamp_ns = message.log_ns  # too short to have a header: it will not be readable either
+            for placed in timelines[message.topic].add(stamp_ns, message):
+                if placed.order in (Order.OFF, Order.DUPLICATE):
+                    fate = f"{stream}_stamp_off" if placed.order is Order.OFF else f"duplicate_{stream}"
+                    ledger.count(fate)
+                    ledger.reject(message.topic, fate)
+                    continue
+                image = self._image(topic, placed.item, placed.stamp_ns, ledger)
+                if image is not None:
+                    newest[placed.epoch] = max(placed.stamp_ns, newest.get(placed.epoch, placed.stamp_ns))
+                    yield placed.epoch, Stamped(stream, placed.stamp_ns, image)  # type: ignore[arg-type]
+        for name, timeline in timelines.items():
+            for _ in timeline.end():
+                ledger.count(f"{roles[name][0]}_stamp_off")
+                ledger.reject(name, f"{roles[name][0]}_stamp_off")
+
+    def _image(self, topic: Topic, message: LogMessage, stamp_ns: int, ledger: Ledger) -> LogImage | None:
+        try:
+            return image_of(topic, deserialize(topic, message.data), stamp_ns)
+        except UnreadableMessageError:
+            ledger.count("unreadable_message")
+            ledger.unreadable[topic.name] += 1
+            return None
+
+    def _is_settled(self, epoch: int, pair: Pair, reader: RigReader, newest: dict[int, int]) -> bool:
+        """Return whether the pose of a pair is known, or will not be."""
+        if self._setup.plan.reaches(pair.stamp_ns, epoch, reader) or max(newest) > epoch:
+            return True
+        return newest[epoch] - pair.stamp_ns > self._setup.max_gap_ns + _PATIENCE_NS
+
+    def _count_leftover(self, leftover: Leftover, ledger: Ledger) -> None:
+        fate = _fate_of(leftover)
+        ledger.count(fate)
+        ledger.reject(leftover.item.topic, fate)
+
+    def _frame(
+        self, index: int, pair: Pair, epoch: int, last_ns: int | None, ledger: Ledger, reader: RigReader
+    ) -> RawFrame | None:
         """Return the frame of a pair, or None when it is of another size or has no pose."""
         registration = self._setup.registration
         if not (_has_size(pair.color, self._setup.color_lens) and _has_size(pair.depth, self._setup.depth_lens)):
-            ledger.count("frame_of_other_size")
+            self._refuse(pair, "frame_of_other_size", ledger)
             return None
-        world_from_camera = self._setup.poses.at(pair.stamp_ns)
+        plan = self._setup.plan
+        world_from_camera = plan.at(pair.stamp_ns, epoch, reader)
         if world_from_camera is None:
-            ledger.count("no_pose")
+            self._refuse(pair, "no_pose", ledger)
             return None
         ledger.count("frames")
+        jump = plan.jump_between(last_ns, pair.stamp_ns, epoch, reader) if last_ns is not None else None
+        if jump is not None:
+            ledger.count("pose_jumps")
         is_passed_on = pair.color.is_compressed and not self._setup.color_lens.is_distorted
         return RawFrame(
             index=index,
@@ -130,7 +235,13 @@ class LogSource:
             world_from_camera=world_from_camera,
             decode=partial(_decode, self._setup, pair, index, world_from_camera, ledger),
             color_bytes=(pair.color.data() or None) if is_passed_on else None,
+            after_from_before=jump.after_from_before if jump is not None else None,
         )
+
+    def _refuse(self, pair: Pair, fate: str, ledger: Ledger) -> None:
+        ledger.count(fate)
+        ledger.reject(pair.color.topic, fate)
+        ledger.reject(pair.depth.topic, fate)
 
     def _why_empty(self) -> RecordingError | CalibrationError:
         """Return the error for a log whose images, depth, poses and calibration never come together."""
@@ -138,8 +249,8 @@ class LogSource:
         if fates.get("no_pose"):
             images = _span_text(self._stamps(topics.color))
             return RecordingError(
-                f"{path}: no image has a pose: images from {images}, poses of {self._setup.poses.source} "
-                f"from {_span_text(self._setup.poses.span_ns or (0, 0))}; name another with --pose-topic"
+                f"{path}: no image has a pose: images from {images}, poses of {self._setup.plan.source} "
+                f"from {_span_text(self._setup.pose_span_ns or (0, 0))}; name another with --pose-topic"
             )
         if fates.get("frame_of_other_size"):
             lenses = (self._setup.color_lens.camera, self._setup.depth_lens.camera)
@@ -156,31 +267,23 @@ class LogSource:
 
     def _stamps(self, topic: Topic) -> tuple[int, int]:
         """Return the first and the last stamp of an image topic, by reading all of it."""
-        pair = ImageTopics(color=topic, depth=topic)
-        stamps = [image.stamp_ns for image in read_images(self._log, pair, Ledger())]
+        uses_log = self._setup.uses_log_time
+        stamps = [m.log_ns if uses_log else peek_stamp_ns(topic, m.data) or 0 for m in self._log.messages([topic.name])]
         return (min(stamps), max(stamps)) if stamps else (0, 0)
-
-
-def read_images(log: Log, topics: ImageTopics, ledger: Ledger) -> Iterator[LogImage]:
-    """Yield the images of both topics as they lie in the log; messages that cannot be read are counted."""
-    by_name = {topic.name: topic for topic in (topics.color, topics.depth)}
-    for message in log.messages(by_name):
-        topic = by_name[message.topic]
-        try:
-            yield image_of(topic, deserialize(topic, message.data))
-        except UnreadableMessageError:
-            ledger.count("unreadable_message")
 
 
 def _decode(setup: LogSetup, pair: Pair, index: int, world_from_camera: NDArray[np.float64], ledger: Ledger) -> Frame:
     """Return the decoded frame: rectified colour, and rectified depth registered into it."""
     try:
-        rgb, depth_m = color_of(pair.color), depth_of(pair.depth)
+        rgb = color_of(pair.color)
+        depth_m = depth_of(pair.depth, setup.depth_units_per_m)
         _check_size(rgb.shape, setup.color_lens, pair.color)
         _check_size(depth_m.shape, setup.depth_lens, pair.depth)
     except RecordingError:
         ledger.count("unreadable_image")
         raise
+    if setup.max_depth_m is not None:
+        depth_m = np.where(depth_m <= setup.max_depth_m, depth_m, np.float32(np.nan)).astype(np.float32)
     if not np.isfinite(depth_m).any():
         ledger.count("depth_without_returns")
     return Frame(

@@ -1,15 +1,25 @@
-"""MCAP files, read with the plain `mcap` reader: checksums verified, messages in the order of the file.
+"""MCAP files, whole or damaged: chunk by chunk in the order of the file, every checksum verified.
 
-The order of the file rather than of log time: what is late by header stamp is sorted further up, and a file without an
-index need not be held in memory to be sorted.
+A bad chunk is skipped and the rest read. The index at the end is believed as long as it fits the file; where it is
+missing, damaged or wrong, the records are walked from the beginning, and after bytes that are no record the walk goes
+on at the next chunk. The order of the file rather than of log time: what is late by header stamp is sorted further up.
 """
 
 from __future__ import annotations
 
-from typing import IO, TYPE_CHECKING, Any
+import mmap
+import re
+import struct
+import zlib
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import RecordingError
 from players.containers import LogMessage, Topic, merged_topics, normalized_type
+from players.flaws import Flaw, Flaws
+from players.foxglove import ROS_TYPES
+from players.unpack import UnpackError, release, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -17,10 +27,67 @@ if TYPE_CHECKING:
 
     from players.containers import DefinitionFormat, Wire
 
-_MAGIC = b"\x89MCAP0\r\n"
-_RECORD_HEADER_BYTES = 9
-_WIRES: dict[str, Wire] = {"cdr": "cdr", "ros1": "ros1"}
-_FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl"}
+MAGIC = b"\x89MCAP0\r\n"
+_WIRES: dict[str, Wire] = {"cdr": "cdr", "ros1": "ros1", "protobuf": "protobuf", "json": "json"}
+_FORMATS: dict[str, DefinitionFormat] = {
+    "ros2msg": "msg",
+    "ros1msg": "msg",
+    "ros2idl": "idl",
+    "protobuf": "protobuf",
+    "jsonschema": "jsonschema",
+}
+
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQII")
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE_OP, _CHUNK_OP, _INDEX = 1, 2, 3, 4, 5, 6, 7
+_CHUNK_INDEX, _STATISTICS, _DATA_END = 8, 0x0B, 0x0F
+_FOOTER_BYTES = _HEAD.size + 20
+# The least that a record of each kind holds; a shorter one is no record.
+_LEAST_BYTES = {
+    1: 8,
+    2: 20,
+    3: 14,
+    4: 16,
+    5: 22,
+    6: 40,
+    7: 6,
+    8: 56,
+    9: 36,
+    10: 32,
+    11: 46,
+    12: 8,
+    13: 20,
+    14: 17,
+    15: 4,
+}
+_CHUNK_PATTERN = re.compile(rb"\x06(?=[\s\S]{5}\x00{3}[\s\S]{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))")
+_RECORD_PATTERN = re.compile(rb"[\x03-\x05\x0f](?=[\s\S]{4}\x00{4})")
+
+
+@dataclass(slots=True)
+class _Chunk:
+    """A chunk record at `offset`, `num_bytes` with its header; `counts` by channel id, None where no index tells."""
+
+    offset: int
+    num_bytes: int
+    counts: dict[int, int] | None = None
+
+
+@dataclass(slots=True)
+class _Survey:
+    """What is known of a file: schemas and channels by id, its chunks, how many messages it declares."""
+
+    schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
+    channels: dict[int, tuple[int, str, str]] = field(default_factory=dict)
+    chunks: list[_Chunk] = field(default_factory=list)
+    loose_counts: Counter[int] = field(default_factory=Counter)
+    declared: dict[int, int] | None = None
+    is_indexed: bool = False
+
+
+class _WrongIndexError(Exception):
+    """The index names a chunk where there is none."""
 
 
 class McapLog:
@@ -29,125 +96,403 @@ class McapLog:
     kind = "MCAP"
 
     def __init__(self, path: Path) -> None:
-        """Read the summary; a file without one is scanned once for its channels.
+        """Read the summary; a file without a sound one is walked for its channels.
 
         Raises:
-            RecordingError: the file is truncated or damaged.
+            RecordingError: not one channel can be read.
         """
         self.path = path
         self.files = (path,)
-        self._chunks: list[Any] = []
-        self._channels: dict[int, str] = {}
-        self.topics = self._read_topics()
+        self.flaws = Flaws()
+        with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            self._survey = _read_summary(data) or self._walk_whole(data)
+            is_cut_off = data[-len(MAGIC) :] != MAGIC
+            if not self._survey.channels and len(self.flaws):
+                found = "is cut off: its end is missing" if is_cut_off else "is damaged"
+                first = next(iter(self.flaws))
+                raise RecordingError(
+                    f"{path} {found}, and no channel in it can be read ({first.what} at byte {first.offset}); "
+                    "expected at least one whole chunk"
+                )
+        self.topics = self._topics()
+
+    @property
+    def checksum(self) -> str:
+        """What protects the messages, in words; "" where nothing does."""
+        return "CRC-32 per chunk" if self._survey.chunks else ""
+
+    def declared(self) -> dict[str, int] | None:
+        """Return how many messages of each topic the file says to hold, or None where it does not say."""
+        counts = self._survey.declared
+        if counts is None:
+            return None
+        by_topic: Counter[str] = Counter()
+        for channel, number in counts.items():
+            by_topic[self._name(channel)] += number
+        return dict(by_topic)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
-        """Yield the messages of some topics in the order of the file.
-
-        Raises:
-            RecordingError: a chunk is damaged.
-        """
-        with self.path.open("rb") as stream:
+        """Yield the messages of some topics in the order of the file; what cannot be read is among the `flaws`."""
+        wanted = set(topics)
+        with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            if not self._survey.chunks:
+                yield from self._loose(data, wanted)
+                return
+            read: set[int] = set()
             try:
-                yield from self._indexed(stream, set(topics)) if self._chunks else _streamed(stream, set(topics))
-            except _damage() as error:
-                raise self._damaged(error) from error
+                yield from self._chunked(data, wanted, read)
+            except _WrongIndexError:
+                declared = self._survey.declared
+                self._survey = self._walk_whole(data)
+                self._survey.declared = declared
+                yield from self._chunked(data, wanted, read)
 
-    def _indexed(self, stream: IO[bytes], topics: set[str]) -> Iterator[LogMessage]:
-        """Yield messages chunk by chunk; chunks without any of the topics are not read.
+    def chunk_spans(self, data: mmap.mmap) -> list[tuple[tuple[int, int], int]]:
+        """Return where each chunk begins and ends, and how many messages its index says it has."""
+        for chunk in self._survey.chunks:
+            _is_chunk_at(data, chunk)
+        return [((c.offset, c.offset + c.num_bytes), sum((c.counts or {}).values())) for c in self._survey.chunks]
 
-        The package's own reader, when not asked to sort, holds all chunks in memory before its first message.
-        """
-        from mcap.data_stream import ReadDataStream
-        from mcap.records import Chunk, Message
-        from mcap.stream_reader import breakup_chunk
+    # ---- reading -----------------------------------------------------------------------------------------------------
 
-        wanted = {number: name for number, name in self._channels.items() if name in topics}
-        for index in self._chunks:
-            if index.message_index_offsets and not wanted.keys() & index.message_index_offsets.keys():
+    def _chunked(self, data: mmap.mmap, wanted: set[str], read: set[int]) -> Iterator[LogMessage]:
+        """Yield the messages of the chunks that were not `read` yet; chunks without any of the topics are skipped."""
+        survey = self._survey
+        for chunk in survey.chunks:
+            if chunk.offset in read:
                 continue
-            stream.seek(index.chunk_start_offset + _RECORD_HEADER_BYTES)
-            for record in breakup_chunk(Chunk.read(ReadDataStream(stream)), validate_crc=True):
-                if isinstance(record, Message) and record.channel_id in wanted:
-                    yield LogMessage(wanted[record.channel_id], record.log_time, record.data)
-
-    def _read_topics(self) -> tuple[Topic, ...]:
-        """Return the topics; keeps channels and chunk indices for reading."""
-        from mcap.reader import SeekingReader
-
-        with self.path.open("rb") as stream:
+            if survey.is_indexed and not _is_chunk_at(data, chunk):
+                raise _WrongIndexError
+            read.add(chunk.offset)
+            if chunk.counts and not any(self._name(channel) in wanted for channel in chunk.counts):
+                continue
             try:
-                summary = SeekingReader(stream).get_summary()
-                if summary is None or not summary.channels:
-                    stream.seek(0)
-                    return _scan(stream)
-            except _damage() as error:
-                raise self._damaged(error) from error
-        counts = summary.statistics.channel_message_counts if summary.statistics else None
-        topics = [
-            _topic(
-                channel,
-                summary.schemas.get(channel.schema_id),
-                counts.get(channel.id, 0) if counts is not None else None,
+                records = _unpacked(data, chunk)
+            except UnpackError as error:
+                self._bad_chunk(chunk, str(error))
+                continue
+            yield from self._records(records, chunk, wanted)
+            release(data, chunk.offset, chunk.offset + chunk.num_bytes)
+
+    def _records(self, records: Any, chunk: _Chunk, wanted: set[str]) -> Iterator[LogMessage]:
+        """Yield the messages of an unpacked chunk, as views of it."""
+        view, at, end = memoryview(records), 0, len(records)
+        names = {channel: name for channel, (_, name, _) in self._survey.channels.items() if name in wanted}
+        unknown = 0
+        while at + _HEAD.size <= end:
+            opcode, length = _HEAD.unpack_from(view, at)
+            at += _HEAD.size
+            if length > end - at:
+                break
+            if opcode == _MESSAGE_OP and length >= _MESSAGE.size:
+                channel, _, log_ns, _ = _MESSAGE.unpack_from(view, at)
+                name = names.get(channel)
+                if name is not None:
+                    yield LogMessage(name, log_ns, view[at + _MESSAGE.size : at + length])
+                elif channel not in self._survey.channels:
+                    unknown += 1
+            at += length
+        if unknown:
+            what = "messages of channels that no readable record describes"
+            self._flaw(chunk.offset, what, 0, num_unknown=unknown)
+        elif at != end:
+            self._flaw(chunk.offset, "the chunk ends within a record", end - at)
+
+    def _loose(self, data: mmap.mmap, wanted: set[str]) -> Iterator[LogMessage]:
+        """Yield the messages of a file without chunks; one checksum over all of them is verified in passing."""
+        view, crc, crc_at = memoryview(data), 0, 0
+        try:
+            for opcode, at, length in self._walk(data):
+                if opcode == _MESSAGE_OP:
+                    channel, _, log_ns, _ = _MESSAGE.unpack_from(data, at)
+                    name = self._name(channel)
+                    if name in wanted:
+                        yield LogMessage(name, log_ns, bytes(view[at + _MESSAGE.size : at + length]))
+                    elif channel not in self._survey.channels:
+                        self._flaw(at, "a message of a channel that no readable record describes", 0, num_unknown=1)
+                elif opcode == _DATA_END:
+                    (expected,) = struct.unpack_from("<I", data, at)
+                    crc = zlib.crc32(view[crc_at : at - _HEAD.size], crc) if expected else 0
+                    if crc != expected:
+                        self._flaw(at, "the checksum over all messages differs: at least one of them was altered", 0)
+        finally:
+            view.release()
+
+    # ---- the walk ----------------------------------------------------------------------------------------------------
+
+    def _walk_whole(self, data: mmap.mmap) -> _Survey:
+        """Return what a walk over the records finds; notes what is no record."""
+        survey = _Survey()
+        for opcode, at, length in self._walk(data):
+            if opcode == _CHUNK_OP:
+                survey.chunks.append(_Chunk(at - _HEAD.size, length + _HEAD.size))
+            elif opcode == _INDEX and survey.chunks:
+                channel, size = struct.unpack_from("<HI", data, at)
+                last = survey.chunks[-1]
+                last.counts = {**(last.counts or {}), channel: size // 16}
+            elif opcode == _MESSAGE_OP:
+                survey.loose_counts[_MESSAGE.unpack_from(data, at)[0]] += 1
+            elif opcode == _STATISTICS:
+                survey.declared = _statistics(data, at, length)
+            elif opcode in (_SCHEMA, _CHANNEL):
+                _learn(survey, opcode, data[at : at + length])
+        for chunk in survey.chunks:
+            if chunk.counts is None or not chunk.counts.keys() <= survey.channels.keys():
+                self._learn_chunk(data, chunk, survey)
+        return survey
+
+    def _walk(self, data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
+        """Yield (opcode, offset of the content, length) of every record; goes on behind what is none."""
+        at, end = (len(MAGIC) if data[: len(MAGIC)] == MAGIC else 0), len(data)
+        is_chunked = _CHUNK_PATTERN.search(data) is not None
+        while at < end:
+            if at + _HEAD.size <= end:
+                opcode, length = _HEAD.unpack_from(data, at)
+                if _is_record(opcode, length, end - at - _HEAD.size):
+                    yield opcode, at + _HEAD.size, length
+                    at += _HEAD.size + length
+                    if opcode == _FOOTER:
+                        return
+                    continue
+            if data[at:end] == MAGIC[: end - at]:
+                return
+            following = _next_record(data, at + 1, is_chunked=is_chunked)
+            self._flaw(at, "bytes that are no record" if following < end else "the file is cut off", following - at)
+            at = following
+
+    def _learn_chunk(self, data: mmap.mmap, chunk: _Chunk, survey: _Survey) -> None:
+        """Learn channels from a chunk and count its messages, where no index does."""
+        try:
+            records = _unpacked(data, chunk)
+        except UnpackError as error:
+            self._bad_chunk(chunk, str(error))
+            return
+        counts: Counter[int] = Counter()
+        at, end = 0, len(records)
+        while at + _HEAD.size <= end:
+            opcode, length = _HEAD.unpack_from(records, at)
+            at += _HEAD.size
+            if length > end - at:
+                break
+            if opcode == _MESSAGE_OP and length >= _MESSAGE.size:
+                counts[_MESSAGE.unpack_from(records, at)[0]] += 1
+            elif opcode in (_SCHEMA, _CHANNEL):
+                _learn(survey, opcode, bytes(records[at : at + length]))
+            at += length
+        chunk.counts = dict(counts)
+
+    # ---- small things ------------------------------------------------------------------------------------------------
+
+    def _name(self, channel: int) -> str:
+        known = self._survey.channels.get(channel)
+        return known[1] if known else ""
+
+    def _bad_chunk(self, chunk: _Chunk, reason: str) -> None:
+        lost: Counter[str] = Counter()
+        for channel, number in (chunk.counts or {}).items():
+            lost[self._name(channel)] += number
+        unknown = lost.pop("", 0)
+        self._flaw(chunk.offset, f"a chunk {reason}", chunk.num_bytes, lost=tuple(lost.items()), num_unknown=unknown)
+
+    def _flaw(
+        self, offset: int, what: str, num_bytes: int, *, lost: tuple[tuple[str, int], ...] = (), num_unknown: int = 0
+    ) -> None:
+        self.flaws.add(
+            Flaw(file=self.path.name, offset=offset, what=what, num_bytes=num_bytes, lost=lost, num_unknown=num_unknown)
+        )
+
+    def _topics(self) -> tuple[Topic, ...]:
+        survey = self._survey
+        counts: dict[int, int] | None = survey.declared
+        if counts is None:
+            found = Counter(survey.loose_counts)
+            for chunk in survey.chunks:
+                found.update(chunk.counts or {})
+            counts = dict(found)
+        topics = []
+        for number, (schema_id, name, encoding) in survey.channels.items():
+            type_name, schema_encoding, definition = survey.schemas.get(schema_id, ("", "", b""))
+            topics.append(
+                Topic(
+                    name=name,
+                    type_name=ROS_TYPES.get(type_name, normalized_type(type_name)),
+                    foreign_type=type_name if type_name in ROS_TYPES else "",
+                    num_messages=counts.get(number, 0),
+                    wire=_WIRES.get(encoding, "other"),
+                    definition_format=_FORMATS.get(schema_encoding, "none"),
+                    definition=_text_of(definition, schema_encoding),
+                )
             )
-            for channel in summary.channels.values()
-        ]
-        self._channels = {channel.id: channel.topic for channel in summary.channels.values()}
-        self._chunks = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
         return merged_topics(topics)
 
-    def _damaged(self, error: Exception) -> RecordingError:
-        """Return the error for bytes that are no MCAP; a file that was cut off lacks the magic at its end."""
-        with self.path.open("rb") as stream:
-            stream.seek(max(0, self.path.stat().st_size - len(_MAGIC)))
-            is_cut_off = stream.read() != _MAGIC
-        found = "is cut off: its end is missing" if is_cut_off else f"is damaged ({str(error) or type(error).__name__})"
-        return RecordingError(f"{self.path} {found}; `mcap recover` saves what is whole")
+
+def _read_summary(data: mmap.mmap) -> _Survey | None:
+    """Return what the summary at the end says, or None where there is none that is sound."""
+    tail = len(data) - len(MAGIC) - _FOOTER_BYTES
+    if tail < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or data[: len(MAGIC)] != MAGIC:
+        return None
+    opcode, length = _HEAD.unpack_from(data, tail)
+    start, _, crc = struct.unpack_from("<QQI", data, tail + _HEAD.size)
+    if opcode != _FOOTER or length != 20 or not 0 < start < tail:
+        return None
+    if crc and zlib.crc32(data[start : len(data) - len(MAGIC) - 4]) != crc:
+        return None
+    survey, at = _Survey(is_indexed=True), start
+    try:
+        while at < tail:
+            opcode, length = _HEAD.unpack_from(data, at)
+            at += _HEAD.size
+            if not _is_record(opcode, length, tail - at):
+                return None
+            if opcode in (_SCHEMA, _CHANNEL):
+                _learn(survey, opcode, data[at : at + length])
+            elif opcode == _CHUNK_INDEX:
+                survey.chunks.append(_chunk_of_index(data[at : at + length]))
+            elif opcode == _STATISTICS:
+                survey.declared = _statistics(data, at, length)
+            at += length
+    except (struct.error, UnicodeDecodeError):
+        return None
+    # A summary without channels or counts is no help; one without chunk indices only where the file has chunks.
+    if not survey.channels or survey.declared is None:
+        return None
+    is_complete = bool(survey.chunks) or _CHUNK_PATTERN.search(data[: min(len(data), 1 << 20)]) is None
+    survey.chunks.sort(key=lambda chunk: chunk.offset)
+    return survey if is_complete else None
 
 
-def _streamed(stream: IO[bytes], topics: set[str]) -> Iterator[LogMessage]:
-    """Yield the messages of a file without chunk indices, reading all of it."""
-    from mcap.reader import NonSeekingReader
-
-    reader = NonSeekingReader(stream, validate_crcs=True)
-    for _, channel, message in reader.iter_messages(topics=topics, log_time_order=False):
-        yield LogMessage(channel.topic, message.log_time, message.data)
+def _chunk_of_index(record: bytes) -> _Chunk:
+    _, _, offset, length, size = struct.unpack_from("<QQQQI", record, 0)
+    # The index says which channels are in the chunk, not how many messages: -1 counts as "some".
+    counts = {struct.unpack_from("<HQ", record, 36 + at)[0]: 0 for at in range(0, min(size, len(record) - 36), 10)}
+    return _Chunk(offset, length, counts or None)
 
 
-def _scan(stream: IO[bytes]) -> tuple[Topic, ...]:
-    """Return the topics of a file without a summary, by reading all of it."""
-    from mcap.records import Channel, Message, Schema
-    from mcap.stream_reader import StreamReader
-
-    schemas: dict[int, Any] = {}
-    channels: dict[int, Any] = {}
-    counts: dict[int, int] = {}
-    for record in StreamReader(stream, validate_crcs=True).records:
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, Message):
-            counts[record.channel_id] = counts.get(record.channel_id, 0) + 1
-    return merged_topics([_topic(c, schemas.get(c.schema_id), counts.get(c.id, 0)) for c in channels.values()])
-
-
-def _damage() -> tuple[type[Exception], ...]:
-    """Return what the reader raises on bytes that are no MCAP: its own errors, and those of parsing and unpacking."""
-    import struct
-
-    from mcap.exceptions import McapError
-    from zstandard import ZstdError
-
-    return (McapError, struct.error, ZstdError, LookupError, ValueError, EOFError, RuntimeError)
+def _is_chunk_at(data: mmap.mmap, chunk: _Chunk) -> bool:
+    """Return whether a chunk is where the index says; completes its counts from the message indices behind it."""
+    if chunk.offset + chunk.num_bytes > len(data) or chunk.num_bytes < _HEAD.size + 40:
+        return False
+    opcode, length = _HEAD.unpack_from(data, chunk.offset)
+    if opcode != _CHUNK_OP or length + _HEAD.size != chunk.num_bytes:
+        return False
+    if chunk.counts:
+        at = chunk.offset + chunk.num_bytes
+        for _ in range(len(chunk.counts)):
+            if at + _HEAD.size + 6 > len(data):
+                break
+            opcode, length = _HEAD.unpack_from(data, at)
+            channel, size = struct.unpack_from("<HI", data, at + _HEAD.size)
+            if opcode != _INDEX or channel not in chunk.counts or size + 6 != length:
+                break
+            chunk.counts[channel] = size // 16
+            at += _HEAD.size + length
+    return True
 
 
-def _topic(channel: Any, schema: Any, num_messages: int | None) -> Topic:
-    """Return the topic of a channel; without a schema its type has no name."""
-    return Topic(
-        name=channel.topic,
-        type_name=normalized_type(schema.name) if schema else "",
-        num_messages=num_messages,
-        wire=_WIRES.get(channel.message_encoding, "other"),
-        definition_format=_FORMATS.get(schema.encoding, "none") if schema else "none",
-        definition=schema.data.decode("utf-8", errors="replace") if schema else "",
-    )
+def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
+    """Return the records of a chunk.
+
+    Raises:
+        UnpackError: it is damaged.
+    """
+    at = chunk.offset + _HEAD.size
+    end = chunk.offset + chunk.num_bytes
+    _, _, size, crc, name_bytes = _CHUNK.unpack_from(data, at)
+    at += _CHUNK.size
+    if name_bytes > 16 or at + name_bytes + 8 > end:
+        raise UnpackError("has a header that does not fit it")
+    compression = data[at : at + name_bytes].decode("ascii", errors="replace")
+    at += name_bytes
+    (packed,) = struct.unpack_from("<Q", data, at)
+    at += 8
+    if packed != end - at:
+        raise UnpackError(f"says to hold {packed} bytes and holds {end - at}")
+    if compression in ("lz4", "zstd"):
+        with memoryview(data) as view, view[at:end] as packed_bytes:
+            records = unpack(compression, packed_bytes, size)
+    else:
+        records = unpack(compression, data[at:end], size)
+    if crc and zlib.crc32(records) != crc:
+        raise UnpackError("fails its checksum")
+    return records
+
+
+def _is_record(opcode: int, length: int, room: int) -> bool:
+    """Return whether a record can have this opcode and length; opcodes from 0x80 on are private."""
+    return length <= room and (opcode >= 0x80 or length >= _LEAST_BYTES.get(opcode, room + 1))
+
+
+def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
+    """Return where the next record begins that can be trusted, or the end of the file.
+
+    In a file with chunks only a chunk will do: what looks like a message may lie inside one whose header is damaged.
+    """
+    end = len(data)
+    pattern = _CHUNK_PATTERN if is_chunked else _RECORD_PATTERN
+    for match in pattern.finditer(data, start):
+        at = match.start()
+        if _is_chain(data, at, 1 if is_chunked else 3):
+            return at
+    # Behind the last chunk: the summary, found by the footer's place, may still hold channels.
+    tail = end - len(MAGIC) - _FOOTER_BYTES
+    if tail > start and data[-len(MAGIC) :] == MAGIC:
+        (summary,) = struct.unpack_from("<Q", data, tail + _HEAD.size)
+        if start <= summary < tail and _is_chain(data, summary, 2):
+            return int(summary)
+    return end
+
+
+def _is_chain(data: mmap.mmap, at: int, links: int) -> bool:
+    """Return whether so many records follow each other from here on; fewer where the file ends."""
+    for _ in range(links):
+        if at + _HEAD.size > len(data):
+            return at == len(data)
+        opcode, length = _HEAD.unpack_from(data, at)
+        if not _is_record(opcode, length, len(data) - at - _HEAD.size) or opcode >= 0x80:
+            return False
+        if opcode == _CHUNK_OP:
+            _, _, _, _, name_bytes = _CHUNK.unpack_from(data, at + _HEAD.size)
+            if name_bytes > 4:
+                return False
+            (packed,) = struct.unpack_from("<Q", data, at + _HEAD.size + _CHUNK.size + name_bytes)
+            if packed != length - _CHUNK.size - name_bytes - 8:
+                return False
+        at += _HEAD.size + length
+    return True
+
+
+def _learn(survey: _Survey, opcode: int, record: bytes) -> None:
+    """Note a schema or a channel; one that does not parse is left out, and its messages are of no known topic."""
+    try:
+        (number,) = struct.unpack_from("<H", record, 0)
+        if opcode == _SCHEMA:
+            name, at = _string(record, 2)
+            encoding, at = _string(record, at)
+            (size,) = struct.unpack_from("<I", record, at)
+            survey.schemas[number] = (name, encoding, record[at + 4 : at + 4 + size])
+        else:
+            (schema,) = struct.unpack_from("<H", record, 2)
+            topic, at = _string(record, 4)
+            encoding, _ = _string(record, at)
+            survey.channels[number] = (schema, topic, encoding)
+    except (struct.error, UnicodeDecodeError, ValueError):
+        return
+
+
+def _string(record: bytes, at: int) -> tuple[str, int]:
+    (size,) = struct.unpack_from("<I", record, at)
+    if size > len(record) - at - 4:
+        raise ValueError("a string that is longer than its record")
+    return record[at + 4 : at + 4 + size].decode("utf-8"), at + 4 + size
+
+
+def _statistics(data: mmap.mmap, at: int, length: int) -> dict[int, int] | None:
+    (size,) = struct.unpack_from("<I", data, at + 42)
+    if size > length - 46:
+        return None
+    return dict(struct.iter_unpack("<HQ", data[at + 46 : at + 46 + size // 10 * 10]))
+
+
+def _text_of(definition: bytes, encoding: str) -> str:
+    """Return a definition as text; protobuf's descriptors are bytes, kept one to one as Latin-1."""
+    return definition.decode("latin-1" if encoding == "protobuf" else "utf-8", errors="replace")

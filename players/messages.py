@@ -20,7 +20,13 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-POSE_TYPES = (ODOMETRY, POSE_WITH_COVARIANCE, POSE)
+PATH = "nav_msgs/msg/Path"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+POSE_TYPES = (ODOMETRY, POSE_WITH_COVARIANCE, POSE, PATH)
+HEADER_FIRST = frozenset(
+    (IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, *POSE_TYPES, POINT_CLOUD, "sensor_msgs/msg/Imu", "sensor_msgs/msg/LaserScan")
+)
+"""Types whose first field is a header."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -60,6 +66,9 @@ def poses_of(type_name: str, message: Any) -> list[StampedPose]:
     """Return the poses in a message of one of `POSE_TYPES` or `TF`."""
     if type_name in TF:
         return [_transform(transform) for transform in message.transforms]
+    if type_name == PATH:
+        # A path is told anew with every message, corrected as a whole; its last pose is the one that is new.
+        return [_stamped(p, "", p.pose.position, p.pose.orientation) for p in message.poses[-1:]]
     pose = message.pose if type_name == POSE else message.pose.pose
     child = frame_name(message.child_frame_id) if type_name == ODOMETRY else ""
     return [_stamped(message, child, pose.position, pose.orientation)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,74 +10,157 @@ from hickory_stream.errors import RecordingError
 from players.options import SourceOptions
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from hickory_stream.ports import Source
+    from players.containers import Log
 
 _MCAP = b"\x89MCAP"
 _ROS1 = b"#ROSBAG"
 _SQLITE = b"SQLite format 3\0"
+_ZSTD = b"\x28\xb5\x2f\xfd"
 _KINDS = (
     "an MCAP file, a ROS 1 bag, a ROS 2 bag (folder or .db3), or a folder of images: "
     "7-Scenes (frame-000000.color.jpg ...), TUM RGB-D (rgb.txt, depth.txt, groundtruth.txt), "
+    "Replica (results/, traj.txt), HOPE (0000_rgb.jpg, 0000_depth.png, 0000.json), "
     "or rgb/ with depth/, cam_params.json and camera_poses.txt"
 )
 
 
-def open_source(uri: str | Path, options: SourceOptions | None = None) -> Source:
-    """Return the source that plays a recorded log or an image folder.
+def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions | None = None) -> Source:
+    """Return the source that plays a recorded log or an image folder; a list of logs is played as one log.
 
     Raises:
         RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs.
         CalibrationError: intrinsics or extrinsics are missing or contradict the images.
     """
-    path = Path(uri)
     options = options or SourceOptions()
-    try:
-        return _open_folder(path, options) if path.is_dir() else _open_file(path, options)
-    except OSError as error:
-        raise RecordingError(f"{error.filename or path} cannot be read: {error.strerror or error}") from error
+    paths = [Path(uri)] if isinstance(uri, str | Path) else [Path(part) for part in uri]
+    if len(paths) == 1 and paths[0].is_dir():
+        source = _open_folder(paths[0], options)
+        if source is not None:
+            return source
+    from players.log_opening import open_log
+
+    return open_log(open_container(*paths), options)
 
 
-def _open_file(path: Path, options: SourceOptions) -> Source:
-    """Return the source of a single file."""
+def open_container(*paths: Path) -> Log:
+    """Return the messages of a recorded log; those of several logs as one.
+
+    Raises:
+        RecordingError: nothing is there, or it is of no known kind.
+    """
+    if not paths:
+        raise RecordingError(f"no log was named; expected {_KINDS}")
+    logs = []
+    for path in paths:
+        try:
+            logs.append(_open_bag_folder(path) if path.is_dir() else _open_file(path))
+        except OSError as error:
+            raise RecordingError(f"{error.filename or path} cannot be read: {error.strerror or error}") from error
+    if len(logs) == 1:
+        return logs[0]
+    from players.joined_log import JoinedLog
+
+    kinds = list(dict.fromkeys(log.kind for log in logs))
+    return JoinedLog(paths[0], f"{len(logs)} logs ({', '.join(kinds)})", logs)
+
+
+def _open_file(path: Path) -> Log:
+    """Return the log in a single file."""
     if not path.exists():
         raise RecordingError(f"no such file or folder: {path}")
     with path.open("rb") as stream:
         magic = stream.read(16)
     if not magic:
         raise RecordingError(f"{path} is empty; expected {_KINDS}")
-    from players.log_opening import open_log
+    if magic.startswith(_ROS1):
+        from players.ros1_log import Ros1Log
 
-    if magic.startswith(_MCAP):
-        from players.mcap_log import McapLog
+        return Ros1Log(path)
+    if magic.startswith((_MCAP, _SQLITE, _ZSTD)) and (magic[:4] != _ZSTD or path.suffix == ".zstd"):
+        from players.ros2_bag import open_bag_file
 
-        return open_log(McapLog(path), options)
-    if magic.startswith(_ROS1) or magic.startswith(_SQLITE):
-        from players.bag import BagLog
+        return open_bag_file(path)
+    # The first bytes may be what is damaged.
+    suffix = path.name.removesuffix(".zstd").rsplit(".", 1)[-1]
+    damaged = f"{path} is of no known kind (it begins with {magic[:8].hex(' ')}); expected {_KINDS}"
+    if suffix in ("bag", "mcap", "db3"):
+        try:
+            return _open_by_suffix(path, suffix)
+        except RecordingError as error:
+            raise RecordingError(damaged) from error
+    raise RecordingError(damaged)
 
-        return open_log(BagLog(path, is_ros1=magic.startswith(_ROS1)), options)
-    raise RecordingError(f"{path} is of no known kind (it begins with {magic[:8].hex(' ')}); expected {_KINDS}")
+
+def _open_by_suffix(path: Path, suffix: str) -> Log:
+    """Return the log in a file whose first bytes are not those of its kind."""
+    from players.mcap_log import McapLog
+    from players.ros1_log import Ros1Log
+    from players.sqlite_log import SqliteLog
+
+    log: Log = Ros1Log(path) if suffix == "bag" else McapLog(path) if suffix == "mcap" else SqliteLog(path)
+    if not log.topics:
+        raise RecordingError(f"{path} holds no topics")
+    return log
 
 
-def _open_folder(folder: Path, options: SourceOptions) -> Source:
-    """Return the source of a folder, told by the files in it."""
+def _open_bag_folder(folder: Path) -> Log:
+    """Return the log of a folder of bag files."""
+    from players.ros2_bag import METADATA, bag_files, open_ros2_bag
+
     names = sorted(entry.name for entry in folder.iterdir())
+    if METADATA in names:
+        return open_ros2_bag(folder)
+    logs = [name for name in names if name.endswith((".mcap", ".bag", ".db3", ".db3.zstd", ".mcap.zstd"))]
+    if len(logs) == 1:
+        return _open_file(folder / logs[0])
+    if logs and _is_split(logs):
+        if len(bag_files(folder)) == len(logs):
+            return open_ros2_bag(folder)
+        return open_container(*(folder / name for name in logs))
+    if logs:
+        raise RecordingError(
+            f"{folder} holds {len(logs)} logs without a {METADATA}, and their names are not those of one split "
+            f"recording; name the ones to play: {', '.join(logs)}"
+        )
+    found = ", ".join(names[:8]) + (" ..." if len(names) > 8 else "") or "nothing"
+    raise RecordingError(f"{folder} is no log that is known; found {found}; expected {_KINDS}")
+
+
+def _is_split(names: list[str]) -> bool:
+    """Return whether names differ in one number only, as those of a split recording do."""
+    return len({re.sub(r"\d+(?=\D*$)", "#", name.split(".")[0]) + name[name.index(".") :] for name in names}) == 1
+
+
+def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
+    """Return the source of a folder of images, told by the files in it; None for a folder of bags."""
+    try:
+        names = sorted(entry.name for entry in folder.iterdir())
+    except OSError as error:
+        raise RecordingError(f"{folder} cannot be read: {error.strerror or error}") from error
+    from players.folder_layouts import (
+        CAM_PARAMS,
+        CAMERA_POSES,
+        TRAJECTORY,
+        open_hope,
+        open_posed_folder,
+        open_replica,
+        open_seven_scenes,
+        open_tum,
+    )
+
     if "metadata.yaml" in names:
-        from players.bag import BagLog
-        from players.log_opening import open_log
-
-        return open_log(BagLog(folder, is_ros1=False), options)
-    from players.folder_layouts import CAM_PARAMS, CAMERA_POSES, open_posed_folder, open_seven_scenes, open_tum
-
+        return None
     if any(name.startswith("frame-") and ".color." in name for name in names):
         return open_seven_scenes(folder, options)
     if "rgb.txt" in names:
         return open_tum(folder, options)
+    if TRAJECTORY in names and "results" in names:
+        return open_replica(folder, options)
+    if any(name.endswith(("_rgb.jpg", "_rgb.png")) for name in names):
+        return open_hope(folder, options)
     if CAM_PARAMS in names or CAMERA_POSES in names:
         return open_posed_folder(folder, options)
-    logs = [name for name in names if name.endswith((".mcap", ".bag", ".db3"))]
-    if len(logs) == 1:
-        return _open_file(folder / logs[0], options)
-    if logs:
-        raise RecordingError(f"{folder} holds {len(logs)} logs without a metadata.yaml; name one of: {', '.join(logs)}")
-    found = ", ".join(names[:8]) + (" ..." if len(names) > 8 else "") or "nothing"
-    raise RecordingError(f"{folder} is no log that is known; found {found}; expected {_KINDS}")
+    return None

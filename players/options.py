@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 DEFAULT_MAX_POSE_GAP_NS = 500_000_000
+
+Clock = Literal["auto", "header", "log"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceOptions:
-    """Topics, tolerances and calibration of a source; None means: discover, or the default that is stated here.
+    """Topics, tolerances and calibration of a source; None means: the profile's, or discover, or what is stated here.
 
     The topics are for logs and not used by image folders. `pose_frame` is the frame whose pose the pose topic gives:
     None is the message's own child frame. `sync_tolerance_ns` is the largest difference of stamps within a pair of
-    colour and depth: None is half the period of the slower stream. `max_pose_gap_ns` is the widest gap between two
-    poses over which is interpolated. `profile` is the calibration of an image folder, by its name in
-    `players/profiles` or as a path: None is the profile of the folder's layout.
+    colour and depth: None is the profile's, or half the period of the slower stream. `max_pose_gap_ns` is the widest
+    gap between two poses over which is interpolated: None is the profile's, or 0.5 s. `profile` is what is known of the
+    kind of log, by its name in `players/profiles` or as a path: None is the profile that the topics or the layout fit,
+    "none" is no profile. `robot` is the robot's name in the topics, for profiles with one. `pose_file` holds poses as
+    text (TUM, or CSV with a header) in place of a pose topic. `clock` is which stamps count: those of the headers
+    ("header"), those of the recording ("log"), or the headers' unless they are of no use ("auto").
     """
 
     color_topic: str | None = None
@@ -25,5 +34,8 @@ class SourceOptions:
     pose_topic: str | None = None
     pose_frame: str | None = None
     sync_tolerance_ns: int | None = None
-    max_pose_gap_ns: int = DEFAULT_MAX_POSE_GAP_NS
+    max_pose_gap_ns: int | None = None
     profile: str | None = None
+    robot: str | None = None
+    pose_file: Path | None = None
+    clock: Clock = "auto"

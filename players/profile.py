@@ -1,16 +1,38 @@
-"""Calibration that a folder does not hold, from `players/profiles/*.toml`; each file explains its values."""
+"""What a kind of log does not say itself, from `players/profiles/*.toml`; each file explains its values.
+
+A profile names the topics of a data set, the frames between pose and camera where the log has no TF, and the
+tolerances that fit its sensors. It is named with `--profile`, or recognised by its topics.
+"""
 
 from __future__ import annotations
 
+import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
+from players.poses import nearest_rigid
+from players.tf import Edge
+from players.tracks import JumpLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from players.containers import Topic
 
 _FOLDER = Path(__file__).parent / "profiles"
+_ROLES = ("color", "depth", "color_info", "depth_info", "pose")
+
+OPTICAL_FROM_FLU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""Axes x forward, y left, z up (ROS bodies) in x right, y down, z forward (cameras)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,42 +49,179 @@ class Intrinsics:
         return Camera(width=size[0], height=size[1], fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Profile:
-    """The calibration of a folder.
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RigLinks:
+    """The rig of a data set without TF: `body` is what the pose topic gives, in its own tree of static links."""
 
-    `color` are the intrinsics of a colour camera that is not the depth camera; `color_from_depth_m` the translation
-    between the two, in metres: P_color = P_depth + color_from_depth_m.
+    body: str
+    color: str
+    depth: str
+    links: tuple[Edge, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PoseColumns:
+    """How a text file of poses is written: names of columns (`t x y z qx qy qz qw`, others skipped), unit of time."""
+
+    columns: tuple[str, ...]
+    separator: str
+    time_unit: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Profile:
+    """What is known of a kind of log.
+
+    For folders: `color` are the intrinsics of a colour camera that is not the depth camera; `color_from_depth_m` the
+    translation between the two, in metres: P_color = P_depth + color_from_depth_m. For logs: `topics` by role (the
+    first that is there is taken), `rig`, tolerances in ns. `parameters` are what `{robot}` and the like stand for.
     """
 
+    name: str = ""
+    title: str = ""
     depth_units_per_m: float = 1000.0
+    max_depth_m: float | None = None
     frame_rate_hz: int = 30
+    extrinsics_units_per_m: float = 1.0
     color: Intrinsics | None = None
     color_from_depth_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    rig: RigLinks | None = None
+    sync_tolerance_ns: int | None = None
+    max_pose_gap_ns: int | None = None
+    jump_limits: JumpLimits = field(default_factory=JumpLimits)
+    pose_file: PoseColumns | None = None
+    parameters: Mapping[str, str] = field(default_factory=dict)
 
 
-def load_profile(name_or_path: str) -> Profile:
+def load_profile(name_or_path: str, topics: Sequence[Topic] = (), robot: str | None = None) -> Profile:
     """Return a profile by its name among those that come with the players, or from a TOML file.
 
+    `robot`, or what the names of the `topics` say, stands for `{robot}` in it.
+
     Raises:
-        CalibrationError: there is no such profile, or a key or value in it is wrong.
+        CalibrationError: there is no such profile, a key or value in it is wrong, or its robot is not known.
     """
     built_in = _FOLDER / f"{name_or_path}.toml"
     path = built_in if built_in.is_file() else Path(name_or_path)
     try:
-        return _parse(tomllib.loads(path.read_text(encoding="utf-8")))
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        parameters = _match(table, topics) or {}
+        if robot is not None:
+            parameters["robot"] = robot
+        return _parse(path.stem, table, parameters)
     except OSError as error:
-        names = ", ".join(sorted(file.stem for file in _FOLDER.glob("*.toml")))
-        raise CalibrationError(f"no profile {name_or_path!r}; there are {names}, or name a TOML file") from error
-    except (tomllib.TOMLDecodeError, TypeError, ValueError) as error:
-        raise CalibrationError(f"profile {path}: {error}; compare it with {_FOLDER.name}/7scenes.toml") from error
+        raise CalibrationError(
+            f"no profile {name_or_path!r}; there are {', '.join(profile_names())}, or name a TOML file"
+        ) from error
+    except (tomllib.TOMLDecodeError, TypeError, ValueError, KeyError, AttributeError) as error:
+        detail = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise CalibrationError(f"profile {path}: {detail}; compare it with {_FOLDER.name}/seven_scenes.toml") from error
 
 
-def _parse(table: dict[str, Any]) -> Profile:
+def profile_names() -> tuple[str, ...]:
+    """Return the names of the profiles that come with the players."""
+    return tuple(sorted(file.stem for file in _FOLDER.glob("*.toml")))
+
+
+def guess_profile(topics: Sequence[Topic], robot: str | None = None) -> Profile | None:
+    """Return the profile whose topics are all there, the most demanding of several; None where none fits."""
+    found = []
+    for name in profile_names():
+        table = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+        if _match(table, topics) is not None:
+            found.append((len(table["match"]["topics"]), name))
+    return load_profile(max(found)[1], topics, robot) if found else None
+
+
+def _match(table: Mapping[str, Any], topics: Sequence[Topic]) -> dict[str, str] | None:
+    """Return the parameters that the topics give when every pattern of the profile is the name of one, else None."""
+    patterns = table.get("match", {}).get("topics", [])
+    parameters: dict[str, str] = {}
+    for pattern in patterns:
+        # The most frequent of several robots: a log of one robot may hold a few messages of its neighbours.
+        hits = [
+            (topic.num_messages or 0, topic.name, hit) for topic in topics if (hit := re.fullmatch(pattern, topic.name))
+        ]
+        same = [entry for entry in hits if all(parameters.get(k, v) == v for k, v in entry[2].groupdict().items())]
+        if not same:
+            return None
+        parameters.update({key: value for key, value in max(same, key=lambda e: e[:2])[2].groupdict().items() if value})
+    return parameters if patterns else None
+
+
+def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Profile:
     """Return the profile of a TOML table; keys that are no field raise TypeError."""
+    table.pop("match", None)
     color = table.pop("color", None)
+    time = table.pop("time", {})
+    rig, robots = table.pop("rig", None), table.pop("robots", {})
+    topics = {role: _filled(table.get("streams", {}).get(role, ()), parameters) for role in _ROLES}
+    unknown = table.pop("streams", {}).keys() - set(_ROLES)
+    if unknown:
+        raise TypeError(f"streams: unknown {', '.join(sorted(unknown))}; expected {', '.join(_ROLES)}")
     x, y, z = (float(part) for part in table.pop("color_from_depth_m", (0.0, 0.0, 0.0)))
-    profile = Profile(**table, color=Intrinsics(**color) if color else None, color_from_depth_m=(x, y, z))
+    columns = table.pop("pose_file", None)
+    profile = Profile(
+        **table,
+        name=name,
+        color=Intrinsics(**color) if color else None,
+        color_from_depth_m=(x, y, z),
+        topics={role: names for role, names in topics.items() if names},
+        rig=_rig(rig, robots, parameters) if rig else None,
+        sync_tolerance_ns=_ns(time.pop("sync_tolerance_ms", None)),
+        max_pose_gap_ns=_ns(time.pop("max_pose_gap_ms", None)),
+        jump_limits=JumpLimits(**{f.name: float(time.pop(f.name)) for f in fields(JumpLimits) if f.name in time}),
+        pose_file=PoseColumns(**{**columns, "columns": tuple(columns["columns"])}) if columns else None,
+        parameters=parameters,
+    )
+    if time:
+        raise TypeError(f"time: unknown {', '.join(sorted(time))}")
     if not (profile.depth_units_per_m > 0 and profile.frame_rate_hz > 0):
         raise ValueError("depth_units_per_m and frame_rate_hz must be positive")
     return profile
+
+
+def _ns(milliseconds: float | None) -> int | None:
+    if milliseconds is not None and not milliseconds > 0:
+        raise ValueError(f"{milliseconds} ms; expected a positive time")
+    return None if milliseconds is None else round(milliseconds * 1e6)
+
+
+def _filled(names: Sequence[str] | str, parameters: Mapping[str, str]) -> tuple[str, ...]:
+    """Return topic names with the parameters put in; those whose parameters are not known are left out."""
+    names = (names,) if isinstance(names, str) else names
+    filled = []
+    for name in names:
+        wanted = re.findall(r"\{(\w+)\}", name)
+        if all(word in parameters for word in wanted):
+            filled.append(re.sub(r"\{(\w+)\}", lambda hit: parameters[hit.group(1)], name))
+    return tuple(filled)
+
+
+def _rig(rig: Mapping[str, Any], robots: Mapping[str, Any], parameters: Mapping[str, str]) -> RigLinks:
+    links = [*rig.get("links", ())]
+    if robots:
+        robot = parameters.get("robot", "")
+        if robot not in robots:
+            raise ValueError(f"robot {robot!r} is not known; expected one of {', '.join(robots)}: name it with --robot")
+        links += robots[robot]["links"]
+    edges = tuple(Edge(parent=k["parent"], child=k["child"], parent_from_child=_transform(k)) for k in links)
+    return RigLinks(body=rig["body"], color=rig["color"], depth=rig["depth"], links=edges)
+
+
+def _transform(link: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Return parent_from_child of a link: a matrix, or a translation with a quaternion or the name of a rotation."""
+    if "matrix" in link:
+        rigid = nearest_rigid(np.asarray(link["matrix"], dtype=np.float64))
+        if rigid is None:
+            raise ValueError(f"the matrix from {link['child']} to {link['parent']} is no rigid transform")
+        return rigid
+    rotation = np.eye(3)
+    if "quaternion_xyzw" in link:
+        rotation = rotation_from_quaternion(*(float(part) for part in link["quaternion_xyzw"]))
+    elif link.get("axes") == "flu_from_optical":
+        rotation = OPTICAL_FROM_FLU.T
+    elif "axes" in link:
+        raise ValueError(f"axes {link['axes']!r}; expected flu_from_optical")
+    return from_rotation_translation(rotation, np.asarray(link.get("translation_m", (0, 0, 0)), dtype=np.float64))

@@ -1,51 +1,49 @@
-"""Where the camera is: from the pose topics and the frames of a log to poses of the colour camera's optical frame.
+"""Where the camera is: from the pose messages and the frames of a log to poses of the colour camera's optical frame.
 
-By default the pose is that of an odometry topic whose body carries the camera by static links; else it is a chain of TF
-from a fixed frame. A link that nobody published is an error that names both ends: frames are never guessed.
+By default the pose is that of an odometry topic whose body carries the camera by static links of TF; else it is a chain
+of TF from a fixed frame; where the log has no TF, the links are those of its profile. A link that nobody knows is an
+error that names both ends: frames are never guessed.
+
+`RigReader` takes the small messages as they stream by; a `PosePlan`, made when the log is opened, says which of them
+carry the camera.
 """
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry.rigid import invert
 from players.containers import UnreadableMessageError, deserialize
 from players.messages import CAMERA_INFO, TF, CameraInfo, StampedPose, camera_info_of, poses_of
-from players.poses import PoseTrack, is_pose_row, pose_of_row, track_of
-from players.tf import Chain, Edge, FrameTree
+from players.peek import peek_stamp_ns
+from players.poses import is_pose_row, pose_of_row
+from players.tf import Edge, FrameTree
+from players.timeline import Order, Timeline
+from players.tracks import GrowingTrack, JumpLimits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from players.containers import Log, Topic
+    from players.containers import LogMessage, Topic
+    from players.profile import RigLinks
+    from players.tf import Chain
+    from players.tracks import Jump
+
+Key = tuple[str, str, str]
+"""A moving link: the topic (or "tf"), parent and child."""
 
 _FIXED_FRAMES = ("odom", "world", "map", "earth")
 """Fixed frames for poses from TF alone: odom first, since it does not jump when a loop is closed."""
 
 
-@dataclass(slots=True)
-class _Samples:
-    """The poses of one link as they come: eight numbers each, not an object."""
-
-    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
-    numbers: array[float] = field(default_factory=lambda: array("d"))
-
-    def add(self, pose: StampedPose) -> None:
-        self.stamps_ns.append(pose.stamp_ns)
-        self.numbers.extend(pose.row)
-
-    def rows(self) -> NDArray[np.float64]:
-        return np.asarray(self.numbers, dtype=np.float64).reshape(-1, 7)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class PoseStream:
     """A pose topic: where `child` is in `parent` over time; an empty `child` is a frame that the topic leaves open."""
 
@@ -53,100 +51,296 @@ class PoseStream:
     type_name: str
     parent: str
     child: str
-    track: PoseTrack
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Rig:
-    """What the small messages of a log say: poses, the tree of frames, calibrations by topic, and bad messages."""
-
-    streams: tuple[PoseStream, ...]
-    tree: FrameTree
-    infos: dict[str, CameraInfo]
-    fates: Counter[str]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class CameraPoses:
-    """`world_from_camera` over time: a track and a chain from its body to the camera, or a chain alone."""
-
-    track: PoseTrack | None
-    body_from_camera: Chain
-    source: str
-    path: str
+    num_poses: int
 
     @property
-    def span_ns(self) -> tuple[int, int] | None:
-        """The first and the last stamp that have a pose; None where nothing moves."""
-        spans = [span for span in (self.track.span_ns if self.track else None, self.body_from_camera.span_ns) if span]
-        return (max(start for start, _ in spans), min(end for _, end in spans)) if spans else None
-
-    def at(self, stamp_ns: int) -> NDArray[np.float64] | None:
-        """Return the pose (4, 4) at a stamp, or None where there is none."""
-        body_from_camera = self.body_from_camera.at(stamp_ns)
-        if self.track is None or body_from_camera is None:
-            return body_from_camera
-        world_from_body = self.track.at(stamp_ns)
-        return None if world_from_body is None else world_from_body @ body_from_camera
+    def key(self) -> Key:
+        """The link that it moves."""
+        return self.topic, self.parent, self.child
 
 
-def read_rig(log: Log, topics: Iterable[Topic], max_gap_ns: int) -> Rig:
-    """Return the poses, transforms and calibrations of a log, in one pass over those topics.
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Link:
+    """A link of a plan: static, or the key of a moving one with the value it had when the log was opened."""
 
-    Of a `CameraInfo` topic the first message counts. Poses that are no pose (NaN, a quaternion without length) are
-    counted as `bad_pose` and left out.
+    static: NDArray[np.float64]
+    key: Key | None
+    is_inverted: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PosePlan:
+    """How `world_from_camera` is put together: a stream (None: TF alone), then links from its body to the camera.
+
+    `path` names the frames, for people; `extrinsics` says where the links come from. `is_static`: no link moves.
     """
-    by_name = {topic.name: topic for topic in topics}
-    infos: dict[str, CameraInfo] = {}
-    samples: dict[tuple[str, str, str], _Samples] = {}
-    fates: Counter[str] = Counter()
-    for message in log.messages(by_name):
-        topic = by_name[message.topic]
-        if message.topic in infos:
-            continue
-        try:
-            decoded = deserialize(topic, message.data)
-        except UnreadableMessageError:
-            fates["unreadable_message"] += 1
-            continue
+
+    stream: PoseStream | None
+    links: tuple[_Link, ...]
+    is_static: bool
+    source: str
+    path: str
+    extrinsics: str
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The moving links."""
+        moving = tuple(link.key for link in self.links if link.key is not None)
+        return moving if self.stream is None else (self.stream.key, *moving)
+
+    def at(self, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
+        """Return the pose (4, 4) at a stamp, or None where there is none."""
+        world_from_camera = np.eye(4)
+        if self.stream is not None:
+            track = reader.track(self.stream.key, epoch)
+            pose = track.at(stamp_ns) if track is not None else None
+            if pose is None:
+                return None
+            world_from_camera = pose
+        for link in self.links:
+            pose = link.static if link.key is None else _moving(link, stamp_ns, epoch, reader)
+            if pose is None:
+                return None
+            world_from_camera = world_from_camera @ (invert(pose) if link.is_inverted else pose)
+        return world_from_camera
+
+    def reaches(self, stamp_ns: int, epoch: int, reader: RigReader) -> bool:
+        """Return whether no later message can change the pose at a stamp."""
+        for key in self.keys:
+            if reader.epoch_of(key) > epoch:
+                continue
+            track = reader.track(key, epoch)
+            if track is None or not track.reaches(stamp_ns):
+                return False
+        return True
+
+    def jump_between(self, start_ns: int, end_ns: int, epoch: int, reader: RigReader) -> Jump | None:
+        """Return the last jump of a link between two stamps."""
+        for key in self.keys:
+            track = reader.track(key, epoch)
+            jump = track.jump_between(start_ns, end_ns) if track is not None else None
+            if jump is not None:
+                return jump
+        return None
+
+
+def _moving(link: _Link, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
+    """Return a link of TF at a stamp; one that never changed holds at any time, as static links on /tf do in ROS 1."""
+    assert link.key is not None
+    track = reader.track(link.key, epoch)
+    if track is None or not track.num_added:
+        return link.static
+    return track.any_pose() if track.is_constant else track.at(stamp_ns)
+
+
+class RigReader:
+    """Takes pose, TF and calibration messages as they stream by."""
+
+    def __init__(
+        self, topics: Iterable[Topic], max_gap_ns: int, limits: JumpLimits, *, uses_log_time: bool = False
+    ) -> None:
+        self._topics = {topic.name: topic for topic in topics}
+        self._max_gap_ns = max_gap_ns
+        self._limits = limits
+        self._uses_log_time = uses_log_time
+        self._timelines: dict[str, Timeline] = {}
+        self._tracks: dict[tuple[Key, int], GrowingTrack] = {}
+        self._topic_of: dict[Key, str] = {}
+        self._statics: dict[tuple[str, str], NDArray[np.float64]] = {}
+        self._info_bytes: dict[str, bytes] = {}
+        self._loaded: list[PoseStream] = []
+        self.infos: dict[str, CameraInfo] = {}
+        self.seen: set[str] = set()
+        self.fates: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+
+    def add(self, message: LogMessage) -> None:
+        """Take one message of one of the topics."""
+        topic = self._topics[message.topic]
+        self.seen.add(topic.name)
         if topic.type_name == CAMERA_INFO:
-            infos[topic.name] = camera_info_of(decoded)
-            continue
-        for pose in poses_of(topic.type_name, decoded):
-            if is_pose_row(pose.row):
-                samples.setdefault((topic.name, pose.parent, pose.child), _Samples()).add(pose)
+            self._add_info(topic, message)
+            return
+        stamp_ns = None if self._uses_log_time else peek_stamp_ns(topic, message.data)
+        if topic.name.endswith("tf_static") or stamp_ns is None:
+            self._add_poses(topic, message, 0 if topic.name.endswith("tf_static") else None)
+            return
+        for placed in self._timelines.setdefault(topic.name, Timeline()).add(stamp_ns, message):
+            if placed.order is Order.OFF:
+                self._reject(topic, "pose_stamp_off")
             else:
-                fates["bad_pose"] += 1
-    tracks = {key: track_of(s.stamps_ns, s.rows(), max_gap_ns) for key, s in samples.items()}
-    edges, streams = [], []
-    for (name, parent, child), track in tracks.items():
-        assert track is not None  # a key exists only with a pose
-        if by_name[name].type_name in TF:
-            edges.append(_edge(parent, child, track, is_static=name.endswith("tf_static")))
-        else:
-            type_name = by_name[name].type_name
-            streams.append(PoseStream(topic=name, type_name=type_name, parent=parent, child=child, track=track))
-    return Rig(streams=tuple(streams), tree=FrameTree(edges), infos=infos, fates=fates)
+                self._add_poses(topic, placed.item, placed.epoch)
+
+    def load(self, stream: PoseStream, stamps_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> None:
+        """Take a whole trajectory, as from a file."""
+        track = self._tracks[stream.key, 0] = GrowingTrack(self._max_gap_ns, None)
+        for stamp_ns, row in sorted(zip(stamps_ns, rows, strict=True)):
+            track.add(stamp_ns, row)
+        self._loaded.append(stream)
+
+    def end(self) -> None:
+        """Take what was held back for want of a following message."""
+        for name, timeline in self._timelines.items():
+            for _ in timeline.end():
+                self._reject(self._topics[name], "pose_stamp_off")
+
+    def track(self, key: Key, epoch: int) -> GrowingTrack | None:
+        """Return the poses of a moving link in an epoch."""
+        return self._tracks.get((key, epoch))
+
+    def epoch_of(self, key: Key) -> int:
+        """Return the epoch that a link is in by now."""
+        timeline = self._timelines.get(self._topic_of.get(key, ""))
+        return timeline.epoch if timeline else 0
+
+    def forget(self, before_ns: int) -> None:
+        """Drop poses that no frame will ask for."""
+        for track in self._tracks.values():
+            track.forget(before_ns)
+
+    def tracks(self) -> Iterable[tuple[Key, GrowingTrack]]:
+        """Yield all tracks with their keys."""
+        return [(key, track) for (key, _), track in self._tracks.items()]
+
+    def streams(self) -> tuple[PoseStream, ...]:
+        """Return the pose streams so far, each with how many poses the log says to have of it."""
+        found = {stream.key: stream for stream in self._loaded}
+        for key, epoch in self._tracks:
+            name, parent, child = key
+            if name != "tf" and name in self._topics:
+                topic, track = self._topics[name], self._tracks[key, epoch]
+                number = topic.num_messages if topic.num_messages is not None else track.num_added
+                found[key] = PoseStream(
+                    topic=name, type_name=topic.type_name, parent=parent, child=child, num_poses=number
+                )
+        return tuple(found.values())
+
+    def tree(self) -> FrameTree:
+        """Return the frames of TF as they are by now; what has not changed so far is static."""
+        edges = [Edge(parent=p, child=c, parent_from_child=pose) for (p, c), pose in self._statics.items()]
+        for ((name, parent, child), epoch), track in self._tracks.items():
+            if name == "tf" and epoch == 0 and track.num_added:
+                link = track.any_pose() if track.is_constant else track
+                edges.append(Edge(parent=parent, child=child, parent_from_child=link, is_published_static=False))
+        return FrameTree(edges)
+
+    def _add_info(self, topic: Topic, message: LogMessage) -> None:
+        # Behind the stamp everything is the same in every message of one calibration.
+        content = bytes(message.data[12:]) if not topic.foreign_type else bytes(message.data)
+        if self._info_bytes.get(topic.name) == content:
+            return
+        try:
+            info = camera_info_of(deserialize(topic, message.data))
+        except (UnreadableMessageError, ValueError):
+            self._unreadable(topic)
+            return
+        self._info_bytes[topic.name] = content
+        known = self.infos.get(topic.name)
+        is_set = info.K[0, 0] > 0
+        if known is None or (is_set and not known.K[0, 0] > 0):
+            self.infos[topic.name] = info
+        elif is_set and (known.size != info.size or np.abs(known.K - info.K).max() > 1e-6):
+            self.fates["camera_info_changed"] += 1
+
+    def _add_poses(self, topic: Topic, message: LogMessage, epoch: int | None) -> None:
+        try:
+            poses = poses_of(topic.type_name, deserialize(topic, message.data))
+        except UnreadableMessageError:
+            self._unreadable(topic)
+            return
+        num_bad = 0
+        for pose in poses:
+            if not is_pose_row(pose.row):
+                num_bad += 1
+            elif topic.name.endswith("tf_static") and topic.type_name in TF:
+                self._statics[pose.parent, pose.child] = pose_of_row(np.array(pose.row))
+            else:
+                self._add_pose(topic, pose, message.log_ns if self._uses_log_time else pose.stamp_ns, epoch or 0)
+        if num_bad:
+            self.fates["bad_pose"] += num_bad
+            self.rejected[topic.name] += num_bad == len(poses)
+
+    def _add_pose(self, topic: Topic, pose: StampedPose, stamp_ns: int, epoch: int) -> None:
+        is_tf = topic.type_name in TF
+        key = ("tf" if is_tf else topic.name, pose.parent, pose.child)
+        self._topic_of[key] = topic.name
+        track = self._tracks.get((key, epoch))
+        if track is None:
+            track = self._tracks[key, epoch] = GrowingTrack(self._max_gap_ns, self._limits)
+        before, doubles = track.num_teleports, track.num_duplicates
+        track.add(stamp_ns, pose.row)
+        self.fates["pose_teleport"] += track.num_teleports - before
+        if not is_tf:
+            self.fates["duplicate_pose"] += track.num_duplicates - doubles
+            self.rejected[topic.name] += track.num_teleports - before + track.num_duplicates - doubles
+
+    def _reject(self, topic: Topic, fate: str) -> None:
+        self.fates[fate] += 1
+        self.rejected[topic.name] += 1
+
+    def _unreadable(self, topic: Topic) -> None:
+        self.fates["unreadable_message"] += 1
 
 
-def camera_poses(path: object, rig: Rig, camera_frame: str, pose_frame: str | None, *, is_named: bool) -> CameraPoses:
-    """Return the poses of the camera; `is_named` when a pose topic was asked for by name, so that TF is no substitute.
+def plan_poses(
+    path: object,
+    reader: RigReader,
+    camera_frame: str,
+    *,
+    pose_frame: str | None,
+    is_named: bool,
+    rig: RigLinks | None,
+    rig_topics: Collection[str],
+    profile_name: str,
+) -> PosePlan:
+    """Return how the camera's pose comes about; `is_named`: a pose topic was asked for, so that TF is no substitute.
+
+    `rig` is the profile's, and holds for `rig_topics` only: what another topic's body is, a profile does not know.
 
     Raises:
         CalibrationError: no pose can be carried to the camera's frame.
         RecordingError: there is no pose at all.
     """
-    carried = [poses for stream in rig.streams if (poses := _carried(stream, rig.tree, camera_frame, pose_frame))]
-    if carried:
+    tree, streams = reader.tree(), reader.streams()
+    if rig is None or not is_named:
+        carried = [plan for stream in streams if (plan := _carried(stream, tree, camera_frame, pose_frame))]
+        if carried:
+            return max(carried, key=_preference)
+        if not is_named and rig is None and (chain := _chain_from_fixed(tree, camera_frame)) is not None:
+            return PosePlan(
+                stream=None,
+                links=_links(chain),
+                is_static=chain.is_static,
+                source="TF",
+                path=" <- ".join(chain.frames),
+                extrinsics="TF of the log",
+            )
+    elif carried := [plan for s in streams if s.child and (plan := _carried(s, tree, camera_frame, pose_frame))]:
         return max(carried, key=_preference)
-    if not is_named and (chain := _chain_from_fixed(rig.tree, camera_frame)) is not None:
-        return CameraPoses(track=None, body_from_camera=chain, source="TF", path=" <- ".join(chain.frames))
-    if not rig.streams and not rig.tree.edges:
+    of_the_rig = [stream for stream in streams if stream.topic in rig_topics]
+    if rig is not None and of_the_rig:
+        stream = max(of_the_rig, key=lambda s: (s.num_poses, s.topic))
+        chain = FrameTree(rig.links).chain(rig.body, rig.color)
+        if chain is None:
+            raise CalibrationError(f"profile {profile_name}: its links do not connect {rig.body} to {rig.color}")
+        frames = (stream.parent, *([stream.child] if stream.child else []), *chain.frames)
+        return PosePlan(
+            stream=stream,
+            links=_links(chain),
+            is_static=True,
+            source=stream.topic,
+            path=" <- ".join(frames),
+            extrinsics=f"profile {profile_name}",
+        )
+    if not streams and not tree.edges:
         raise RecordingError(f"{path}: the pose topics hold no pose")
-    raise CalibrationError(_unconnected(path, rig, camera_frame))
+    told = _unconnected(path, streams, tree, camera_frame)
+    if rig is not None:
+        told += f". The profile {profile_name} knows the body of {' or '.join(rig_topics)} only: play that log, too"
+    raise CalibrationError(told)
 
 
-def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame: str | None) -> CameraPoses | None:
+def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame: str | None) -> PosePlan | None:
     """Return the camera's poses from a stream, or None where its body is not connected to the camera.
 
     The camera's frame itself needs no connection.
@@ -156,14 +350,37 @@ def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame:
     if chain is None or stream.parent in chain.frames[1:]:
         return None
     path = " <- ".join((stream.parent, *chain.frames))
-    return CameraPoses(track=stream.track, body_from_camera=chain, source=stream.topic, path=path)
+    extrinsics = "TF of the log" if chain.edges else "none: the pose is the camera's"
+    return PosePlan(
+        stream=stream,
+        links=_links(chain),
+        is_static=chain.is_static,
+        source=stream.topic,
+        path=path,
+        extrinsics=extrinsics,
+    )
 
 
-def _preference(poses: CameraPoses) -> tuple[bool, bool, int, str]:
-    """Rank poses: carried by static links, not of wheels alone, then the most of them."""
-    assert poses.track is not None
-    is_wheels = any(word in poses.source.lower() for word in ("wheel", "velocity_controller"))
-    return poses.body_from_camera.is_static, not is_wheels, len(poses.track.stamps_ns), poses.source
+def _links(chain: Chain) -> tuple[_Link, ...]:
+    links = []
+    for edge, is_inverted in chain.edges:
+        link = edge.parent_from_child
+        is_fixed = isinstance(link, np.ndarray)
+        links.append(
+            _Link(
+                static=link.any_pose() if isinstance(link, GrowingTrack) else np.asarray(link),
+                key=None if is_fixed and edge.is_published_static else ("tf", edge.parent, edge.child),
+                is_inverted=is_inverted,
+            )
+        )
+    return tuple(links)
+
+
+def _preference(plan: PosePlan) -> tuple[bool, bool, int, str]:
+    """Rank plans: carried by static links, not of wheels alone, then the most poses."""
+    assert plan.stream is not None
+    is_wheels = any(word in plan.source.lower() for word in ("wheel", "velocity_controller"))
+    return plan.is_static, not is_wheels, plan.stream.num_poses, plan.source
 
 
 def _chain_from_fixed(tree: FrameTree, camera_frame: str) -> Chain | None:
@@ -177,23 +394,17 @@ def _chain_from_fixed(tree: FrameTree, camera_frame: str) -> Chain | None:
     return None if chain is None or chain.is_static else chain
 
 
-def _edge(parent: str, child: str, track: PoseTrack, *, is_static: bool) -> Edge:
-    """Return the link of a track; a transform that never changes is static wherever it was published (ROS 1's /tf)."""
-    if is_static or np.ptp(track.rows, axis=0).max() < 1e-9:
-        return Edge(parent=parent, child=child, parent_from_child=pose_of_row(track.rows[-1]))
-    return Edge(parent=parent, child=child, parent_from_child=track)
-
-
-def _unconnected(path: object, rig: Rig, camera_frame: str) -> str:
+def _unconnected(path: object, streams: Sequence[PoseStream], tree: FrameTree, camera_frame: str) -> str:
     """Return what is missing between the poses and the camera."""
-    known = f"frames of TF: {', '.join(sorted(rig.tree.edges)) or 'none'}"
-    open_ended = [stream for stream in rig.streams if not stream.child]
-    ended = [stream for stream in rig.streams if stream.child]
+    known = f"frames of TF: {', '.join(sorted(tree.edges)) or 'none'}"
+    open_ended = [stream for stream in streams if not stream.child]
+    ended = [stream for stream in streams if stream.child]
     if ended:
         bodies = ", ".join(f"{stream.topic} gives {stream.child} in {stream.parent}" for stream in ended)
         return (
             f"{path}: no transform from {ended[0].child} to the camera's frame {camera_frame}: {bodies}; {known}. "
-            f"Record /tf_static, or say with --pose-frame that the pose is that of {camera_frame}"
+            f"Record /tf_static, say with --pose-frame that the pose is that of {camera_frame}, or name a --profile "
+            "with the links of this robot"
         )
     if open_ended:
         stream = open_ended[0]

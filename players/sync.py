@@ -8,6 +8,7 @@ a stream is at most `HORIZON_NS` behind the other and `DISORDER_NS` out of order
 from __future__ import annotations
 
 from bisect import insort
+from collections import deque
 from dataclasses import dataclass, field
 from itertools import pairwise
 from statistics import median
@@ -89,6 +90,43 @@ def pair_nearest(images: Iterable[Stamped], tolerance_ns: int) -> Iterator[Pair 
             yield match
     while (oldest := _oldest(waiting)) is not None:
         yield _decide(oldest, waiting, tolerance_ns)
+
+
+def pair_epochs(images: Iterable[tuple[int, Stamped]], tolerance_ns: int) -> Iterator[tuple[int, Pair | Leftover]]:
+    """Yield the pairs of images that come with their epoch: what was before a jump back in time is paired by itself.
+
+    The two streams jump one after the other; the epoch of the first ends when the other has jumped, too, or when it has
+    not done so for `HORIZON_NS`.
+    """
+    source = iter(images)
+    held: deque[tuple[int, Stamped]] = deque()
+    epoch, is_ended = 0, False
+    while not is_ended or held:
+
+        def of_this_epoch(epoch: int = epoch) -> Iterator[Stamped]:
+            nonlocal is_ended
+            early, held_streams = list(held), set()
+            held.clear()
+            for number, image in early:
+                if number <= epoch:
+                    yield image
+                else:
+                    held.append((number, image))
+                    held_streams.add(image.stream)
+            for number, image in source:
+                if number <= epoch:
+                    yield image
+                    continue
+                held.append((number, image))
+                held_streams.add(image.stream)
+                span_ns = image.stamp_ns - held[0][1].stamp_ns
+                if len(held_streams) == 2 or not 0 <= span_ns <= HORIZON_NS:
+                    return
+            is_ended = True
+
+        for match in pair_nearest(of_this_epoch(), tolerance_ns):
+            yield epoch, match
+        epoch = min((number for number, _ in held), default=epoch + 1)
 
 
 def _stamp(image: Stamped) -> int:

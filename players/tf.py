@@ -12,22 +12,27 @@ import numpy as np
 
 from hickory_stream.geometry.rigid import invert
 from players.poses import PoseTrack
+from players.tracks import GrowingTrack
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-Link = PoseTrack | np.ndarray
+Link = PoseTrack | GrowingTrack | np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Edge:
-    """A frame and its parent; `parent_from_child` is a (4, 4) transform where it is static, else a track."""
+    """A frame and its parent; `parent_from_child` is a (4, 4) transform where it is static, else a track.
+
+    `is_published_static` is False for a transform that merely has not changed yet.
+    """
 
     parent: str
     child: str
     parent_from_child: Link
+    is_published_static: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -55,7 +60,7 @@ class Chain:
         target_from_source = np.eye(4)
         for edge, is_downwards in self.edges:
             link = edge.parent_from_child
-            pose = link.at(stamp_ns) if isinstance(link, PoseTrack) else link
+            pose = link if isinstance(link, np.ndarray) else link.at(stamp_ns)
             if pose is None:
                 return None
             target_from_source = target_from_source @ (invert(pose) if is_downwards else pose)
@@ -98,4 +103,6 @@ class FrameTree:
 
 def _weight(edge: Edge) -> tuple[float, str]:
     link = edge.parent_from_child
-    return (float(len(link.stamps_ns)) if isinstance(link, PoseTrack) else float("inf"), edge.parent)
+    if isinstance(link, PoseTrack):
+        return float(len(link.stamps_ns)), edge.parent
+    return float(link.num_added) if isinstance(link, GrowingTrack) else float("inf"), edge.parent

@@ -48,6 +48,7 @@ VALID: dict[type, dict[str, Any]] = {
         "camera": _CAMERA,
         "world_from_camera": _POSE,
         "decode": lambda: None,
+        "after_from_before": _POSE,
     },
     records.Segmentation: {"instances": np.zeros((3, 4), np.int32), "structure": np.zeros((3, 4), bool)},
     records.Observation: {
@@ -121,6 +122,7 @@ VALID: dict[type, dict[str, Any]] = {
         "observations": (),
         "space": records.SpaceObservation(free_keys=_KEYS, structure_keys=_KEYS, floor_z_m=None),
     },
+    events.PoseJumped: {"stamp_ns": 1, "after_from_before": _POSE},
     events.RequestShape: {
         "ticket": 1,
         "object_id": 1,

@@ -10,6 +10,7 @@ from hickory_stream import __version__
 from hickory_stream.cli import (
     config,
     diff,
+    doctor,
     evaluate,
     evaluate_views,
     export,
@@ -23,7 +24,7 @@ from hickory_stream.cli import (
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
-_COMMANDS = (play, resume, replay, inspect, render, export, diff, reconstruct, evaluate, evaluate_views, config)
+_COMMANDS = (play, resume, replay, doctor, inspect, render, export, diff, reconstruct, evaluate, evaluate_views, config)
 
 
 def make_parser() -> argparse.ArgumentParser:

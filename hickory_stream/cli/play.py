@@ -7,8 +7,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.cli.keys import HELP, Keys
+from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.status import STOPPED
-from hickory_stream.cli.values import parse_nanoseconds, parse_rate, positive, read_settings
+from hickory_stream.cli.values import parse_rate, positive, read_settings
+from hickory_stream.errors import InputError
 
 if TYPE_CHECKING:
     import argparse
@@ -25,7 +28,11 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     """Add the command to the command line."""
     play = commands.add_parser("play", parents=[common, configured], help="map a recorded log")
     play.set_defaults(run=run)
-    play.add_argument("source", help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images")
+    play.add_argument(
+        "source",
+        nargs="+",
+        help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images; several logs are played as one",
+    )
     play.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
     play.add_argument("--overwrite", action="store_true", help="replace the map that is there")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
@@ -33,6 +40,12 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
         "--live", action="store_true", help="as from a camera: in real time, and what comes too fast is left out"
     )
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
+    play.add_argument("--start", type=float, default=0.0, metavar="S", help="begin so many seconds into the log")
+    play.add_argument("--end", type=float, metavar="S", help="end so many seconds into the log")
+    play.add_argument(
+        "--inject", metavar="FAULTS", help="play it badly, e.g. drop=0.1,teleport=0.02; see --inject-seed"
+    )
+    play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="which frames have faults")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
     play.add_argument(
         "--workers",
@@ -42,12 +55,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     play.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
     play.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
-    topics = play.add_argument_group("streams of a log; all are discovered if not named")
-    for role in ("color", "depth", "color-info", "depth-info", "pose"):
-        topics.add_argument(f"--{role}-topic", metavar="TOPIC")
-    topics.add_argument("--pose-frame", metavar="FRAME", help="the frame whose pose the pose topic gives")
-    topics.add_argument("--sync-tolerance", type=float, metavar="MS", help="between colour and depth (half a period)")
-    topics.add_argument("--profile", metavar="NAME", help="calibration of an image folder: a name or a TOML file")
+    add_source_options(play)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,30 +63,29 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import parse_viewer
-    from players import SourceOptions, note_of, open_noted
+    from players import note_of, open_noted
+    from players.playback import PlaybackClock
 
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
     rate = parse_rate(options.rate)
     if options.live and rate is None:
         rate = 1.0
-    frames = None if options.frames is None else positive(options.frames, "--frames")
+    if not 0 <= options.start < (options.end if options.end is not None else float("inf")):
+        raise InputError(f"found --start {options.start:g}, expected 0 or more and less than --end {options.end}")
     note = note_of(
         options.source,
-        SourceOptions(
-            color_topic=options.color_topic,
-            depth_topic=options.depth_topic,
-            color_info_topic=options.color_info_topic,
-            depth_info_topic=options.depth_info_topic,
-            pose_topic=options.pose_topic,
-            pose_frame=options.pose_frame,
-            sync_tolerance_ns=parse_nanoseconds(options.sync_tolerance),
-            profile=options.profile,
-        ),
-        frames,
+        source_options(options),
+        first_frames=None if options.frames is None else positive(options.frames, "--frames"),
+        start_s=options.start,
+        end_s=options.end,
+        faults=options.inject,
+        fault_seed=options.inject_seed,
     )
-    source = open_noted({**note, "uri": options.source})
-    out = options.out or Path(f"{Path(options.source).resolve().stem}.map")
+    clock = PlaybackClock(rate)
+    source = open_noted(note, clock, settings.mapper.keyframes)
+    out = options.out or Path(f"{Path(options.source[0]).resolve().stem}.map")
+    style = make_style(options)
     if not options.json:
         sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
@@ -86,20 +93,24 @@ def run(options: argparse.Namespace) -> int:
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
         return make_sinks(folder, settings, viewer, options.rrd, options.metrics_port)
 
-    printer = ProgressPrinter(make_style(options))
+    printer = ProgressPrinter(style, clock.describe)
+    keys = Keys(clock)
+    if style == "bar" and sys.stdin.isatty():
+        sys.stderr.write(f"{HELP}\n")
     try:
-        played = play(
-            source,
-            settings.mapper,
-            out=out,
-            overwrite=options.overwrite,
-            sinks=sinks,
-            rate=rate,
-            mode="live" if options.live else "playback",
-            source_note=note,
-            loops=positive(options.loop, "--loop"),
-            progress=printer,
-        )
+        with keys:
+            played = play(
+                source,
+                settings.mapper,
+                out=out,
+                overwrite=options.overwrite,
+                sinks=sinks,
+                rate=None,  # the clock of the source keeps it
+                mode="live" if options.live else "playback",
+                source_note=note,
+                loops=positive(options.loop, "--loop"),
+                progress=printer,
+            )
     finally:
         printer.close()
         source.close()
@@ -131,7 +142,17 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
         )
     else:
         print(f"{out}: {len(objects)} objects, {sum(o.shape is not None for o in objects)} with all four layers")
+        _print_ledger(out)
     return STOPPED if played.was_stopped else 0
+
+
+def _print_ledger(out: Path) -> None:
+    """Print what became of the messages of a log; folders of images have none."""
+    from players.doctor_text import ledger_table
+
+    messages = json.loads((out / "ledger.json").read_text(encoding="utf-8")).get("messages")
+    if messages:
+        print(ledger_table(messages))
 
 
 def make_sinks(

@@ -26,7 +26,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     )
     resume.set_defaults(run=run)
     resume.add_argument("map", type=Path, metavar="MAP")
-    resume.add_argument("--source", metavar="LOG", help="where the log is now, if it was moved")
+    resume.add_argument("--source", nargs="+", metavar="LOG", help="where the log is now, if it was moved")
     resume.add_argument("--viewer", default="none", help="none (default), auto, spawn, web or connect=URL")
 
 
@@ -48,8 +48,8 @@ def run(options: argparse.Namespace) -> int:
         return 0
     note = dict(manifest.run.get("source", {}))
     if options.source is not None:
-        note["uri"] = options.source
-    if "uri" not in note:
+        note["uris"] = options.source
+    if "uris" not in note:
         raise MapFolderError(f"{options.map} does not say what it was made of; resume it from Python (Mapper.resuming)")
     source = open_noted(note)
     if not options.json:

@@ -62,17 +62,17 @@ def play(
         interval_s = sys.getswitchinterval()
         sys.setswitchinterval(0.001)
         try:
-            return asyncio.run(_play(mapper, snapshots))
+            return asyncio.run(_play(mapper, snapshots, getattr(source, "interrupt", None)))
         finally:
             sys.setswitchinterval(interval_s)
     except asyncio.CancelledError:
         raise KeyboardInterrupt from None
 
 
-async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot]) -> Played:
+async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot], interrupt: Callable[[], None] | None) -> Played:
     snapshot: MapSnapshot | None = None
     async with mapper:
-        with _Signals(mapper):
+        with _Signals(mapper, interrupt):
             async for newest in snapshots:
                 snapshot = newest
         assert mapper.folder is not None
@@ -89,8 +89,9 @@ async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot]) -> Played
 class _Signals:
     """While entered: the first signal stops the mapper, the second cancels its task."""
 
-    def __init__(self, mapper: Mapper) -> None:
+    def __init__(self, mapper: Mapper, interrupt: Callable[[], None] | None) -> None:
         self._mapper = mapper
+        self._interrupt = interrupt  # of a source that may be waiting
         self._task = asyncio.current_task()
         self._loop = asyncio.get_running_loop()
         self._count = 0
@@ -109,5 +110,7 @@ class _Signals:
         self._count += 1
         if self._count == 1:
             self._mapper.stop()
+            if self._interrupt is not None:
+                self._interrupt()
         elif self._task is not None:
             self._task.cancel()

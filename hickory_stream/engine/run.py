@@ -19,7 +19,7 @@ import time
 from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, TypeVar, assert_never
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, assert_never
 
 import numpy as np
 import psutil
@@ -27,6 +27,7 @@ import psutil
 from hickory_stream.engine.channel import ChannelClosed
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.loop_delay import LoopDelay
+from hickory_stream.engine.message_ledger import message_ledger
 from hickory_stream.engine.pump import Pump
 from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel
 from hickory_stream.engine.recorder import Recorder, Unwritten
@@ -43,6 +44,7 @@ from hickory_stream.events import (
     FeaturesReady,
     FrameObserved,
     KeepView,
+    PoseJumped,
     Publish,
     RequestShape,
     ShapeFailed,
@@ -56,7 +58,7 @@ from hickory_stream.ports import Crop
 from hickory_stream.records import Frame, FrameReport, MapSnapshot, RawFrame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from hickory_stream.config import JournalConfig, MapperConfig
     from hickory_stream.engine.journal import JournalWriter
@@ -152,6 +154,7 @@ class Run:
         self._num_keyframes = 0
         self._total: int | None = None
         self._loop_delay = LoopDelay()
+        self._fates: Callable[[], Mapping[str, int]] = dict
         self.counts: Counter[str] = Counter()
         self.timings_s: defaultdict[str, float] = defaultdict(float)
         if continued is not None:
@@ -185,10 +188,10 @@ class Run:
 
     @property
     def is_reproducible(self) -> bool:
-        """Whether nothing but the log and the configuration decided what the map is."""
-        return self._mode == "playback" and self._num_limits() == 0
+        """Whether nothing but the log and the configuration decided what the map is: no limit, and nobody's keys."""
+        return self._mode == "playback" and self._num_limits() == 0 and not self._fates().get("seeks", 0)
 
-    def ledger(self, source: Source) -> dict[str, dict[str, int]]:
+    def ledger(self, source: Source) -> dict[str, dict[str, Any]]:
         """Return what became of every message, frame and job."""
         counts = {name: count for name, count in self.counts.items() if count}
         read = counts.pop("read", self._num_frames + counts.get("frames_late", 0))
@@ -196,7 +199,9 @@ class Run:
         reports = sum(sink.num_dropped for sink in self._sinks)
         if reports:
             frames["reports_not_shown"] = reports
-        return {"source": dict(source.ledger()), "frames": frames, "shapes": self._shape_counts()}
+        kept = {"source": dict(source.ledger()), "frames": frames, "shapes": self._shape_counts()}
+        messages = message_ledger(source, frames)
+        return {**kept, "messages": messages} if messages else kept
 
     def timings(self) -> dict[str, float]:
         """Return seconds of work: by layer as in the paper's table of storage and time, and by stage."""
@@ -225,6 +230,7 @@ class Run:
         """
         info = source.info
         self._total = info.num_frames * loops if info.num_frames is not None else None
+        self._fates = source.ledger
         try:
             async with asyncio.TaskGroup() as group:
                 watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
@@ -303,7 +309,7 @@ class Run:
         return is_keyframe(self._mapped, raw.stamp_ns, raw.world_from_camera, self._config.keyframes)
 
     async def _arrive(self, read: Read) -> None:
-        """Note a frame, and tell the core where its stamp has jumped."""
+        """Note a frame, and tell the core where its stamp or the odometry has jumped."""
         raw = read.raw
         self.counts.update(read.counts)
         self.counts["between_keyframes"] -= read.counts.get("frames_undecodable", 0)
@@ -313,6 +319,9 @@ class Run:
             if self._mode == "playback":
                 await self._commit_due(None)
             await self._handle(jump)
+        elif raw.after_from_before is not None:
+            self.counts["pose_jumps"] += 1
+            await self._handle(PoseJumped(stamp_ns=raw.stamp_ns, after_from_before=raw.after_from_before))
         self._num_frames += 1
         self._place = (read.round_index, read.first_index)
         self._camera = raw.camera
@@ -567,6 +576,7 @@ class Run:
             ("engine/loop_delay_ms", 1e3 * self._loop_delay.recent_s()),
             ("engine/workers", float(self._workers.num_alive)),
             ("engine/memory_mb", _PROCESS.memory_info().rss / 1e6),
+            *((f"ledger/{fate}", float(number)) for fate, number in self._fates().items()),
             ("engine/frames_dropped", float(self.counts["frames_dropped"] + self.counts["keyframes_dropped"])),
         )
 

@@ -21,6 +21,7 @@ from hickory_stream.events import (
     FeaturesReady,
     FrameObserved,
     KeepView,
+    PoseJumped,
     Publish,
     RequestShape,
     ShapeFailed,
@@ -132,6 +133,10 @@ class MapperCore:
             case TimeJumped():
                 self._stamp_ns = None
                 self._decide("drop", None, f"{event.kind}: stamps jumped from {event.from_ns} to {event.to_ns}")
+                return []
+            case PoseJumped():
+                distance_m = float(np.linalg.norm(event.after_from_before[:3, 3]))
+                self._decide("drop", None, f"the odometry jumped by {distance_m:.2f} m")
                 return []
             case SourceEnded():
                 return self._source_ended()

@@ -11,7 +11,7 @@ from pathlib import Path
 import tools.benchmarks
 from tools.benchmarks.figures import Options, print_table, write_json
 
-_HELPERS = {"__main__", "figures", "live_scene", "processes"}
+_HELPERS = {"__main__", "figures", "live_scene", "processes", "small_logs"}
 
 
 def main() -> int:

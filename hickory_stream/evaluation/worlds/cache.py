@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
+from hickory_stream.evaluation.worlds.layouts import layout_files
 from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
 
 if TYPE_CHECKING:
@@ -38,15 +39,18 @@ def cached_recording(
     """
     folder = cache_folder() if folder is None else folder
     name = recording_name(config)
-    truth_folder, log = folder / f"{name}.truth", folder / f"{name}.mcap"
+    truth_folder, log = folder / f"{name}.truth", folder / layout_files(config.layout, name)[0]
     # The log is moved to its place after the truth.
-    if log.is_file() and (truth_folder / TRUTH_FILE).is_file():
+    if log.exists() and (truth_folder / TRUTH_FILE).is_file():
         return log, load_truth(truth_folder)
     return log, make_recording(config, folder, name, progress)
 
 
 def recording_name(config: RecordingConfig) -> str:
     """Return the name of a config's recording: what it shows, in words, and a hash of all of the config."""
-    told = json.dumps([WORLDS_VERSION, dataclasses.asdict(config)], sort_keys=True)
+    values = dataclasses.asdict(config)
+    if config.layout == RecordingConfig().layout:
+        del values["layout"]  # as before there were layouts: what is cached stays valid
+    told = json.dumps([WORLDS_VERSION, values], sort_keys=True)
     digest = hashlib.sha256(told.encode()).hexdigest()[:10]
     return f"{config.scene}-{config.seed}-walk{config.walk_index}-{digest}"

@@ -19,6 +19,7 @@ from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, truth_record
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.evaluation.worlds.drift import DriftConfig, drifted
+from hickory_stream.evaluation.worlds.layouts import LAYOUTS, layout_camera, layout_files, open_layout
 from hickory_stream.evaluation.worlds.orbit import orbit
 from hickory_stream.evaluation.worlds.parts import model_mesh
 from hickory_stream.evaluation.worlds.person import PERSON_ID, Person, with_person
@@ -27,7 +28,7 @@ from hickory_stream.evaluation.worlds.scenes import SCENES, make_world
 from hickory_stream.evaluation.worlds.tour import tour
 from hickory_stream.evaluation.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, walk_round
 from hickory_stream.evaluation.worlds.visibility import SeenSurface
-from hickory_stream.evaluation.worlds.zed_log import ZedLog, encode_png
+from hickory_stream.evaluation.worlds.zed_log import encode_png
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import invert
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.evaluation.worlds.layouts import DepthView
     from hickory_stream.evaluation.worlds.rendering import Rendered
     from hickory_stream.evaluation.worlds.scene import World
 
@@ -63,6 +65,8 @@ class RecordingConfig:
     color_noise: float = 1.0
     """Standard deviation of the colour noise, in grey levels."""
     jpeg_quality: int = 80
+    layout: str = "zed"
+    """One of `worlds.layouts.LAYOUTS`: the container, the topics, the frames and the quirks of a data set."""
     drift: DriftConfig | None = None
     """How the odometry drifts; None: its poses are exact."""
     person: bool = False
@@ -83,12 +87,14 @@ class RecordingConfig:
             raise ConfigError(f"seed {self.seed}, walk {self.walk_index}; expected 0 or more")
         if self.scene not in SCENES:
             raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
+        if self.layout not in LAYOUTS:
+            raise ConfigError(f"layout {self.layout!r}; expected one of {', '.join(LAYOUTS)}")
 
     @property
     def camera(self) -> Camera:
         """The pinhole camera of both images."""
         focal_px = self.width / 2 / np.tan(np.radians(self.horizontal_fov_deg) / 2)
-        return Camera(
+        camera = Camera(
             width=self.width,
             height=self.height,
             fx=float(focal_px),
@@ -96,12 +102,13 @@ class RecordingConfig:
             cx=(self.width - 1) / 2,
             cy=(self.height - 1) / 2,
         )
+        return layout_camera(self.layout, camera)
 
 
 def make_recording(
     config: RecordingConfig, folder: Path, name: str, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Truth:
-    """Write NAME.mcap and NAME.truth/ into a folder, replacing older ones, and return the truth.
+    """Write NAME.mcap (or what the layout has) and NAME.truth/ into a folder, replacing older ones; return the truth.
 
     Both are made in a hidden folder beside their place and moved when complete: a failure leaves the old ones.
 
@@ -117,17 +124,20 @@ def make_recording(
         if truth_folder.exists():
             shutil.rmtree(truth_folder)
         truth.folder.rename(truth_folder)
-        (Path(unfinished) / f"{name}.mcap").replace(folder / f"{name}.mcap")
+        for file in layout_files(config.layout, name):
+            if (folder / file).is_dir():
+                shutil.rmtree(folder / file)
+            (Path(unfinished) / file).replace(folder / file)
     return replace(truth, folder=truth_folder)
 
 
 def _make(config: RecordingConfig, folder: Path, name: str, progress: Callable[[int, int], None]) -> Truth:
     world, trajectory = walkable_world(config)
-    truth_folder, log_path = folder / f"{name}.truth", folder / f"{name}.mcap"
+    truth_folder = folder / f"{name}.truth"
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)
     structure = _write_meshes(world, truth_folder)
-    frames, seen, shown = _record(config, world, trajectory, (log_path, truth_folder), progress)
+    frames, seen, shown = _record(config, world, trajectory, (folder, name, truth_folder), progress)
     truth = Truth(
         folder=truth_folder,
         camera=config.camera,
@@ -207,11 +217,11 @@ def _record(
     config: RecordingConfig,
     world: World,
     trajectory: Trajectory,
-    targets: tuple[Path, Path],
+    targets: tuple[Path, str, Path],
     progress: Callable[[int, int], None],
 ) -> tuple[list[TruthFrame], SeenSurface, dict[int, list[int]]]:
     """Render and write frame by frame; return the true frames, what was seen, and where each object shows."""
-    log_path, truth_folder = targets
+    folder, name, truth_folder = targets
     camera, renderer = config.camera, Renderer(world)
     rng = np.random.default_rng([config.seed, 3, config.walk_index] if config.walk_index else [config.seed, 3])
     seen = SeenSurface(
@@ -225,7 +235,7 @@ def _record(
     if config.drift is not None:
         odometry = drifted(trajectory, config.drift, np.random.default_rng([config.seed, 6, config.walk_index]))
     num_frames = len(range(0, len(stamps_ns), every))
-    with ZedLog(log_path, camera, config.jpeg_quality) as log:
+    with open_layout(config.layout, folder, name, camera, config.jpeg_quality, stamps_ns[-1]) as log:
         log.write_static(stamps_ns[0])
         for i, stamp_ns in enumerate(stamps_ns):
             time_s = (stamp_ns - stamps_ns[0]) / 1e9
@@ -240,7 +250,10 @@ def _record(
             seen.add(rendered, camera, world_from_camera)
             for item_id in np.setdiff1d(rendered.instances, (0, PERSON_ID)):
                 shown[int(item_id)].append(index)
-            log.write_images(stamp_ns, *_sensed(rendered, camera, config, rng))
+            rgb, depth_m = _sensed(rendered, camera, config, rng)
+            if log.depth_view is not None:
+                depth_m = _depth_of_its_own(log.depth_view, renderer, trajectory, time_s, person, config, rng)
+            log.write_images(stamp_ns, rgb, depth_m)
             frame = TruthFrame(
                 index=index,
                 stamp_ns=stamp_ns,
@@ -251,6 +264,24 @@ def _record(
             frames.append(frame)
             progress(index + 1, num_frames)
     return frames, seen, shown
+
+
+def _depth_of_its_own(
+    view: DepthView,
+    renderer: Renderer,
+    trajectory: Trajectory,
+    time_s: float,
+    person: Person | None,
+    config: RecordingConfig,
+    rng: np.random.Generator,
+) -> NDArray[np.float32]:
+    """Return what a depth camera beside the colour camera reports, a moment later."""
+    later_s = min(time_s + view.lag_ns / 1e9, float(trajectory.times_s[-1]))
+    world_from_depth = trajectory.pose_at(later_s) @ view.color_from_depth
+    rendered = renderer.render(view.camera, world_from_depth)
+    if person is not None:
+        rendered = with_person(rendered, view.camera, world_from_depth, person, later_s)
+    return sensed_depth(rendered.depth_m, rendered.cosine, view.camera.fx, config.depth, rng)
 
 
 def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:

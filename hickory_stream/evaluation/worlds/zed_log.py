@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.evaluation.worlds.layouts import DepthView
     from hickory_stream.geometry.camera import Camera
 
 COLOR_TOPIC = "/zed/zed_node/rgb/color/rect/image/compressed"
@@ -77,6 +78,7 @@ class ZedLog:
         from mcap.writer import Writer
         from rosbags.typesys import Stores, get_typestore
 
+        self.depth_view: DepthView | None = None
         self._camera = camera
         self._jpeg_quality = jpeg_quality
         self._store = get_typestore(Stores.ROS2_HUMBLE)

@@ -1,0 +1,48 @@
+"""`hickory-stream doctor`: examine a log before it is mapped."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.cli.source_options import add_source_options, source_options
+from hickory_stream.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.parser import Commands
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    doctor = commands.add_parser(
+        "doctor", parents=[common], help="examine a log: exit status 0 sound, 3 usable with losses, 2 unusable"
+    )
+    doctor.set_defaults(run=run)
+    doctor.add_argument("source", nargs="+", metavar="LOG", help="what play would be given")
+    doctor.add_argument("--html", type=Path, metavar="PAGE", help="write a page with plots")
+    add_source_options(doctor)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from players.doctor import examine
+    from players.doctor_text import diagnosis_page, diagnosis_text
+
+    def progress(stage: str) -> None:
+        if sys.stderr.isatty() and not options.json:
+            sys.stderr.write(f"\r\x1b[K{stage} ...")
+
+    found = examine(options.source, source_options(options), progress)
+    if sys.stderr.isatty() and not options.json:
+        sys.stderr.write("\r\x1b[K")
+    if options.html is not None:
+        try:
+            options.html.write_text(diagnosis_page(found), encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"cannot write the page {options.html}: {error.strerror}") from error
+    print(json.dumps(found.as_dict(), indent=1) if options.json else diagnosis_text(found))
+    return found.status

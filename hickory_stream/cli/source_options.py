@@ -1,0 +1,51 @@
+"""What may be said on the command line about a log: shared by `play` and `doctor`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.cli.values import parse_nanoseconds
+from hickory_stream.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from players import SourceOptions
+
+
+def add_source_options(command: argparse.ArgumentParser) -> None:
+    """Add the options to a command."""
+    topics = command.add_argument_group("what a log does not say itself; all is discovered if not named")
+    for role in ("color", "depth", "color-info", "depth-info", "pose"):
+        topics.add_argument(f"--{role}-topic", metavar="TOPIC")
+    topics.add_argument("--pose-frame", metavar="FRAME", help="the frame whose pose the pose topic gives")
+    topics.add_argument("--poses", type=Path, metavar="FILE", help="poses from a TUM or CSV file instead of a topic")
+    topics.add_argument("--sync-tolerance", type=float, metavar="MS", help="between colour and depth (half a period)")
+    topics.add_argument("--max-pose-gap", type=float, metavar="MS", help="between poses that are interpolated")
+    topics.add_argument("--profile", metavar="NAME", help="the kind of log: a name, a TOML file, or none")
+    topics.add_argument("--robot", metavar="NAME", help="the robot whose topics are played, for profiles with robots")
+    topics.add_argument("--clock", choices=("auto", "header", "log"), default="auto", help="which stamps count")
+
+
+def source_options(options: argparse.Namespace) -> SourceOptions:
+    """Return what was said; raises `InputError` for values that cannot be."""
+    from players import SourceOptions
+
+    gap_ms = options.max_pose_gap
+    if gap_ms is not None and not 0 < gap_ms < float("inf"):
+        raise InputError(f"found --max-pose-gap {gap_ms:g}, expected milliseconds, more than 0")
+    return SourceOptions(
+        color_topic=options.color_topic,
+        depth_topic=options.depth_topic,
+        color_info_topic=options.color_info_topic,
+        depth_info_topic=options.depth_info_topic,
+        pose_topic=options.pose_topic,
+        pose_frame=options.pose_frame,
+        pose_file=options.poses,
+        sync_tolerance_ns=parse_nanoseconds(options.sync_tolerance),
+        max_pose_gap_ns=None if gap_ms is None else round(gap_ms * 1e6),
+        profile=options.profile,
+        robot=options.robot,
+        clock=options.clock,
+    )

@@ -1,0 +1,39 @@
+"""Every message of the log in one bucket: what the source knows of them, completed by what the run made of the frames.
+
+The source calls the images of all frames used; of those that were no keyframes the run needed none, and it may have
+found keyframes that cannot be decoded.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from hickory_stream.ports import Source
+
+_IMAGES_PER_FRAME = 2
+
+
+def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
+    """Return the account of a source's messages, {} where it keeps none.
+
+    `frames` are the run's counts: `read`, `keyframes`, `frames_undecodable`. After several rounds of a log the account
+    is that of the last round, in which the images are not told apart.
+    """
+    account_of = getattr(source, "account", None)
+    kept = account_of() if account_of is not None else None
+    if kept is None:
+        return {}
+    account: dict[str, Any] = kept.as_dict()
+    read = frames.get("read", 0)
+    if read != source.ledger().get("frames", 0):
+        return account
+    torn = frames.get("frames_undecodable", 0)
+    skipped = _IMAGES_PER_FRAME * max(0, read - frames.get("keyframes", 0) - torn)
+    account["not_keyframe"] = skipped
+    account["not_needed"] += skipped
+    account["unreadable"] += _IMAGES_PER_FRAME * torn
+    account["used"] -= skipped + _IMAGES_PER_FRAME * torn
+    return account

@@ -1,0 +1,268 @@
+"""An examination of a log before it is mapped: what is in it, what is wrong with it, and what would come of it.
+
+Two passes: one over every message, for stamps and damage, and one as `play` would make it, with a few frames decoded.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.config import MapperConfig
+from hickory_stream.errors import InputError, RecordingError
+from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from players.log_opening import open_log, read_opening
+from players.log_source import LogSource
+from players.opening import open_container, open_source
+from players.stream_stats import StreamStats, nearest_ms
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from hickory_stream.ports import Source
+    from players.containers import Log
+    from players.flaws import Flaws
+    from players.options import SourceOptions
+
+SOUND, UNUSABLE, WITH_LOSSES = 0, 2, 3
+
+_SAMPLES = 12
+_KEYFRAME_S, _MEGAPIXEL_S, _SHAPE_S = 0.12, 0.9, 0.05
+_BASE_MB, _MEGAPIXEL_MB, _KEYFRAME_MB = 550.0, 260.0, 0.35
+"""What `play` took on two shared cores without a GPU: to say minutes or hours, not to bet on."""
+
+
+@dataclass(slots=True)
+class Diagnosis:
+    """What was found. `problems` cost messages or frames, `notes` do not; `refusal` is why the log cannot be mapped."""
+
+    uri: str
+    kind: str = ""
+    num_bytes: int = 0
+    checksum: str = ""
+    streams: dict[str, str] = field(default_factory=dict)
+    topics: dict[str, dict[str, Any]] = field(default_factory=dict)
+    tf: dict[str, Any] = field(default_factory=dict)
+    images: dict[str, Any] = field(default_factory=dict)
+    sync: dict[str, Any] = field(default_factory=dict)
+    frames: dict[str, Any] = field(default_factory=dict)
+    ledger: dict[str, Any] = field(default_factory=dict)
+    damage: list[dict[str, Any]] = field(default_factory=list)
+    damaged_bytes: int = 0
+    estimate: dict[str, float] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    refusal: str | None = None
+
+    @property
+    def status(self) -> int:
+        """The exit status: 0 sound, 3 usable with losses, 2 unusable."""
+        return UNUSABLE if self.refusal is not None else WITH_LOSSES if self.problems else SOUND
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything, for machines."""
+        from dataclasses import asdict
+
+        verdict = {SOUND: "sound", UNUSABLE: "unusable", WITH_LOSSES: "usable with losses"}[self.status]
+        return {"verdict": verdict, "status": self.status, **asdict(self)}
+
+
+def examine(
+    uris: Sequence[str | Path],
+    options: SourceOptions,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> Diagnosis:
+    """Return the diagnosis of a log or an image folder; whatever is wrong with it is in there, not raised."""
+    paths = [Path(uri) for uri in uris]
+    found = Diagnosis(uri=" ".join(str(path) for path in paths))
+    log: Log | None = None
+    try:
+        if not _is_image_folder(paths):
+            log = open_container(*paths)
+    except InputError as error:
+        found.refusal = str(error)
+        return found
+    if log is None:
+        return _examine_folder(found, paths, options, progress)
+    found.kind, found.checksum = log.kind, log.checksum
+    found.num_bytes = sum(file.stat().st_size for file in log.files)
+    for reason in getattr(log, "unreadable", ()):
+        found.problems.append(reason)
+    progress("reading every message")
+    stats = {topic.name: StreamStats(topic) for topic in log.topics}
+    for message in log.messages(list(stats)):
+        stats[message.topic].add(message)
+    found.topics = {name: stats[name].as_dict() for name in sorted(stats)}
+    _tell_stamps(found)
+    try:
+        _examine_opening(found, log, options)
+        progress("reading as play does")
+        source = open_log(log, options)
+        _examine_frames(found, source, stats)
+    except InputError as error:
+        found.refusal = str(error)
+    _tell_damage(found, log.flaws)
+    return found
+
+
+def _is_image_folder(paths: Sequence[Path]) -> bool:
+    if len(paths) != 1 or not paths[0].is_dir():
+        return False
+    suffixes = {file.suffix for file in paths[0].rglob("*") if file.is_file()}
+    return bool(suffixes & {".png", ".jpg", ".jpeg"}) and not suffixes & {".mcap", ".bag", ".db3"}
+
+
+def _examine_folder(
+    found: Diagnosis, paths: Sequence[Path], options: SourceOptions, progress: Callable[[str], None]
+) -> Diagnosis:
+    try:
+        source = open_source(list(paths), options)
+        progress("reading as play does")
+        found.kind, found.streams = source.info.kind, dict(source.info.streams)
+        _examine_frames(found, source, {})
+    except InputError as error:
+        found.refusal = str(error)
+    return found
+
+
+def _examine_opening(found: Diagnosis, log: Log, options: SourceOptions) -> None:
+    """Note what the beginning says about images and frames, also of a log that will be refused."""
+    opening = read_opening(log, options)
+    for role, probe in (("color", opening.color), ("depth", opening.depth)):
+        first = probe.first
+        found.images[role] = {
+            "topic": probe.topic.name,
+            "encoding": first.encoding if first else None,
+            "size": list(first.size) if first and first.size else None,
+            "frame": first.frame if first else None,
+        }
+    tree = opening.reader.tree()
+    found.tf = {
+        "edges": [
+            {"parent": e.parent, "child": e.child, "static": isinstance(e.parent_from_child, np.ndarray)}
+            for _, e in sorted(tree.edges.items())
+        ],
+        "pose_streams": [
+            {"topic": s.topic, "parent": s.parent, "child": s.child, "poses": s.num_poses}
+            for s in opening.reader.streams()
+        ],
+    }
+    if opening.profile.name:
+        found.streams["profile"] = opening.profile.name + (" (guessed)" if opening.is_profile_guessed else "")
+        found.streams["profile_title"] = opening.profile.title
+
+
+def _examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStats]) -> None:
+    """Play the source without mapping it; decode a few frames."""
+    found.streams |= dict(source.info.streams)
+    config = MapperConfig()
+    expected = source.info.num_frames or 100
+    step = max(1, expected // _SAMPLES)
+    last: Keyframe | None = None
+    num_frames, num_keyframes, num_torn, jumps = 0, 0, 0, 0
+    invalid: list[float] = []
+    started_s = time.perf_counter()
+    for raw in source.frames():
+        num_frames += 1
+        jumps += raw.after_from_before is not None
+        if is_keyframe(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
+            num_keyframes += 1
+            last = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+        if raw.index % step == 0 and len(invalid) < 2 * _SAMPLES:
+            try:
+                invalid.append(float(1.0 - np.isfinite(raw.decode().depth_m).mean()))
+            except RecordingError as error:
+                num_torn += 1
+                found.notes.append(str(error))
+    source.close()
+    camera = source.info.camera
+    found.frames = {
+        "frames": num_frames,
+        "keyframes": num_keyframes,
+        "size": [camera.width, camera.height],
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "pose_jumps": jumps,
+        "sampled": len(invalid) + num_torn,
+        "torn": num_torn,
+        "depth_invalid_median": round(float(np.median(invalid)), 3) if invalid else None,
+        "depth_invalid": [round(share, 3) for share in invalid],
+        "read_s": round(time.perf_counter() - started_s, 2),
+    }
+    _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
+    found.ledger = source.account().as_dict() if isinstance(source, LogSource) else {"fates": dict(source.ledger())}
+    _tell_frames(found, dict(source.ledger()))
+    if isinstance(source, LogSource):
+        setup = source.setup
+        color, depth = (
+            stats[t.name].stamps(uses_log_time=setup.uses_log_time) for t in (setup.topics.color, setup.topics.depth)
+        )
+        apart_ms = nearest_ms(color, depth)
+        counts, edges = np.histogram(np.clip(apart_ms, -250, 250), bins=50)
+        within = np.abs(apart_ms) <= setup.tolerance_ns / 1e6
+        found.sync = {
+            "tolerance_ms": setup.tolerance_ns / 1e6,
+            "within": round(float(within.mean()), 4) if len(within) else 0.0,
+            "median_ms": round(float(np.median(np.abs(apart_ms))), 3) if len(apart_ms) else None,
+            "p95_ms": round(float(np.percentile(np.abs(apart_ms), 95)), 3) if len(apart_ms) else None,
+            "histogram": {"edges_ms": [round(float(edge), 3) for edge in edges], "counts": counts.tolist()},
+        }
+
+
+def _estimate(found: Diagnosis, megapixels: float, num_keyframes: int) -> None:
+    found.estimate = {
+        "map_s": round(num_keyframes * (_KEYFRAME_S + _MEGAPIXEL_S * megapixels + _SHAPE_S), 0),
+        "memory_mb": round(_BASE_MB + _MEGAPIXEL_MB * megapixels + _KEYFRAME_MB * num_keyframes, -1),
+    }
+
+
+def _tell_stamps(found: Diagnosis) -> None:
+    for name, figures in found.topics.items():
+        if figures.get("unset_stamps"):
+            found.notes.append(f"{name}: {figures['unset_stamps']} of {figures['messages']} header stamps are zero")
+        if figures.get("worst_step_back_s", 0) > 1.0:
+            found.notes.append(
+                f"{name}: stamps go back by {figures['worst_step_back_s']} s: a looped log or a set clock"
+            )
+        if abs(figures.get("log_offset_s") or 0) > 1.0 and not figures.get("unset_stamps"):
+            found.notes.append(f"{name}: recorded {figures['log_offset_s']} s after its header stamps")
+        if figures["type"] == "":
+            found.notes.append(f"{name}: its type is not known; it is skipped")
+
+
+def _tell_frames(found: Diagnosis, fates: dict[str, int]) -> None:
+    """Turn what became no frame into problems; colour that is merely faster than depth is none."""
+    total = found.frames["frames"] + sum(
+        fates.get(name, 0) for name in ("no_pose", "color_without_depth", "frame_of_other_size", "late_color")
+    )
+    for name in sorted(fates):
+        number = fates[name]
+        if name == "frames" or not number:
+            continue
+        if name in ("color_without_depth", "depth_without_color"):
+            found.notes.append(f"{number} {name.replace('_', ' ')} within the tolerance")
+        elif name == "no_pose" and number <= max(3.0, 0.02 * total):
+            found.notes.append(f"{number} of {total} frames have no pose (the ends of the poses)")
+        elif name in ("depth_without_returns", "pose_jumps", "duplicate_pose"):
+            found.notes.append(f"{number} {name.replace('_', ' ')}")
+        else:
+            found.problems.append(f"{number} {name.replace('_', ' ')}")
+    if found.streams.get("stamps", "").startswith("log time:"):
+        found.problems.append(found.streams["stamps"])
+
+
+def _tell_damage(found: Diagnosis, flaws: Flaws) -> None:
+    found.damage = [
+        {"file": f.file, "offset": f.offset, "what": f.what, "bytes": f.num_bytes, "messages": f.num_lost}
+        for f in flaws
+    ]
+    found.damaged_bytes = flaws.num_bytes
+    if len(flaws):
+        lost = sum(flaw.num_lost for flaw in flaws)
+        share = f"{flaws.num_bytes} of {found.num_bytes} bytes"
+        found.problems.append(f"{len(flaws)} damaged places, {share}; {lost} messages known to be lost")
+    if not found.checksum and found.kind:
+        found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")

@@ -1,0 +1,65 @@
+"""What is wrong with the bytes of a log: every flaw once, with its place and what was lost by it.
+
+A log may be read several times; the same flaw is found each time, hence the set of places.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Flaw:
+    """Bytes that could not be read: `what` in words, from `offset` on, `num_bytes` of them.
+
+    `lost` are the messages that lay there, by topic, as far as an index tells; `num_unknown` is how many more there
+    were of which the topic is not known.
+    """
+
+    file: str
+    offset: int
+    what: str
+    num_bytes: int
+    lost: tuple[tuple[str, int], ...] = ()
+    num_unknown: int = 0
+
+    @property
+    def num_lost(self) -> int:
+        """How many messages are known to be lost."""
+        return self.num_unknown + sum(number for _, number in self.lost)
+
+
+class Flaws:
+    """The flaws of one log; a flaw that is found again is the same flaw."""
+
+    def __init__(self) -> None:
+        self._by_place: dict[tuple[str, int], Flaw] = {}
+
+    def add(self, flaw: Flaw) -> None:
+        """Note a flaw; of two at one place the later one is kept: it knows more."""
+        self._by_place[flaw.file, flaw.offset] = flaw
+
+    def __iter__(self) -> Iterator[Flaw]:
+        """Yield the flaws in the order of their places."""
+        return iter([self._by_place[place] for place in sorted(self._by_place)])
+
+    def __len__(self) -> int:
+        return len(self._by_place)
+
+    @property
+    def num_bytes(self) -> int:
+        """How many bytes could not be read."""
+        return sum(flaw.num_bytes for flaw in self)
+
+    def lost(self) -> Mapping[str, int]:
+        """Return how many messages of each topic are known to be lost; under "" those of unknown topics."""
+        lost: Counter[str] = Counter()
+        for flaw in self:
+            lost.update(dict(flaw.lost))
+            lost[""] += flaw.num_unknown
+        return {topic: number for topic, number in sorted(lost.items()) if number}

@@ -1,0 +1,210 @@
+"""The playback clock, and a source that follows it: rate, pause, step, seek, from any thread.
+
+A `PlayedSource` hands on a frame when the clock lets it. What time it is, it asks a function that tests replace; how
+long there is to wait is decided in one place, `PlaybackClock.due_in_s`.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
+
+from hickory_stream.mapping.keyframes import Keyframe, KeyframeConfig, is_keyframe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from hickory_stream.ports import Source
+    from hickory_stream.records import Frame, RawFrame, SourceInfo
+
+Step = Literal["frame", "keyframe"]
+
+
+class PlaybackClock:
+    """When frames are due. `rate` 1.0 is real time, None as fast as can be; everything may be called at any time."""
+
+    def __init__(self, rate: float | None = None, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._changed = threading.Condition()
+        self._now_s = now_s
+        self._rate = rate
+        self._is_paused = False
+        self._steps: dict[Step, int] = {"frame": 0, "keyframe": 0}
+        self._origin: tuple[int, float] | None = None
+        self._seek_ns: int | None = None
+        self._is_stopped = False
+        self.position_ns = 0
+        self.first_ns: int | None = None
+
+    @property
+    def rate(self) -> float | None:
+        """The factor of real time, None as fast as can be."""
+        return self._rate
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether nothing but steps is let through."""
+        return self._is_paused
+
+    def set_rate(self, rate: float | None) -> None:
+        """Play at another rate from here on."""
+        with self._changed:
+            self._rate, self._origin = rate, None
+            self._changed.notify_all()
+
+    def pause(self, paused: bool | None = None) -> None:
+        """Pause (True), go on (False), or change between the two (None)."""
+        with self._changed:
+            self._is_paused = not self._is_paused if paused is None else paused
+            self._origin = None
+            self._changed.notify_all()
+
+    def step(self, to: Step = "frame") -> None:
+        """Pause, and let one more frame through, or all up to the next keyframe."""
+        with self._changed:
+            self._is_paused = True
+            self._steps[to] += 1
+            self._changed.notify_all()
+
+    def seek(self, seconds: float, *, relative: bool = False) -> None:
+        """Go to a place of the log: seconds from its beginning, or from here."""
+        with self._changed:
+            origin_ns = self.position_ns if relative else (self.first_ns or 0)
+            self._seek_ns = max(origin_ns + round(seconds * 1e9), self.first_ns or 0)
+            self._origin = None
+            self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Let everything through without waiting, so that whoever waits can end."""
+        with self._changed:
+            self._is_stopped = True
+            self._changed.notify_all()
+
+    def take_seek(self) -> int | None:
+        """Return where to go, once; None where nobody asked."""
+        with self._changed:
+            target, self._seek_ns = self._seek_ns, None
+            return target
+
+    def due_in_s(self, stamp_ns: int, *, is_keyframe: bool) -> float | None:
+        """Return in how many seconds a frame is due (0: now), None while it is held by a pause.
+
+        A step that this frame uses up is taken.
+        """
+        if self._is_stopped or self._seek_ns is not None:
+            return 0.0
+        if self._is_paused:
+            if self._steps["frame"]:
+                self._steps["frame"] -= 1
+                return 0.0
+            if self._steps["keyframe"]:
+                self._steps["keyframe"] -= is_keyframe
+                return 0.0
+            return None
+        if self._rate is None:
+            return 0.0
+        now_s = self._now_s()
+        if self._origin is None or stamp_ns < self._origin[0]:
+            self._origin = (stamp_ns, now_s)
+        return max(0.0, self._origin[1] + (stamp_ns - self._origin[0]) / 1e9 / self._rate - now_s)
+
+    def wait(self, stamp_ns: int, *, is_keyframe: bool = False) -> None:
+        """Return when a frame is due."""
+        with self._changed:
+            self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
+            while (left_s := self.due_in_s(stamp_ns, is_keyframe=is_keyframe)) != 0.0:
+                self._changed.wait(left_s)
+            self.position_ns = stamp_ns
+
+    def describe(self) -> str:
+        """Return where playback is, for the progress bar."""
+        seconds = (self.position_ns - (self.first_ns or self.position_ns)) / 1e9
+        state = "paused" if self._is_paused else "max" if self._rate is None else f"{self._rate:g}x"
+        return f"at {seconds:.1f} s, {state}"
+
+
+class PlayedSource:
+    """A `Source` that follows a clock; `start_s` and `end_s` are seconds from the first frame of the log."""
+
+    def __init__(
+        self,
+        source: Source,
+        clock: PlaybackClock,
+        *,
+        start_s: float = 0.0,
+        end_s: float | None = None,
+        keyframes: KeyframeConfig | None = None,
+    ) -> None:
+        self._source = source
+        self._clock = clock
+        self._start_s = start_s
+        self._end_s = end_s
+        self._keyframes = keyframes or KeyframeConfig()
+        self._num_skipped = 0
+        self._num_seeks = 0
+
+    @property
+    def info(self) -> SourceInfo:
+        """That of the other one; of a part of it the number of frames is not known."""
+        info = self._source.info
+        return info if self._start_s <= 0 and self._end_s is None else replace(info, num_frames=None)
+
+    def frames(self) -> Iterator[RawFrame]:
+        """Yield the frames when they are due; after a seek back the stamps begin again earlier."""
+        self._num_skipped = 0
+        index, last = 0, None
+        target_ns: int | None = None
+        is_playing = True
+        while is_playing:
+            is_playing = False
+            first_ns: int | None = None
+            for frame in self._source.frames():
+                first_ns = frame.stamp_ns if first_ns is None else first_ns
+                if target_ns is None and self._start_s > 0:
+                    target_ns = first_ns + round(self._start_s * 1e9)
+                if self._end_s is not None and frame.stamp_ns > first_ns + self._end_s * 1e9:
+                    break
+                if target_ns is not None and frame.stamp_ns < target_ns:
+                    self._num_skipped += 1
+                    continue
+                keyframe = is_keyframe(last, frame.stamp_ns, frame.world_from_camera, self._keyframes)
+                self._clock.wait(frame.stamp_ns, is_keyframe=keyframe)
+                sought_ns = self._clock.take_seek()
+                if sought_ns is not None:
+                    target_ns = sought_ns
+                    self._num_seeks += 1
+                    if sought_ns < frame.stamp_ns:
+                        last, is_playing = None, True
+                        break
+                    if sought_ns > frame.stamp_ns:
+                        self._num_skipped += 1
+                        continue
+                if keyframe:
+                    last = Keyframe(stamp_ns=frame.stamp_ns, world_from_camera=frame.world_from_camera)
+                yield replace(frame, index=index, decode=partial(_renumbered, frame.decode, index))
+                index += 1
+
+    def ledger(self) -> Mapping[str, int]:
+        """Return that of the other one, the frames that were skipped over, and how often somebody sought."""
+        own = {"frames_skipped": self._num_skipped, "seeks": self._num_seeks}
+        return {**self._source.ledger(), **{name: count for name, count in own.items() if count}}
+
+    def account(self) -> Any:
+        """Return where the messages went, where the other source keeps account of them."""
+        account = getattr(self._source, "account", None)
+        return account() if account is not None else None
+
+    def interrupt(self) -> None:
+        """Wake whoever waits for a frame: the run is to end."""
+        self._clock.stop()
+
+    def close(self) -> None:
+        """Close the other one."""
+        self._clock.stop()
+        self._source.close()
+
+
+def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:
+    return replace(decode(), index=index)

@@ -1,0 +1,298 @@
+"""Poses over time while they stream by: interpolated between two of them, over no gap and across no jump.
+
+`poses.PoseTrack` holds a whole trajectory; this one grows at its end and forgets its beginning. Between poses that are
+far apart in time (visual odometry at 5 Hz) motion is a cubic through four of them: a straight line is millimetres off.
+
+Where the odometry jumps (a loop closure of its own) the poses go on where they were: the map is made in a world that
+does not tear. The jump itself is told, for whoever keeps submaps.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, insort
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import (
+    from_rotation_translation,
+    interpolate,
+    invert,
+    rotation_angle_rad,
+)
+from players.poses import HOLD_NS, pose_of_row
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+STANDING_M, STANDING_RAD = 0.02, 0.02
+"""Poses so near to each other, whatever the time between, were taken standing: visual odometry has no keyframes."""
+
+_MAX_STANDING_NS = 30_000_000_000
+
+SLOW_NS = 45_000_000
+"""Poses further apart than this are joined by a cubic."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JumpLimits:
+    """What no robot does between two poses: beyond these the odometry itself has jumped.
+
+    A pose is held against the one that constant velocity predicts: it may be off by `jump_m`, and by what
+    `acceleration_mps2` gives in the time between; its rotation may differ by `jump_rad` and `turn_radps`.
+    """
+
+    jump_m: float = 0.15
+    acceleration_mps2: float = 5.0
+    jump_rad: float = 0.2
+    turn_radps: float = 3.5
+    speed_mps: float = 4.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Jump:
+    """The odometry jumped at `stamp_ns`: `after_from_before` (4, 4) takes its old world into its new one."""
+
+    stamp_ns: int
+    after_from_before: NDArray[np.float64]
+
+
+class GrowingTrack:
+    """Poses a_from_b, added roughly in the order of their stamps."""
+
+    def __init__(self, max_gap_ns: int, limits: JumpLimits | None) -> None:
+        self._max_gap_ns = max_gap_ns
+        self._limits = limits
+        self._stamps_ns: list[int] = []
+        self._rows: dict[int, tuple[float, ...]] = {}
+        self._odd: tuple[int, tuple[float, ...]] | None = None
+        self.is_constant = True
+        self.num_added = 0
+        self.num_teleports = 0
+        self.num_duplicates = 0
+        self.jumps: list[Jump] = []
+        self.first_ns: int | None = None
+
+    def reaches(self, stamp_ns: int) -> bool:
+        """Return whether no later pose can change that of a stamp: two behind it where poses are rare, else one."""
+        after = bisect_left(self._stamps_ns, stamp_ns)
+        left = len(self._stamps_ns) - after
+        if left == 0 or after == 0 or self._stamps_ns[after] == stamp_ns:
+            return left > 0
+        return left > 1 or self._stamps_ns[after] - self._stamps_ns[after - 1] <= SLOW_NS
+
+    @property
+    def newest_ns(self) -> int | None:
+        """The newest stamp that is settled, None before the first."""
+        return self._stamps_ns[-1] if self._stamps_ns else None
+
+    def add(self, stamp_ns: int, row: Sequence[float]) -> None:
+        """Add a pose tx ty tz qx qy qz qw; one out of line is held back until the next tells a jump from a mistake."""
+        pose = tuple(row)
+        if stamp_ns in self._rows:
+            self.num_duplicates += 1
+            return
+        newest = self.newest_ns
+        if self._limits is None or newest is None or stamp_ns < newest or self._continues(stamp_ns, pose):
+            if self._odd is not None:
+                self.num_teleports += 1
+                self._odd = None
+            self._keep(stamp_ns, pose)
+        elif self._odd is not None and self._is_reachable(self._odd, (stamp_ns, pose)):
+            odd_ns, odd = self._odd
+            self._odd = None
+            predicted = self._predicted(odd_ns)
+            self.jumps.append(Jump(stamp_ns=odd_ns, after_from_before=_pose(odd) @ invert(predicted)))
+            self._keep(odd_ns, odd)
+            self._keep(stamp_ns, pose)
+        else:
+            if self._odd is not None:
+                self.num_teleports += 1
+            self._odd = (stamp_ns, pose)
+
+    def at(self, stamp_ns: int) -> NDArray[np.float64] | None:
+        """Return the pose (4, 4) at a stamp, or None where the track does not reach."""
+        if not self._stamps_ns:
+            return None
+        after = bisect_left(self._stamps_ns, stamp_ns)
+        if after < len(self._stamps_ns) and self._stamps_ns[after] == stamp_ns:
+            return self._pose_at(stamp_ns)
+        if 0 < after < len(self._stamps_ns):
+            start_ns, end_ns = self._stamps_ns[after - 1], self._stamps_ns[after]
+            if self._is_joined(start_ns, end_ns):
+                if end_ns - start_ns > SLOW_NS:
+                    return self._cubic(after, stamp_ns)
+                fraction = (stamp_ns - start_ns) / (end_ns - start_ns)
+                return interpolate(self._pose_at(start_ns), self._pose_at(end_ns), fraction)
+        near = [self._stamps_ns[i] for i in (after - 1, after) if 0 <= i < len(self._stamps_ns)]
+        nearest = min(near, key=lambda ns: abs(ns - stamp_ns))
+        return self._pose_at(nearest) if abs(nearest - stamp_ns) <= HOLD_NS else None
+
+    def any_pose(self) -> NDArray[np.float64]:
+        """Return the latest pose: the pose, where the track is constant."""
+        return _pose(self._rows[self._stamps_ns[-1]])
+
+    def jump_between(self, start_ns: int, end_ns: int) -> Jump | None:
+        """Return the last jump after one stamp and not after another."""
+        return next((jump for jump in reversed(self.jumps) if start_ns < jump.stamp_ns <= end_ns), None)
+
+    def forget(self, before_ns: int) -> None:
+        """Drop poses before a stamp, a few thousand at a time; the last two always stay."""
+        cut = min(bisect_left(self._stamps_ns, before_ns) - 1, len(self._stamps_ns) - 2)
+        if cut > 2000:
+            for stamp_ns in self._stamps_ns[:cut]:
+                del self._rows[stamp_ns]
+            del self._stamps_ns[:cut]
+
+    def _pose_at(self, stamp_ns: int) -> NDArray[np.float64]:
+        """Return one of the poses, in the world before any jump."""
+        pose = _pose(self._rows[stamp_ns])
+        for jump in reversed(self.jumps):
+            if jump.stamp_ns <= stamp_ns:
+                pose = invert(jump.after_from_before) @ pose
+        return pose
+
+    def _cubic(self, after: int, stamp_ns: int) -> NDArray[np.float64]:
+        """Return the pose on the Hermite cubic through the poses around a stamp, tangents by their neighbours.
+
+        Rotations are rotation vectors from the pose before, which between two poses are small.
+        """
+        first, last = after - 1, after
+        if first > 0 and self._is_joined(self._stamps_ns[first - 1], self._stamps_ns[first]):
+            first -= 1
+        if last + 1 < len(self._stamps_ns) and self._is_joined(self._stamps_ns[last], self._stamps_ns[last + 1]):
+            last += 1
+        stamps_ns = self._stamps_ns[first : last + 1]
+        poses = [self._pose_at(ns) for ns in stamps_ns]
+        origin = self._stamps_ns[after - 1]
+        base = poses[after - 1 - first]
+        times_s = np.array([(ns - origin) / 1e9 for ns in stamps_ns])
+        points = np.array([np.concatenate([p[:3, 3], rotation_vector(base[:3, :3].T @ p[:3, :3])]) for p in poses])
+        values = _hermite(times_s, points, after - 1 - first, (stamp_ns - origin) / 1e9)
+        return from_rotation_translation(base[:3, :3] @ rotation_of_vector(values[3:]), values[:3])
+
+    def _keep(self, stamp_ns: int, row: tuple[float, ...]) -> None:
+        if self._stamps_ns and self.is_constant:
+            last = self._rows[self._stamps_ns[-1]]
+            self.is_constant = max(abs(a - b) for a, b in zip(last, row, strict=True)) < 1e-9
+        if self.first_ns is None or stamp_ns < self.first_ns:
+            self.first_ns = stamp_ns
+        if not self._stamps_ns or stamp_ns > self._stamps_ns[-1]:
+            self._stamps_ns.append(stamp_ns)
+        else:
+            insort(self._stamps_ns, stamp_ns)
+        self._rows[stamp_ns] = row
+        self.num_added += 1
+
+    def _is_joined(self, start_ns: int, end_ns: int) -> bool:
+        if any(start_ns < jump.stamp_ns <= end_ns for jump in self.jumps):
+            return False
+        if end_ns - start_ns <= self._max_gap_ns:
+            return True
+        if end_ns - start_ns > _MAX_STANDING_NS:
+            return False
+        return _distance(self._rows[start_ns], self._rows[end_ns]) <= STANDING_M and (
+            _angle(self._rows[start_ns], self._rows[end_ns]) <= STANDING_RAD
+        )
+
+    def _continues(self, stamp_ns: int, row: tuple[float, ...]) -> bool:
+        assert self._limits is not None
+        newest_ns = self._stamps_ns[-1]
+        dt_s = (stamp_ns - newest_ns) / 1e9
+        if stamp_ns - newest_ns > 2 * self._max_gap_ns:
+            return True  # after a long gap nothing can be said
+        last = self._rows[newest_ns]
+        if _angle(last, row) > self._limits.jump_rad + self._limits.turn_radps * dt_s:
+            return False
+        velocity = self._velocity()
+        if velocity is None:
+            return _distance(last, row) <= self._limits.jump_m + self._limits.speed_mps * dt_s
+        predicted = tuple(p + v * dt_s for p, v in zip(last[:3], velocity, strict=True))
+        return _distance(predicted, row) <= self._limits.jump_m + 0.5 * self._limits.acceleration_mps2 * dt_s**2
+
+    def _velocity(self) -> tuple[float, ...] | None:
+        """Return the velocity before the newest pose, over at least 20 ms; None where it is not known."""
+        newest_ns = self._stamps_ns[-1]
+        i = bisect_left(self._stamps_ns, newest_ns - 20_000_000 + 1) - 1
+        if i < 0 or not self._is_joined(self._stamps_ns[i], newest_ns):
+            return None
+        dt_s = (newest_ns - self._stamps_ns[i]) / 1e9
+        before, last = self._rows[self._stamps_ns[i]], self._rows[newest_ns]
+        return tuple((b - a) / dt_s for a, b in zip(before[:3], last[:3], strict=True))
+
+    def _is_reachable(self, a: tuple[int, tuple[float, ...]], b: tuple[int, tuple[float, ...]]) -> bool:
+        assert self._limits is not None
+        dt_s = abs(b[0] - a[0]) / 1e9
+        is_near = _distance(a[1], b[1]) <= self._limits.jump_m + self._limits.speed_mps * dt_s
+        return is_near and _angle(a[1], b[1]) <= self._limits.jump_rad + self._limits.turn_radps * dt_s
+
+    def _predicted(self, stamp_ns: int) -> NDArray[np.float64]:
+        """Return where the newest pose would be at a stamp, if it went on as since the one before."""
+        newest_ns = self._stamps_ns[-1]
+        last = _pose(self._rows[newest_ns])
+        i = bisect_left(self._stamps_ns, newest_ns - 20_000_000 + 1) - 1
+        if i < 0 or not self._is_joined(self._stamps_ns[i], newest_ns):
+            return last
+        before = _pose(self._rows[self._stamps_ns[i]])
+        share = (stamp_ns - newest_ns) / (newest_ns - self._stamps_ns[i])
+        turn = rotation_vector(before[:3, :3].T @ last[:3, :3])
+        position = last[:3, 3] + share * (last[:3, 3] - before[:3, 3])
+        return from_rotation_translation(last[:3, :3] @ rotation_of_vector(share * turn), position)
+
+
+def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation vector (3,) of a (3, 3) rotation."""
+    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    sine = float(np.linalg.norm(skew))
+    angle = rotation_angle_rad(rotation)
+    return 0.5 * skew if sine < 1e-9 else skew * (angle / sine)
+
+
+def rotation_of_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation of a rotation vector, by Rodrigues' formula."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def _hermite(times_s: NDArray[np.float64], points: NDArray[np.float64], i: int, time_s: float) -> NDArray[np.float64]:
+    """Return the value at a time between points i and i + 1, each (D,), on the cubic with parabolic tangents."""
+    steps = np.diff(times_s)
+    slopes = np.diff(points, axis=0) / steps[:, None]
+
+    def tangent(j: int) -> NDArray[np.float64]:
+        if j == 0 or j == len(points) - 1:
+            return np.asarray(slopes[min(j, len(slopes) - 1)])
+        weight = steps[j] / (steps[j - 1] + steps[j])
+        return np.asarray(weight * slopes[j - 1] + (1.0 - weight) * slopes[j])
+
+    step = float(steps[i])
+    t = (time_s - float(times_s[i])) / step
+    return np.asarray(
+        (1 + 2 * t) * (1 - t) ** 2 * points[i]
+        + t * (1 - t) ** 2 * step * tangent(i)
+        + t**2 * (3 - 2 * t) * points[i + 1]
+        + t**2 * (t - 1) * step * tangent(i + 1)
+    )
+
+
+def _pose(row: Sequence[float]) -> NDArray[np.float64]:
+    return pose_of_row(np.asarray(row, dtype=np.float64))
+
+
+def _distance(a: Sequence[float], b: Sequence[float]) -> float:
+    return float(sum((x - y) ** 2 for x, y in zip(a[:3], b[:3], strict=True)) ** 0.5)
+
+
+def _angle(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return the angle between two rotations, by the quaternions themselves: this is asked for every pose."""
+    dot = abs(sum(x * y for x, y in zip(a[3:], b[3:], strict=True)))
+    lengths = math.hypot(*a[3:]) * math.hypot(*b[3:])
+    return 2.0 * math.acos(min(1.0, dot / lengths))

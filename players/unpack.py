@@ -1,0 +1,69 @@
+"""Decompression that is bounded before memory is allocated: a declared size is a claim, not a fact."""
+
+from __future__ import annotations
+
+import bz2
+import mmap
+from typing import Any, Literal
+
+Compression = Literal["", "none", "lz4", "bz2", "zstd"]
+
+MAX_UNPACKED_BYTES = 1 << 30
+"""A chunk or message that claims to be larger is damaged or a bomb: recorders write chunks of some megabytes."""
+
+
+class UnpackError(Exception):
+    """Compressed bytes that cannot be unpacked, or that claim too much; says what."""
+
+
+def release(data: mmap.mmap, start: int, end: int) -> None:
+    """Let go of the pages of a mapped file that were read: they would count as memory of the process."""
+    first, last = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE, end // mmap.PAGESIZE * mmap.PAGESIZE
+    if last > first and hasattr(mmap, "MADV_DONTNEED"):
+        data.madvise(mmap.MADV_DONTNEED, first, last - first)
+
+
+def unpack(compression: str, data: Any, size: int | None, *, limit: int = MAX_UNPACKED_BYTES) -> Any:
+    """Return the unpacked bytes, exactly `size` of them where it is known.
+
+    Raises:
+        UnpackError: the claim is over the limit, the bytes are damaged, or they unpack to another size.
+    """
+    if size is not None and size > limit:
+        raise UnpackError(f"claims to unpack to {size} bytes, over the limit of {limit}")
+    unpacked = data if compression in ("", "none") else _unpack(compression, data, limit if size is None else size)
+    if size is not None and len(unpacked) != size:
+        raise UnpackError(f"unpacks to {len(unpacked)} bytes; expected {size}")
+    return unpacked
+
+
+def _unpack(compression: str, data: Any, most: int) -> bytes:
+    """Return at most one byte more than `most`."""
+    try:
+        if compression == "zstd":
+            return _zstd(data, most)
+        if compression == "lz4":
+            from lz4.frame import LZ4FrameDecompressor, decompress, get_frame_info
+
+            # Where the frame itself says its size, one step does; it is a claim like any other.
+            if 0 < get_frame_info(data)["content_size"] <= most:
+                return bytes(decompress(data))
+            return bytes(LZ4FrameDecompressor().decompress(data, max_length=most + 1))
+        if compression == "bz2":
+            return bz2.BZ2Decompressor().decompress(data, max_length=most + 1)
+    except (RuntimeError, OSError, ValueError, EOFError, MemoryError) as error:
+        raise UnpackError(f"is damaged {compression} ({error})") from error
+    raise UnpackError(f"is compressed as {compression!r}; known are none, lz4, bz2 and zstd")
+
+
+def _zstd(data: Any, most: int) -> bytes:
+    import zstandard
+
+    try:
+        # The library allocates what the frame claims, before it looks at the data.
+        claimed = zstandard.get_frame_parameters(data).content_size
+        if claimed not in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR) and claimed > most:
+            raise UnpackError(f"claims to unpack to {claimed} bytes; expected at most {most}")
+        return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=max(most, 1)))
+    except zstandard.ZstdError as error:
+        raise UnpackError(f"is damaged zstd ({error})") from error

@@ -1,0 +1,45 @@
+"""The account of a log's messages, completed by what the run made of the frames."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import player_scenes as scenes
+
+from hickory_stream.engine.message_ledger import message_ledger
+from hickory_stream.testing import SceneSource
+from players import open_source
+from players.first_frames import FirstFrames
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+M = scenes.Messages(ros=2)
+TRUTH = scenes.make_scene()
+LOG = scenes.scene_messages(M, TRUTH, scenes.png_images)
+
+
+def test_images_of_frames_that_were_no_keyframes_were_not_needed(tmp_path: Path) -> None:
+    source = open_source(scenes.write_mcap(tmp_path / "log.mcap", M, LOG))
+    assert len(list(source.frames())) == len(TRUTH)
+    account = message_ledger(source, {"read": len(TRUTH), "keyframes": 2, "frames_undecodable": 1})
+    assert account["declared"] == len(LOG)
+    assert account["not_keyframe"] == account["not_needed"] == 2 * (len(TRUTH) - 3)
+    assert account["unreadable"] == 2
+    assert account["used"] + account["not_needed"] + account["unreadable"] == len(LOG)
+    assert account["explanation"] == ""
+
+
+def test_what_was_not_played_is_told_apart(tmp_path: Path) -> None:
+    log = scenes.write_mcap(tmp_path / "log.mcap", M, LOG)
+    source = FirstFrames(open_source(log), 2)
+    assert len(list(source.frames())) == 2
+    account = message_ledger(source, {"read": 2, "keyframes": 2})
+    assert account["not_played"] > 0
+    assert not account["is_complete"]
+    assert account["used"] + account["not_played"] == len(LOG)
+
+
+def test_a_source_without_an_account_has_none() -> None:
+    assert message_ledger(SceneSource(2), {"read": 0}) == {}
+    assert message_ledger(FirstFrames(SceneSource(2), 1), {"read": 0}) == {}

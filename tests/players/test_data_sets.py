@@ -1,0 +1,133 @@
+"""The layouts of Kimera-Multi and NUS-CLB, quirks included, played without a word said about them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.errors import CalibrationError
+from hickory_stream.evaluation.worlds.layouts import layout_files
+from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
+from hickory_stream.geometry.rigid import invert, rotation_angle_rad
+from players import SourceOptions, open_source
+from players.profile import load_profile, profile_names
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.evaluation.truth import Truth
+
+pytestmark = pytest.mark.timeout(90)
+
+SECONDS, RATE_HZ = 3.0, 5.0
+
+
+@pytest.fixture(scope="module", params=["kimera_multi", "nus_clb", "nus_clb_jpeg"])
+def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, list[Path], Truth]:
+    layout = request.param
+    folder = tmp_path_factory.mktemp(layout)
+    config = RecordingConfig(layout=layout, seconds=SECONDS, rate_hz=RATE_HZ, width=160, height=120)
+    truth = make_recording(config, folder, "log")
+    return layout, [folder / file for file in layout_files(layout, "log")], truth
+
+
+def test_the_profile_is_guessed_and_the_chain_is_told(recorded: tuple[str, list[Path], Truth]) -> None:
+    layout, files, _ = recorded
+    streams = dict(open_source(files).info.streams)
+    name = "kimera_multi" if layout == "kimera_multi" else "nus_clb"
+    assert streams["profile"] == f"{name} (guessed from the topics)"
+    assert streams["extrinsics"] == f"profile {name}"
+    assert streams["frames"] == (
+        "acl_jackal/odom <- acl_jackal/realsense_base <- body <- infra1_optical <- color_optical"
+        if name == "kimera_multi"
+        else "odom <- odom_mapping <- robot_flu <- zed_left_optical"
+    )
+
+
+def test_poses_are_the_colour_cameras_within_a_millimetre_before_any_jump(
+    recorded: tuple[str, list[Path], Truth],
+) -> None:
+    layout, files, truth = recorded
+    true = {frame.stamp_ns: frame.world_from_camera for frame in truth.frames}
+    frames = list(open_source(files).frames())
+    assert len(frames) >= len(true) - 1
+    jumps = [i for i, frame in enumerate(frames) if frame.after_from_before is not None]
+    assert len(jumps) == (0 if layout == "kimera_multi" else 1)
+    first_jump = jumps[0] if jumps else len(frames)
+    for i, frame in enumerate(frames):
+        error = invert(true[frame.stamp_ns]) @ frame.world_from_camera
+        slack = 1.0 if i < first_jump else 20.0  # a jump is known as well as the motion across it
+        assert np.linalg.norm(error[:3, 3]) < 1e-3 * slack
+        assert rotation_angle_rad(error[:3, :3]) < np.radians(0.05) * slack
+
+
+def test_depth_is_registered_to_colour(recorded: tuple[str, list[Path], Truth]) -> None:
+    layout, files, _ = recorded
+    source = open_source(files)
+    frame = next(source.frames()).decode()
+    assert frame.depth_m.shape == frame.rgb.shape[:2] == (120, 160)
+    share = np.isfinite(frame.depth_m).mean()
+    assert 0.5 < share < 1.0
+    assert np.nanmin(frame.depth_m) > 0.2
+    # Kimera-Multi's depth camera sits 6 cm to the left: its picture is shifted, and its edge is unseen.
+    unregistered = dict(source.info.streams)["depth_to_color"]
+    assert unregistered.startswith("profile kimera_multi" if layout == "kimera_multi" else "none")
+
+
+def test_every_message_is_accounted_for(recorded: tuple[str, list[Path], Truth]) -> None:
+    source = open_source(recorded[1])
+    assert sum(1 for _ in source.frames()) > 0
+    account = source.account().as_dict()  # type: ignore[attr-defined]
+    assert account["declared"] == account["used"] + account["not_needed"] + sum(account["rejected"].values())
+    assert account["unreadable"] == account["difference"] == account["not_played"] == 0
+
+
+def test_the_wheels_are_never_taken_for_the_body_of_the_visual_odometry(
+    recorded: tuple[str, list[Path], Truth],
+) -> None:
+    layout, files, _ = recorded
+    if layout != "kimera_multi":
+        pytest.skip("of Kimera-Multi only")
+    told = (
+        r"jackal_velocity_controller/odom gives acl_jackal2/base.*knows the body of /acl_jackal/kimera_vio_ros/odometry"
+    )
+    with pytest.raises(CalibrationError, match=told):
+        open_source(files[0])
+
+
+def test_a_robot_that_is_not_known_is_refused(recorded: tuple[str, list[Path], Truth]) -> None:
+    layout, files, _ = recorded
+    if layout != "kimera_multi":
+        pytest.skip("of Kimera-Multi only")
+    with pytest.raises(CalibrationError, match=r"robot 'spot' is not known; expected one of acl_jackal.*--robot"):
+        open_source(files, SourceOptions(robot="spot", profile="kimera_multi"))
+
+
+def test_every_profile_is_read_with_a_title() -> None:
+    robots = {"kimera_multi": "thoth"}
+    for name in profile_names():
+        assert load_profile(name, robot=robots.get(name)).title
+
+
+def test_the_ground_truth_file_of_kimera_multi_is_a_pose_source(
+    recorded: tuple[str, list[Path], Truth], tmp_path: Path
+) -> None:
+    from hickory_stream.geometry.rigid import quaternion_from_rotation
+
+    layout, files, truth = recorded
+    if layout != "kimera_multi":
+        pytest.skip("of Kimera-Multi only")
+    lines = ["#timestamp_kf,x,y,z,qw,qx,qy,qz"]
+    for frame in truth.frames:
+        x, y, z, w = quaternion_from_rotation(frame.world_from_camera[:3, :3])
+        position = ",".join(f"{p:.9f}" for p in frame.world_from_camera[:3, 3])
+        lines.append(f"{frame.stamp_ns},{position},{w:.12f},{x:.12f},{y:.12f},{z:.12f}")
+    file = tmp_path / "gt.csv"
+    file.write_text("\n".join(lines) + "\n")
+    options = SourceOptions(pose_file=file, pose_frame="acl_jackal2/forward_color_optical_frame")
+    frames = list(open_source(files[0], options).frames())
+    assert len(frames) == len(truth.frames)
+    for raw, true in zip(frames, truth.frames, strict=True):
+        np.testing.assert_allclose(raw.world_from_camera, true.world_from_camera, atol=1e-6)

@@ -1,0 +1,141 @@
+"""The doctor: exit status, what it says, and that it never raises, whatever it is given."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import player_scenes as scenes
+import pytest
+
+from hickory_stream.cli import main
+from players import SourceOptions
+from players.doctor import SOUND, UNUSABLE, WITH_LOSSES, examine
+from players.doctor_text import diagnosis_page, diagnosis_text
+
+if TYPE_CHECKING:
+    from players.doctor import Diagnosis
+
+M = scenes.Messages(ros=2)
+FRAMES = scenes.make_scene(num_frames=12)
+LOG = scenes.scene_messages(M, FRAMES, scenes.raw_images)
+BAGS = Path(__file__).resolve().parents[3] / "shared/data/bags"
+
+
+def _log(tmp_path: Path) -> Path:
+    return scenes.write_mcap(tmp_path / "desk.mcap", M, LOG, chunk_size=40_000)
+
+
+def _examined(path: Path) -> Diagnosis:
+    return examine([path], SourceOptions())
+
+
+def test_a_sound_log_is_sound_and_its_figures_are_right(tmp_path: Path) -> None:
+    found = _examined(_log(tmp_path))
+    assert (found.status, found.problems, found.refusal) == (SOUND, [], None)
+    assert found.checksum == "CRC-32 per chunk"
+    assert found.frames["frames"] == len(FRAMES)
+    assert found.frames["torn"] == 0
+    true_invalid = np.median([np.isnan(frame.depth_m).mean() for frame in FRAMES])
+    assert found.frames["depth_invalid_median"] == pytest.approx(true_invalid, abs=0.02)
+    color = found.topics[scenes.RAW_COLOR]
+    assert color["messages"] == color["declared"] == len(FRAMES)
+    assert color["rate_hz"] == pytest.approx(10.0, abs=0.1)
+    assert color["gaps"] == color["duplicates"] == color["out_of_order"] == 0
+    assert found.sync["within"] == 1.0
+    assert sum(found.sync["histogram"]["counts"]) == len(FRAMES)
+    assert {"parent": "cam_link", "child": "cam_optical", "static": True} in found.tf["edges"]
+    assert found.estimate["map_s"] > 0
+
+
+def test_a_damaged_log_is_usable_with_losses_and_the_damage_is_listed(tmp_path: Path) -> None:
+    log = _log(tmp_path)
+    data = bytearray(log.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    log.write_bytes(bytes(data))
+    found = _examined(log)
+    assert found.status == WITH_LOSSES
+    (flaw,) = found.damage
+    assert "fails its checksum" in flaw["what"]
+    assert flaw["messages"] > 0
+    assert found.ledger["unreadable"] == flaw["messages"]
+    assert found.ledger["difference"] == 0
+    assert any("1 damaged places" in problem for problem in found.problems)
+
+
+def test_a_log_that_was_cut_off_is_usable_with_losses(tmp_path: Path) -> None:
+    log = _log(tmp_path)
+    log.write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
+    found = _examined(log)
+    assert found.status == WITH_LOSSES
+    assert 0 < found.frames["frames"] < len(FRAMES)
+    assert "declares no totals" in found.ledger["explanation"]
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"to do: buy milk", b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b"SQLite format 3\0"]
+)
+def test_what_is_no_log_is_unusable_and_says_why(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    found = _examined(path)
+    assert found.status == UNUSABLE
+    assert found.refusal is not None
+    assert "a.mcap" in found.refusal
+
+
+def test_a_log_without_a_link_to_the_camera_still_lists_its_frames(tmp_path: Path) -> None:
+    messages = [message for message in LOG if message.topic != "/tf_static"]
+    found = _examined(scenes.write_mcap(tmp_path / "log.mcap", M, messages))
+    assert found.status == UNUSABLE
+    assert "no transform from base_link" in str(found.refusal)
+    assert found.tf["pose_streams"][0]["child"] == "base_link"
+    assert found.images["depth"]["encoding"] == "32FC1"
+
+
+def test_a_folder_of_images_is_examined_too(tmp_path: Path) -> None:
+    found = _examined(scenes.write_tum(tmp_path / "tum", FRAMES))
+    assert found.status == SOUND
+    assert found.frames["frames"] == len(FRAMES)
+
+
+def test_text_and_page_hold_the_verdict_and_escape_names(tmp_path: Path) -> None:
+    found = _examined(_log(tmp_path))
+    found.notes.append("<script>")
+    assert "desk.mcap: SOUND" in diagnosis_text(found)
+    page = diagnosis_page(found)
+    assert "<svg" in page
+    assert "<script>" not in page
+
+
+def test_the_command_ends_with_the_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = _log(tmp_path)
+    page = tmp_path / "page.html"
+    assert main(["doctor", str(log), "--json", "--html", str(page)]) == SOUND
+    assert json.loads(capsys.readouterr().out)["verdict"] == "sound"
+    assert page.read_text().startswith("<!doctype html>")
+    assert main(["doctor", str(tmp_path / "none.bag")]) == UNUSABLE
+
+
+@pytest.mark.skipif(not BAGS.is_dir(), reason="needs real logs beside the checkout")
+@pytest.mark.timeout(120)
+def test_every_real_log_is_read_whole_or_says_why_not(capsys: pytest.CaptureFixture[str]) -> None:
+    """None of them holds images; every message of every one is read. Prints the table of them."""
+    logs = sorted(
+        p for p in BAGS.rglob("*") if p.suffix in (".bag", ".mcap", ".db3") or (p / "metadata.yaml").is_file()
+    )
+    assert len(logs) > 50
+    rows = []
+    for log in logs:
+        found = _examined(log)
+        assert found.status == UNUSABLE
+        assert "no images" in str(found.refusal) or "holds no messages" in str(found.refusal)
+        assert found.damage == []
+        for name, figures in found.topics.items():
+            assert figures["messages"] == (figures["declared"] or 0), (log, name)
+        total = sum(figures["messages"] for figures in found.topics.values())
+        rows.append(f"{log.name:<48} {found.kind:<24} {len(found.topics):>3} topics {total:>6} messages")
+    with capsys.disabled():
+        print("\n" + "\n".join(rows))  # noqa: T201 # asked for: a table in the output of the tests

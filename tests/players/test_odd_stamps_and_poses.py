@@ -1,0 +1,188 @@
+"""Bad inputs that real logs contain: each with what is said, and where its messages end in the ledger."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import player_scenes as scenes
+import pytest
+
+from players import SourceOptions, open_source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from players.log_source import LogSource
+
+MS = 1_000_000
+S = 1_000 * MS
+M = scenes.Messages(ros=2)
+TRUTH = scenes.make_scene(num_frames=12)
+LOG = scenes.scene_messages(M, TRUTH, scenes.png_images)
+IMAGES = (scenes.PNG_COLOR, scenes.PNG_DEPTH)
+
+
+def _open(path: Path, messages: list[scenes.Message], **options: Any) -> LogSource:
+    log = scenes.write_mcap(path / "log.mcap", M, messages)
+    source = open_source(log, SourceOptions(**options))
+    return source  # type: ignore[return-value]
+
+
+def _played(source: LogSource) -> tuple[list[Any], dict[str, int], dict[str, Any]]:
+    """Return the frames, the counts and the account of a whole pass; the account has no unexplained difference."""
+    frames = list(source.frames())
+    account = source.account().as_dict()
+    assert account["difference"] == 0
+    return frames, dict(source.ledger()), account
+
+
+def _restamped(message: scenes.Message, stamp_ns: int) -> scenes.Message:
+    header = replace(message.message.header, stamp=M.header(stamp_ns, "").stamp)
+    return replace(message, message=replace(message.message, header=header))
+
+
+def _where(is_changed: Callable[[scenes.Message], bool], stamp: Callable[[int], int]) -> list[scenes.Message]:
+    return [_restamped(m, stamp(m.stamp_ns)) if is_changed(m) else m for m in LOG]
+
+
+def test_stamps_that_were_never_set_are_replaced_by_log_time(tmp_path: Path) -> None:
+    source = _open(tmp_path, _where(lambda m: m.topic in IMAGES, lambda _: 0))
+    assert dict(source.info.streams)["stamps"].startswith("log time: the header stamps of /cam/color")
+    frames, ledger, _ = _played(source)
+    assert len(frames) == len(TRUTH)
+    assert ledger == {"frames": len(TRUTH)}
+
+
+def test_a_clock_that_is_far_off_the_other_is_replaced_by_log_time(tmp_path: Path) -> None:
+    source = _open(tmp_path, _where(lambda m: m.topic == scenes.PNG_DEPTH, lambda s: s + 3_600 * S))
+    assert "3600 s apart" in dict(source.info.streams)["stamps"]
+    assert len(_played(source)[0]) == len(TRUTH)
+
+
+def test_log_time_may_be_asked_for(tmp_path: Path) -> None:
+    source = _open(tmp_path, LOG, clock="log")
+    assert dict(source.info.streams)["stamps"] == "log time, as asked"
+    assert len(_played(source)[0]) == len(TRUTH)
+
+
+def test_one_image_with_a_stamp_of_zero_is_rejected(tmp_path: Path) -> None:
+    wrong = TRUTH[5].stamp_ns
+    source = _open(tmp_path, _where(lambda m: m.topic == scenes.PNG_COLOR and m.stamp_ns == wrong, lambda _: 0))
+    frames, ledger, account = _played(source)
+    assert len(frames) == len(TRUTH) - 1
+    assert ledger["color_stamp_off"] == 1
+    assert account["rejected"] == {"color_stamp_off": 1, "depth_without_color": 1}
+
+
+def test_a_log_that_was_played_in_a_loop_is_played_whole(tmp_path: Path) -> None:
+    """Each round has the same header stamps; the time of recording goes on."""
+    span_ns = 5 * S
+    again = [replace(m, stamp_ns=m.stamp_ns + span_ns) for m in LOG if m.topic != "/tf_static"]
+    spread = [replace(m, message=m.message) for m in LOG]
+    shift = 4 * S  # the log must be longer than what counts as merely late
+    first = [_restamped(m, m.stamp_ns + shift) if m.topic in (*IMAGES, "/odom") else m for m in spread]
+    source = _open(tmp_path, [*first, *again])
+    frames, ledger, _ = _played(source)
+    stamps = [frame.stamp_ns for frame in frames]
+    assert len(frames) == 2 * len(TRUTH)
+    assert stamps[: len(TRUTH)] == [t.stamp_ns + shift for t in TRUTH]
+    assert stamps[len(TRUTH) :] == [t.stamp_ns for t in TRUTH]
+    for raw, true in zip(frames[len(TRUTH) :], TRUTH, strict=True):
+        np.testing.assert_allclose(raw.world_from_camera, true.world_from_camera, atol=1e-3)
+    assert set(ledger) == {"frames"}
+
+
+def test_doubled_images_are_rejected_once(tmp_path: Path) -> None:
+    doubled = [m for message in LOG for m in ([message] * 2 if message.topic == scenes.PNG_COLOR else [message])]
+    frames, ledger, account = _played(_open(tmp_path, doubled))
+    assert len(frames) == len(TRUTH)
+    assert ledger["duplicate_color"] == len(TRUTH)
+    assert account["rejected"] == {"duplicate_color": len(TRUTH)}
+
+
+def test_overlapping_splits_are_one_log(tmp_path: Path) -> None:
+    middle = len(LOG) // 2
+    first = scenes.write_mcap(tmp_path / "a_0.mcap", M, LOG[: middle + 20])
+    second = scenes.write_mcap(tmp_path / "a_1.mcap", M, LOG[middle - 20 :])
+    frames, ledger, _ = _played(open_source([first, second]))  # type: ignore[arg-type]
+    assert [f.stamp_ns for f in frames] == [t.stamp_ns for t in TRUTH]
+    assert ledger["duplicate_color"] > 0
+
+
+def test_a_pose_that_teleports_is_rejected(tmp_path: Path) -> None:
+    def far(message: scenes.Message) -> scenes.Message:
+        pose = M.odometry(message.stamp_ns, "odom", "base_link", np.diag([1.0, 1, 1, 1]))
+        position = replace(pose.pose.pose.position, x=50.0)
+        return replace(
+            message, message=replace(pose, pose=replace(pose.pose, pose=replace(pose.pose.pose, position=position)))
+        )
+
+    odometry = [m for m in LOG if m.topic == "/odom"]
+    messages = [far(m) if m is odometry[20] else m for m in LOG]
+    frames, ledger, account = _played(_open(tmp_path, messages))
+    assert len(frames) == len(TRUTH)
+    assert ledger["pose_teleport"] == 1
+    assert account["rejected"] == {"bad_pose": 1}
+    for raw, true in zip(frames, TRUTH, strict=True):
+        np.testing.assert_allclose(raw.world_from_camera, true.world_from_camera, atol=2e-3)
+
+
+def test_a_calibration_that_comes_late_is_waited_for(tmp_path: Path) -> None:
+    infos = [m for m in LOG if m.topic.endswith("camera_info")]
+    rest = [m for m in LOG if not m.topic.endswith("camera_info")]
+    frames, _, _ = _played(_open(tmp_path, [*rest, *infos[-2:]]))
+    assert len(frames) == len(TRUTH)
+
+
+def test_a_calibration_that_changes_in_mid_run_is_counted_and_the_first_is_kept(tmp_path: Path) -> None:
+    other = replace(scenes.CAMERA, fx=90.0)
+    late = TRUTH[6].stamp_ns
+    messages = [
+        replace(m, message=M.camera_info(m.stamp_ns, scenes.OPTICAL, other))
+        if m.topic == "/cam/color/camera_info" and m.stamp_ns == late
+        else m
+        for m in LOG
+    ]
+    source = _open(tmp_path, messages)
+    frames, ledger, _ = _played(source)
+    assert ledger["camera_info_changed"] >= 1
+    assert {frame.camera for frame in frames} == {scenes.CAMERA}
+
+
+def test_static_links_that_come_after_the_images_are_found(tmp_path: Path) -> None:
+    links = [m for m in LOG if m.topic == "/tf_static"]
+    frames, _, _ = _played(_open(tmp_path, [*[m for m in LOG if m.topic != "/tf_static"], *links]))
+    assert len(frames) == len(TRUTH)
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
+def test_two_bags_are_played_as_one_whatever_their_clocks(tmp_path: Path, compression: str) -> None:
+    """The odometry was recorded years later from a replay: only header stamps agree."""
+    from rosbags.rosbag1 import Writer
+
+    m = scenes.Messages(ros=1)
+    log = scenes.scene_messages(m, TRUTH, scenes.png_images)
+    paths = []
+    for name, is_in, offset_ns in (
+        ("camera", lambda t: t != "/odom", 0),
+        ("vio", lambda t: t == "/odom", 90_000_000 * S),
+    ):
+        writer = Writer(tmp_path / f"{name}.bag")
+        if compression != "none":
+            writer.set_compression(Writer.CompressionFormat[compression.upper()])
+        with writer:
+            connections: dict[str, Any] = {}
+            for entry in log:
+                if is_in(entry.topic):
+                    kind = entry.message.__msgtype__
+                    if entry.topic not in connections:
+                        connections[entry.topic] = writer.add_connection(entry.topic, kind, typestore=m.store)
+                    data = m.store.serialize_ros1(entry.message, kind)
+                    writer.write(connections[entry.topic], entry.stamp_ns + offset_ns, data)
+        paths.append(tmp_path / f"{name}.bag")
+    frames, ledger, _ = _played(open_source(paths))  # type: ignore[arg-type]
+    assert [f.stamp_ns for f in frames] == [t.stamp_ns for t in TRUTH]
+    assert ledger == {"frames": len(TRUTH)}

@@ -1,0 +1,112 @@
+"""The playback clock, with a clock of its own to read."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from hickory_stream.cli.keys import press
+from hickory_stream.testing import PERIOD_NS, START_NS, SceneSource
+from players.playback import PlaybackClock, PlayedSource
+
+
+class _Time:
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def test_at_a_rate_frames_are_due_by_their_stamps() -> None:
+    time = _Time()
+    clock = PlaybackClock(2.0, time)
+    assert clock.due_in_s(START_NS, is_keyframe=False) == 0.0
+    assert clock.due_in_s(START_NS + 10**9, is_keyframe=False) == pytest.approx(0.5)
+    time.now_s += 0.5
+    assert clock.due_in_s(START_NS + 10**9, is_keyframe=False) == 0.0
+
+
+def test_without_a_rate_frames_are_due_at_once() -> None:
+    assert PlaybackClock(None).due_in_s(START_NS, is_keyframe=False) == 0.0
+
+
+def test_a_change_of_rate_counts_from_where_it_was_made() -> None:
+    time = _Time()
+    clock = PlaybackClock(1.0, time)
+    clock.due_in_s(START_NS, is_keyframe=False)
+    time.now_s += 1.0
+    clock.set_rate(0.5)
+    clock.due_in_s(START_NS + 10**9, is_keyframe=False)
+    assert clock.due_in_s(START_NS + 2 * 10**9, is_keyframe=False) == pytest.approx(2.0)
+
+
+def test_a_pause_holds_frames_and_a_step_lets_one_through() -> None:
+    clock = PlaybackClock(None)
+    clock.pause(True)
+    assert clock.due_in_s(START_NS, is_keyframe=False) is None
+    clock.step()
+    assert clock.due_in_s(START_NS, is_keyframe=False) == 0.0
+    assert clock.due_in_s(START_NS, is_keyframe=False) is None
+
+
+def test_a_step_to_the_next_keyframe_lets_all_before_it_through() -> None:
+    clock = PlaybackClock(None)
+    clock.step("keyframe")
+    assert [clock.due_in_s(START_NS, is_keyframe=key) for key in (False, False, True, False)] == [0.0, 0.0, 0.0, None]
+
+
+def test_a_part_of_a_log_is_played() -> None:
+    seconds = PERIOD_NS / 1e9
+    source = PlayedSource(SceneSource(8), PlaybackClock(), start_s=2 * seconds, end_s=5 * seconds)
+    frames = list(source.frames())
+    assert [(f.index, f.stamp_ns) for f in frames] == [(i, START_NS + (i + 2) * PERIOD_NS) for i in range(4)]
+    assert frames[1].decode().index == 1
+    assert source.info.num_frames is None
+    assert source.ledger()["frames_skipped"] == 2
+
+
+def test_a_seek_forward_skips_and_a_seek_back_begins_again() -> None:
+    clock = PlaybackClock()
+    source = PlayedSource(SceneSource(8), clock)
+    shown = []
+    for frame in source.frames():
+        shown.append((frame.stamp_ns - START_NS) // PERIOD_NS)
+        if len(shown) == 2:
+            clock.seek(5 * PERIOD_NS / 1e9)
+        if len(shown) == 4:
+            clock.seek(-3 * PERIOD_NS / 1e9, relative=True)
+    assert shown == [0, 1, 5, 6, 3, 4, 5, 6, 7]
+
+
+def test_stopping_wakes_whoever_waits() -> None:
+    clock = PlaybackClock(None)
+    clock.pause(True)
+    source = PlayedSource(SceneSource(2), clock)
+    frames: list[object] = []
+    thread = threading.Thread(target=lambda: frames.extend(source.frames()))
+    thread.start()
+    source.interrupt()
+    thread.join(10)
+    assert not thread.is_alive()
+    assert len(frames) == 2
+
+
+def test_keys_drive_the_clock() -> None:
+    clock = PlaybackClock(1.0)
+    press(clock, b" ")
+    assert clock.is_paused
+    press(clock, b" ")
+    assert not clock.is_paused
+    press(clock, b".")
+    assert clock.is_paused
+    press(clock, b"\x1b[A")
+    assert clock.rate == 2.0
+    press(clock, b"\x1b[B")
+    press(clock, b"\x1b[B")
+    assert clock.rate == 0.5
+    press(clock, b"?")
+    clock.position_ns, clock.first_ns = START_NS, START_NS
+    press(clock, b"\x1b[C")
+    assert clock.take_seek() == START_NS + 10 * 10**9

@@ -1,0 +1,109 @@
+"""Poses that stream by: cubics, gaps, standing still, teleports and jumps of the odometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hickory_stream.geometry.rigid import (
+    from_rotation_translation,
+    invert,
+    quaternion_from_rotation,
+    rotation_angle_rad,
+    yaw_rotation,
+)
+from players.tracks import GrowingTrack, JumpLimits, rotation_of_vector, rotation_vector
+
+MS = 1_000_000
+GAP_NS = 500 * MS
+
+
+def _walk(t_s: float) -> np.ndarray:
+    """Return a pose on a curved walk at 1 m/s with a sway."""
+    position = np.array([t_s, 0.3 * np.sin(1.5 * t_s), 0.02 * np.sin(5 * t_s)])
+    return from_rotation_translation(yaw_rotation(0.4 * np.sin(t_s)), position)
+
+
+def _row(pose: np.ndarray) -> list[float]:
+    return [*pose[:3, 3], *quaternion_from_rotation(pose[:3, :3])]
+
+
+def _track(poses: list[tuple[float, np.ndarray]], limits: JumpLimits | None = None) -> GrowingTrack:
+    track = GrowingTrack(GAP_NS, limits)
+    for t_s, pose in poses:
+        track.add(round(t_s * 1e9), _row(pose))
+    return track
+
+
+def _error_m(track: GrowingTrack, t_s: float) -> float:
+    pose = track.at(round(t_s * 1e9))
+    assert pose is not None
+    return float(np.linalg.norm((invert(_walk(t_s)) @ pose)[:3, 3]))
+
+
+def test_poses_at_five_hertz_are_a_cubic_within_two_millimetres() -> None:
+    track = _track([(0.2 * i, _walk(0.2 * i)) for i in range(30)])
+    worst = max(_error_m(track, t) for t in np.arange(0.5, 5.0, 0.013))
+    straight = max(
+        float(np.linalg.norm(_walk(t)[:3, 3] - (_walk(t - 0.1)[:3, 3] + _walk(t + 0.1)[:3, 3]) / 2))
+        for t in np.arange(0.5, 5.0, 0.013)
+    )
+    assert worst < 2e-3
+    assert worst < 0.5 * straight
+
+
+def test_a_cubic_turns_with_its_poses() -> None:
+    track = _track([(0.2 * i, _walk(0.2 * i)) for i in range(30)])
+    for t in np.arange(0.5, 5.0, 0.1):
+        pose = track.at(round(t * 1e9))
+        assert pose is not None
+        assert rotation_angle_rad(_walk(t)[:3, :3].T @ pose[:3, :3]) < np.radians(0.05)
+
+
+@pytest.mark.parametrize("vector", [(0.0, 0.0, 0.0), (1e-9, 0, 0), (0.3, -0.2, 0.5), (0.0, 3.0, 0.0)])
+def test_a_rotation_vector_is_its_rotation_again(vector: tuple[float, float, float]) -> None:
+    np.testing.assert_allclose(rotation_vector(rotation_of_vector(np.array(vector))), vector, atol=1e-9)
+
+
+def test_a_gap_is_refused_unless_the_robot_stood() -> None:
+    assert _track([(0.0, _walk(0.0)), (2.0, _walk(2.0))]).at(10**9) is None
+    assert _track([(0.0, _walk(0.0)), (2.0, _walk(0.0))]).at(10**9) is not None
+
+
+def test_a_teleport_is_left_out() -> None:
+    far = from_rotation_translation(np.eye(3), np.array([40.0, 0.0, 0.0]))
+    poses = [(0.1 * i, _walk(0.1 * i)) for i in range(20)]
+    poses[10] = (1.0, far)
+    track = _track(poses, JumpLimits())
+    assert track.num_teleports == 1
+    assert not track.jumps
+    assert _error_m(track, 1.0) < 0.02
+
+
+def test_a_jump_is_told_and_bridged() -> None:
+    jump = from_rotation_translation(yaw_rotation(0.1), np.array([0.8, -0.5, 0.1]))
+    poses = [(0.1 * i, _walk(0.1 * i) if i < 15 else jump @ _walk(0.1 * i)) for i in range(30)]
+    track = _track(poses, JumpLimits())
+    assert track.num_teleports == 0
+    (found,) = track.jumps
+    assert found.stamp_ns == 1_500 * MS
+    np.testing.assert_allclose(found.after_from_before, jump, atol=0.03)
+    assert track.jump_between(1_400 * MS, 1_500 * MS) is found
+    assert track.jump_between(1_500 * MS, 1_900 * MS) is None
+    assert max(_error_m(track, t) for t in np.arange(1.5, 2.8, 0.1)) < 0.03
+    assert track.at(1_450 * MS) is None
+
+
+def test_a_walk_without_jumps_has_none() -> None:
+    for hz in (5, 10, 30, 100):
+        track = _track([(i / hz, _walk(i / hz)) for i in range(5 * hz)], JumpLimits())
+        assert not track.jumps
+        assert track.num_teleports == 0
+
+
+def test_what_was_forgotten_is_gone_and_the_rest_is_as_it_was() -> None:
+    track = _track([(0.01 * i, _walk(0.01 * i)) for i in range(5000)])
+    before = track.at(45 * 10**9)
+    track.forget(40 * 10**9)
+    np.testing.assert_array_equal(track.at(45 * 10**9), before)
+    assert track.at(10**9) is None
