@@ -16,8 +16,10 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics, sorted_by_volume
+from hickory_stream.geometry.superquadric import Superquadrics, moved, sorted_by_volume
 from hickory_stream.shapes.fit_field import FitField
+from hickory_stream.shapes.frame import object_axes
+from hickory_stream.shapes.joint import jointly_refined, simplified
 from hickory_stream.shapes.quadric_lm import row_of
 from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
 from hickory_stream.shapes.seeds import grown_box, principal_axes
@@ -54,6 +56,10 @@ class FitConfig:
     fine_iterations: int = 8
     gain_samples: int = 4000
     num_rounds: int = 1
+    joint_samples: int = 6000
+    joint_sweeps: int = 10
+    simple_samples: int = 2000
+    simple_tolerance: float = 0.03
     max_protruding: int = 4
     protruding_cells: float = 3.0
 
@@ -65,11 +71,12 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
     exponents of 0.1.
     """
     vertices = mesh.vertices.astype(np.float64)
-    grid = distance_grid(vertices, mesh.faces, cells=config.cells, band_cells=config.band_cells)
+    axes = object_axes(vertices, mesh.faces)
+    local = vertices @ axes
+    grid = distance_grid(local, mesh.faces, cells=config.cells, band_cells=config.band_cells)
     rows = marching(grid, config)
-    if not rows:
-        return box_superquadric(vertices, grid.step_m)
-    return sorted_by_volume(_superquadrics(rows, grid))
+    found = _superquadrics(rows, grid) if rows else box_superquadric(local, grid.step_m)
+    return sorted_by_volume(moved(found, from_rotation_translation(axes, np.zeros(3))))
 
 
 def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superquadrics:
@@ -93,8 +100,25 @@ def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]
         rows.append(best)
         field.consume(best)
     for _ in range(config.num_rounds):
-        rows = merged(field, refitted(field, rows, config), config)
-    return with_protruding(field, pruned(field, rows, config), config)
+        rows = polished(field, rows, config)
+        rows = pruned(field, merged(field, rows, config), config)
+    rows = with_protruding(field, rows, config)
+    return polished(field, rows, config)
+
+
+def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
+    """Return the primitives refined together, with simple exponents where these do."""
+    if not rows:
+        return rows
+    stacked = np.stack(rows)
+    points, distances = field.samples(config.joint_samples)
+    settings = {"band": field.band, "max_log_axis": field.max_log_axis}
+    stacked = jointly_refined(stacked, points, distances, sweeps=config.joint_sweeps, **settings)
+    step = max(len(points) // config.simple_samples, 1) | 1
+    stacked = simplified(
+        stacked, points[::step], distances[::step], sweeps=4, tolerance=config.simple_tolerance, **settings
+    )
+    return list(jointly_refined(stacked, points, distances, sweeps=4, with_exponents=False, **settings))
 
 
 def best_candidate(field: FitField, config: FitConfig) -> NDArray[np.float64] | None:
@@ -230,6 +254,7 @@ _ORDERS = tuple(np.roll(np.eye(3), shift, axis=1) for shift in range(3))
 
 def _component_starts(cells: NDArray[np.int64]) -> list[NDArray[np.float64]]:
     """Return ellipsoid-like starts over the bounds of a component, along the grid and along its principal axes."""
+    cells = cells[:: len(cells) // 5000 + 1]
     starts = []
     for axes in (np.eye(3), principal_axes(cells)):
         local = cells @ axes

@@ -43,6 +43,23 @@ class FitField:
         """The cells inside the object that no primitive explains."""
         return (self._distance < 0) & (self._object - self._covered > 0.5)
 
+    @property
+    def band(self) -> float:
+        """Where distances are cut off, in cells."""
+        return self._band
+
+    @property
+    def max_log_axis(self) -> float:
+        """The logarithm of the longest semi-axis that makes sense, in cells."""
+        return float(np.log(max(self._object.shape)))
+
+    def samples(self, max_samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the (N, 3) cells within the band of the surface, evenly thinned out, and their (N,) distances."""
+        i, j, k = np.nonzero(np.abs(self._distance) < self._band)
+        step = max(len(i) // max_samples, 1) | 1
+        i, j, k = i[::step], j[::step], k[::step]
+        return np.stack([i, j, k], axis=1).astype(np.float64), self._distance[i, j, k].astype(np.float64)
+
     def protruding_part(self, min_reach: float) -> NDArray[np.int64] | None:
         """Return the (N, 3) cells of the part that reaches farthest from what is explained; None below `min_reach`."""
         unexplained = self._covered < 0.5
@@ -94,7 +111,7 @@ class FitField:
             1.0 - self._covered[i, j, k].astype(np.float64),
             band=self._band,
             iterations=iterations,
-            max_log_axis=float(np.log(max(self._object.shape))),
+            max_log_axis=self.max_log_axis,
         )
         return self.trimmed(fit, max_samples)
 
@@ -153,7 +170,7 @@ def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-u
 @numba.njit(cache=True, nogil=True)
 def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty((high[0] - low[0], high[1] - low[1], high[2] - low[2]), np.float32)
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
     axes = np.exp(row[2:5])
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
@@ -165,7 +182,7 @@ def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no c
 
 @numba.njit(cache=True, nogil=True)
 def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
     axes = np.exp(row[2:5])
     total = 0.0
     size_y, size_z = high[1] - low[1], high[2] - low[2]

@@ -53,9 +53,9 @@ def distance_grid(
     origin = low + step * (0.5 - margin)
     corners = np.ascontiguousarray((vertices[faces] - origin) / step)
     squared = np.full(tuple(int(n) for n in counts), np.float32(band_cells**2))
-    _band(corners, squared, band_cells)
-    winding = winding_numbers(corners, squared.shape)
-    values = np.sqrt(squared) * np.where(winding > 0.5, np.float32(-step), np.float32(step))
+    inside = winding_numbers(corners, squared.shape) > 0.5
+    _band(corners, inside, squared, band_cells)
+    values = np.sqrt(squared) * np.where(inside, np.float32(-step), np.float32(step))
     return DistanceGrid(values=values, origin=origin, step_m=step, band_m=band_cells * step)
 
 
@@ -117,11 +117,17 @@ def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def _band(corners, squared, band):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one."""
+def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one.
+
+    Only the surface of the solid counts: where parts overlap, what lies within another part is skipped.
+    """
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    nearest, normal = np.empty(3), np.empty(3)
     for f in range(corners.shape[0]):
         t = corners[f]
+        if not _normal(t, normal):
+            continue
         for axis in range(3):
             size = squared.shape[axis]
             low[axis] = max(int(np.ceil(min(t[0, axis], t[1, axis], t[2, axis]) - band)), 0)
@@ -129,14 +135,41 @@ def _band(corners, squared, band):  # type: ignore[no-untyped-def] # pragma: no 
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
-                    d = _squared_distance(float(i), float(j), float(k), t)
-                    if d < squared[i, j, k]:
+                    d = _squared_distance(float(i), float(j), float(k), t, nearest)
+                    if d < squared[i, j, k] and not _is_buried(inside, nearest, normal):
                         squared[i, j, k] = d
 
 
 @numba.njit(cache=True, nogil=True)
-def _squared_distance(x, y, z, t):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the squared distance from a point to a triangle (Ericson, Real-Time Collision Detection, 5.1.5)."""
+def _normal(t, normal):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill the unit normal of a triangle; return whether it has one."""
+    ax, ay, az = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
+    bx, by, bz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
+    normal[0], normal[1], normal[2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    if length < 1e-12:
+        return False
+    normal /= length
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_buried(inside, point, normal):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether the solid goes on at both sides of a point of a triangle, most of a cell away from it."""
+    for side in (-0.75, 0.75):
+        i = int(np.floor(point[0] + side * normal[0] + 0.5))
+        j = int(np.floor(point[1] + side * normal[1] + 0.5))
+        k = int(np.floor(point[2] + side * normal[2] + 0.5))
+        if i < 0 or j < 0 or k < 0 or i >= inside.shape[0] or j >= inside.shape[1] or k >= inside.shape[2]:
+            return False
+        if not inside[i, j, k]:
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _squared_distance(x, y, z, t, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the squared distance from a point to a triangle, and fill the point nearest to it (Ericson, Real-Time Collision Detection, 5.1.5)."""
     abx, aby, abz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
     acx, acy, acz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
     apx, apy, apz = x - t[0, 0], y - t[0, 1], z - t[0, 2]
@@ -167,6 +200,8 @@ def _squared_distance(x, y, z, t):  # type: ignore[no-untyped-def] # pragma: no 
         else:
             scale = 1.0 / max(va + vb + vc, 1e-30)
             v, w = vb * scale, vc * scale
+    for axis in range(3):
+        nearest[axis] = t[0, axis] + v * (t[1, axis] - t[0, axis]) + w * (t[2, axis] - t[0, axis])
     ex = apx - v * abx - w * acx
     ey = apy - v * aby - w * acy
     ez = apz - v * abz - w * acz
