@@ -19,9 +19,9 @@ from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, moved, sorted_by_volume
 from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
-from hickory_stream.shapes.joint import jointly_refined, simplified
-from hickory_stream.shapes.quadric_lm import row_of
-from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
+from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
+from hickory_stream.shapes.quadric_lm import ROW, row_of
+from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
 from hickory_stream.shapes.seeds import grown_box, principal_axes
 
 if TYPE_CHECKING:
@@ -45,9 +45,10 @@ class FitConfig:
 
     cells: int = 64
     band_cells: float = 3.0
+    min_thickness_cells: float = 3.5
     num_seeds: int = 4
     num_candidates: int = 4
-    min_gain: float = 0.01
+    min_gain: float = 0.015
     max_primitives: int = 12
     waste_weight: float = 1.5
     coarse_samples: int = 200
@@ -55,10 +56,13 @@ class FitConfig:
     fine_samples: int = 800
     fine_iterations: int = 8
     gain_samples: int = 4000
+    merge_loss: float = 0.02
     num_rounds: int = 1
     joint_samples: int = 6000
     joint_sweeps: int = 10
-    simple_samples: int = 2000
+    simple_samples: int = 40_000
+    simple_samples_each: int = 600
+    simple_sweeps: int = 5
     simple_tolerance: float = 0.03
     max_protruding: int = 4
     protruding_cells: float = 3.0
@@ -73,7 +77,10 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
     vertices = mesh.vertices.astype(np.float64)
     axes = object_axes(vertices, mesh.faces)
     local = vertices @ axes
-    grid = distance_grid(local, mesh.faces, cells=config.cells, band_cells=config.band_cells)
+    cells = adapted_cells(
+        local, mesh.faces, cells=config.cells, min_thickness_cells=config.min_thickness_cells, max_cells=2 * config.cells
+    )
+    grid = distance_grid(local, mesh.faces, cells=cells, band_cells=config.band_cells)
     rows = marching(grid, config)
     found = _superquadrics(rows, grid) if rows else box_superquadric(local, grid.step_m)
     return sorted_by_volume(moved(found, from_rotation_translation(axes, np.zeros(3))))
@@ -110,13 +117,16 @@ def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig
     """Return the primitives refined together, with simple exponents where these do."""
     if not rows:
         return rows
-    stacked = np.stack(rows)
     points, distances = field.samples(config.joint_samples)
     settings = {"band": field.band, "max_log_axis": field.max_log_axis}
-    stacked = jointly_refined(stacked, points, distances, sweeps=config.joint_sweeps, **settings)
-    step = max(len(points) // config.simple_samples, 1) | 1
+    stacked = jointly_refined(np.stack(rows), points, distances, sweeps=config.joint_sweeps, **settings)
     stacked = simplified(
-        stacked, points[::step], distances[::step], sweeps=4, tolerance=config.simple_tolerance, **settings
+        stacked,
+        *field.samples(config.simple_samples),
+        per_primitive=config.simple_samples_each,
+        sweeps=config.simple_sweeps,
+        tolerance=config.simple_tolerance,
+        **settings,
     )
     return list(jointly_refined(stacked, points, distances, sweeps=4, with_exponents=False, **settings))
 
@@ -174,13 +184,25 @@ def _merged_pair(
     starts = [row for row in starts if field.gain(row, config.fine_samples) > 0]
     if not starts:
         return None
-    fits = [field.fitted(row, config.coarse_samples, config.fine_iterations) for row in starts]
-    one = _best_by_gain(field, fits, 1, config.fine_samples)[0]
+    fits = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in starts]
+    one = _best_by_gain(field, fits, 1, config.gain_samples)[0]
+    others = np.array([row for n, row in enumerate(rows) if n not in pair]).reshape(-1, ROW)
+    points, distances = field.samples(config.simple_samples)
+    one = refined_beside(
+        one,
+        others,
+        points,
+        distances,
+        band=field.band,
+        steps=config.joint_sweeps,
+        max_log_axis=field.max_log_axis,
+        max_samples=config.joint_samples // 4,
+    )
     gain_of_one = field.gain(one, config.gain_samples)
     gain_of_two = field.gain(rows[i], config.gain_samples)
     field.consume(rows[i])
     gain_of_two += field.gain(rows[j], config.gain_samples)
-    return one if gain_of_one >= gain_of_two - config.min_gain * field.volume else None
+    return one if gain_of_one >= gain_of_two - config.merge_loss * field.volume else None
 
 
 def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:

@@ -31,6 +31,7 @@ class FitField:
         self._band = grid.band_m / grid.step_m
         self._occupancies: dict[bytes, NDArray[np.float32]] = {}
         self._speaking: NDArray[np.int64] | None = None
+        self._band_cells: NDArray[np.int64] | None = None
         self.volume = float(self._object.sum(dtype=np.float64))
 
     @property
@@ -55,15 +56,15 @@ class FitField:
 
     def samples(self, max_samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the (N, 3) cells within the band of the surface, evenly thinned out, and their (N,) distances."""
-        i, j, k = np.nonzero(np.abs(self._distance) < self._band)
-        step = max(len(i) // max_samples, 1) | 1
-        i, j, k = i[::step], j[::step], k[::step]
-        return np.stack([i, j, k], axis=1).astype(np.float64), self._distance[i, j, k].astype(np.float64)
+        if self._band_cells is None:
+            self._band_cells = np.argwhere(np.abs(self._distance) < self._band)
+        cells = self._band_cells[:: max(len(self._band_cells) // max_samples, 1) | 1]
+        return cells.astype(np.float64), self._distance[tuple(cells.T)].astype(np.float64)
 
     def protruding_part(self, min_reach: float) -> NDArray[np.int64] | None:
         """Return the (N, 3) cells of the part that reaches farthest from what is explained; None below `min_reach`."""
         unexplained = self._covered < 0.5
-        reach = np.where(self._distance < 0, ndimage.distance_transform_edt(unexplained), 0.0)
+        reach = np.where(self._distance < 0, ndimage.distance_transform_cdt(unexplained, "chessboard"), 0.0)
         farthest = np.unravel_index(int(np.argmax(reach)), reach.shape)
         if reach[farthest] < min_reach:
             return None

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # The simple shapes, as exponents, and how often the axes are turned on: a box looks the same along each.
-_SIMPLE = ((0.1, 0.1, 1), (1.0, 1.0, 1), (0.1, 1.0, 3))
+_SIMPLE = ((0.1, 0.1, 1), (1.0, 1.0, 1), (0.1, 1.0, 3), (2.0, 1.0, 3))
 
 
 def jointly_refined(
@@ -36,8 +36,28 @@ def jointly_refined(
 ) -> NDArray[np.float64]:
     """Return the (K, 17) rows that fit (N,) signed distances at (N, 3) points best as a union, in units of cells."""
     targets = np.clip(distances, -band, OUTER_BAND)
-    free = np.ones(len(rows), np.bool_)
-    return np.asarray(_swept(rows, points, targets, band, sweeps, max_log_axis, free, with_exponents))
+    return np.asarray(_swept(rows, points, targets, band, sweeps, max_log_axis, with_exponents))
+
+
+def refined_beside(
+    row: NDArray[np.float64],
+    others: NDArray[np.float64],
+    points: NDArray[np.float64],
+    distances: NDArray[np.float64],
+    *,
+    band: float,
+    steps: int,
+    max_log_axis: float,
+    max_samples: int,
+) -> NDArray[np.float64]:
+    """Return the (17,) row refined beside the (K, 17) `others`, which stay; on about `max_samples` around it."""
+    near = np.flatnonzero(_near(row, points, band))
+    if len(near) < 30:
+        return row
+    near = near[:: max(len(near) // max_samples, 1) | 1]
+    own, goal = points[near], np.clip(distances[near], -band, OUTER_BAND)
+    beside = _union(others, own, band)
+    return np.asarray(_stepped_beside(row, own, goal, beside, band, steps, max_log_axis, True)[0])
 
 
 def simplified(
@@ -49,30 +69,31 @@ def simplified(
     sweeps: int,
     max_log_axis: float,
     tolerance: float,
+    per_primitive: int,
 ) -> NDArray[np.float64]:
-    """Return the rows with simple exponents wherever that raises the mean misfit by no more than `tolerance` cells."""
+    """Return the rows with simple exponents wherever that raises its misfit by no more than `tolerance` cells.
+
+    Each primitive is judged on about `per_primitive` of the samples around it.
+    """
     targets = np.clip(distances, -band, OUTER_BAND)
     rows = rows.copy()
     for k in range(len(rows)):
-        near = _near(rows[k], points, band)
-        if near.sum() < 30:
+        near = np.flatnonzero(_near(rows[k], points, band))
+        if len(near) < 30:
             continue
+        near = near[:: max(len(near) // per_primitive, 1) | 1]
         own, goal = points[near], targets[near]
         beside = np.delete(rows, k, axis=0)
         others = _union(beside, own, band)
         before = _misfit(np.minimum(others, cut_distances(rows[k], own, band)), goal, band)
-        free = np.zeros(len(rows), np.bool_)
-        free[k] = True
         best, least = rows[k], before + tolerance
         for e1, e2, turns in _SIMPLE:
             for turn in range(turns):
-                trial = rows.copy()
-                trial[k] = _turned(rows[k], turn)
-                trial[k, :2] = e1, e2
-                trial = _swept(trial, own, goal, band, sweeps, max_log_axis, free, False)
-                misfit = _misfit(np.minimum(others, cut_distances(trial[k], own, band)), goal, band)
+                trial = _turned(rows[k], turn)
+                trial[:2] = e1, e2
+                trial, misfit = _stepped_beside(trial, own, goal, others, band, sweeps, max_log_axis, False)
                 if misfit < least:
-                    best, least = trial[k], misfit
+                    best, least = trial, misfit
         rows[k] = best
     return rows
 
@@ -119,7 +140,7 @@ def _misfit(found, targets, band):  # type: ignore[no-untyped-def] # pragma: no 
 
 
 @numba.njit(cache=True, nogil=True)
-def _swept(rows, points, targets, band, sweeps, max_log_axis, is_free, with_exponents):  # type: ignore[no-untyped-def] # pragma: no cover
+def _swept(rows, points, targets, band, sweeps, max_log_axis, with_exponents):  # type: ignore[no-untyped-def] # pragma: no cover
     rows = rows.copy()
     count = len(rows)
     distances = np.empty((count, len(points)))
@@ -130,7 +151,7 @@ def _swept(rows, points, targets, band, sweeps, max_log_axis, is_free, with_expo
     others = np.empty(len(points))
     for _ in range(sweeps):
         for k in range(count):
-            if not is_free[k] or resting[k] > 1:
+            if resting[k] > 1:
                 continue
             others[:] = OUTER_BAND
             for j in range(count):
@@ -145,3 +166,17 @@ def _swept(rows, points, targets, band, sweeps, max_log_axis, is_free, with_expo
                 distances[k] = found
             resting[k] = 0 if gain > 1e-3 else resting[k] + 1
     return rows
+
+
+@numba.njit(cache=True, nogil=True)
+def _stepped_beside(  # type: ignore[no-untyped-def] # pragma: no cover
+    row, points, targets, others, band, steps, max_log_axis, with_exponents
+):
+    """Return one primitive refined beside the others and the misfit of the union."""
+    damping = np.full(1, 1e-3)
+    found = cut_distances(row, points, band)
+    for _ in range(steps):
+        row, found, gain = normal_step(row, points, targets, others, found, band, damping, 0, max_log_axis, with_exponents)
+        if gain < 1e-3:
+            break
+    return row, _misfit(np.minimum(others, found), targets, band)

@@ -59,6 +59,29 @@ def distance_grid(
     return DistanceGrid(values=values, origin=origin, step_m=step, band_m=band_cells * step)
 
 
+def adapted_cells(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], *, cells: int, min_thickness_cells: float, max_cells: int
+) -> int:
+    """Return how many cells along the longest side give the thinnest part `min_thickness_cells`.
+
+    At least `cells`, at most `max_cells`, and fewer where the whole grid would be larger than a cube of 1.5 `cells`. The
+    thinnest part is the 10th percentile, by area, of how far the solid reaches inwards from its surface.
+    """
+    low, size = vertices.min(axis=0), np.ptp(vertices, axis=0)
+    step = float(size.max()) / cells
+    shape = tuple(int(n) for n in np.ceil(size / step) + 4)
+    corners = np.ascontiguousarray((vertices[faces] - (low - 1.5 * step)) / step)
+    inside = winding_numbers(corners, shape) > 0.5
+    thickness, areas = _inward_reach(corners, inside, 400 * 400 // max(len(faces), 1))
+    reached = np.cumsum(areas[np.argsort(thickness, kind="stable")])
+    if len(reached) == 0 or reached[-1] <= 0:
+        return cells
+    thinnest = np.sort(thickness)[int(np.searchsorted(reached, 0.1 * reached[-1]))]
+    factor = min(min_thickness_cells / max(float(thinnest), 0.5), max_cells / cells)
+    room = (1.5**3 * cells**3 / float(np.prod(shape))) ** (1 / 3)
+    return int(np.ceil(cells * max(min(factor, room), 1.0)))
+
+
 def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Return the mean oriented number of surfaces around each cell; `corners` (F, 3, 3) in cell units.
 
@@ -114,6 +137,50 @@ def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
             for i in range(nx):
                 total += behind[i, j, k]
                 out[i, j, k] += 0.5 * total
+
+
+@numba.njit(cache=True, nogil=True)
+def _inward_reach(corners, inside, samples):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return for samples of the surface how far the solid reaches inwards, in cells, and the area each stands for.
+
+    About `samples` points per face on a regular pattern, fewer on small faces; surface within the solid is left out.
+    """
+    most = 60_000
+    thickness, areas = np.empty(most), np.empty(most)
+    count = 0
+    normal, point = np.empty(3), np.empty(3)
+    for f in range(corners.shape[0]):
+        t = corners[f]
+        if not _normal(t, normal):
+            continue
+        ux, uy, uz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
+        vx, vy, vz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
+        area = 0.5 * np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2)
+        side = int(min(max(np.sqrt(min(float(samples), area / 4.0)), 1.0), 20.0))
+        for i in range(side):
+            for j in range(side - i):
+                if count == most:
+                    return thickness[:count], areas[:count]
+                a, b = (i + 1.0 / 3.0) / side, (j + 1.0 / 3.0) / side
+                for axis in range(3):
+                    point[axis] = t[0, axis] + a * (t[1, axis] - t[0, axis]) + b * (t[2, axis] - t[0, axis])
+                if _is_buried(inside, point, normal):
+                    continue
+                reach, first = 0.0, False
+                for n in range(16):
+                    along = 0.5 * (n + 1)
+                    x = int(np.floor(point[0] - along * normal[0] + 0.5))
+                    y = int(np.floor(point[1] - along * normal[1] + 0.5))
+                    z = int(np.floor(point[2] - along * normal[2] + 0.5))
+                    if x < 0 or y < 0 or z < 0 or x >= inside.shape[0] or y >= inside.shape[1] or z >= inside.shape[2]:
+                        break
+                    if inside[x, y, z]:
+                        reach, first = along, True
+                    elif first or along > 1.0:
+                        break
+                thickness[count], areas[count] = reach, area / (side * (side + 1) / 2)
+                count += 1
+    return thickness[:count], areas[:count]
 
 
 @numba.njit(cache=True, nogil=True)
