@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics, moved, sorted_by_volume
+from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
 from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
@@ -55,7 +56,7 @@ class FitConfig:
     coarse_iterations: int = 5
     fine_samples: int = 800
     fine_iterations: int = 8
-    gain_samples: int = 4000
+    gain_samples: int = 10_000
     merge_loss: float = 0.02
     num_rounds: int = 1
     joint_samples: int = 6000
@@ -78,12 +79,16 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
     axes = object_axes(vertices, mesh.faces)
     local = vertices @ axes
     cells = adapted_cells(
-        local, mesh.faces, cells=config.cells, min_thickness_cells=config.min_thickness_cells, max_cells=2 * config.cells
+        local,
+        mesh.faces,
+        cells=config.cells,
+        min_thickness_cells=config.min_thickness_cells,
+        max_cells=2 * config.cells,
     )
     grid = distance_grid(local, mesh.faces, cells=cells, band_cells=config.band_cells)
     rows = marching(grid, config)
     found = _superquadrics(rows, grid) if rows else box_superquadric(local, grid.step_m)
-    return sorted_by_volume(moved(found, from_rotation_translation(axes, np.zeros(3))))
+    return canonical(moved(found, from_rotation_translation(axes, np.zeros(3))))
 
 
 def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superquadrics:

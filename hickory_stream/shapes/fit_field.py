@@ -187,7 +187,12 @@ def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignor
     axes = np.exp(row[2:5])
     total = 0.0
     size_y, size_z = high[1] - low[1], high[2] - low[2]
-    for n in range(0, (high[0] - low[0]) * size_y * size_z, stride):
+    size = (high[0] - low[0]) * size_y * size_z
+    for m in range((size + stride - 1) // stride):
+        # One cell of each stride, at a place that never falls into step with the rows of the window.
+        n = m * stride + int(stride * ((m * 0.6180339887498949) % 1.0))
+        if n >= size:
+            break
         i = low[0] + n // (size_y * size_z)
         j = low[1] + (n // size_z) % size_y
         k = low[2] + n % size_z

@@ -57,7 +57,9 @@ def _manhattan(
     return np.asarray(best[0])
 
 
-def _raised(axes: NDArray[np.float64], normals: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _raised(
+    axes: NDArray[np.float64], normals: NDArray[np.float64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return (S, 3, 3) frames after one step of the fixed point."""
     along = normals @ axes
     raised = (normals * weights[:, None]).T @ (along * along * along)

@@ -176,7 +176,9 @@ def _stepped_beside(  # type: ignore[no-untyped-def] # pragma: no cover
     damping = np.full(1, 1e-3)
     found = cut_distances(row, points, band)
     for _ in range(steps):
-        row, found, gain = normal_step(row, points, targets, others, found, band, damping, 0, max_log_axis, with_exponents)
+        row, found, gain = normal_step(
+            row, points, targets, others, found, band, damping, 0, max_log_axis, with_exponents
+        )
         if gain < 1e-3:
             break
     return row, _misfit(np.minimum(others, found), targets, band)

@@ -72,11 +72,16 @@ def adapted_cells(
     shape = tuple(int(n) for n in np.ceil(size / step) + 4)
     corners = np.ascontiguousarray((vertices[faces] - (low - 1.5 * step)) / step)
     inside = winding_numbers(corners, shape) > 0.5
-    thickness, areas = _inward_reach(corners, inside, 400 * 400 // max(len(faces), 1))
-    reached = np.cumsum(areas[np.argsort(thickness, kind="stable")])
-    if len(reached) == 0 or reached[-1] <= 0:
+    reach, areas, patches = _inward_reach(corners, inside, 400 * 400 // max(len(faces), 1))
+    if not areas.sum() > 0:
         return cells
-    thinnest = np.sort(thickness)[int(np.searchsorted(reached, 0.1 * reached[-1]))]
+    # The mean over patches: on a rough surface single samples look thin everywhere.
+    _, patches = np.unique(patches, return_inverse=True)
+    areas_of_patches = np.bincount(patches, areas)
+    thickness = np.bincount(patches, areas * reach) / np.maximum(areas_of_patches, 1e-300)
+    order = np.argsort(thickness, kind="stable")
+    below = np.cumsum(areas_of_patches[order])
+    thinnest = thickness[order[int(np.searchsorted(below, 0.1 * below[-1]))]]
     factor = min(min_thickness_cells / max(float(thinnest), 0.5), max_cells / cells)
     room = (1.5**3 * cells**3 / float(np.prod(shape))) ** (1 / 3)
     return int(np.ceil(cells * max(min(factor, room), 1.0)))
@@ -141,13 +146,16 @@ def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _inward_reach(corners, inside, samples):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return for samples of the surface how far the solid reaches inwards, in cells, and the area each stands for.
+    """Return for samples of the surface how far the solid reaches inwards, in cells, its area and its patch.
 
+    Inwards along the grid's axis that is nearest to the normal: the object stands along the axes. A patch is a block of
+    cells with one such direction.
     About `samples` points per face on a regular pattern, fewer on small faces; surface within the solid is left out.
     """
     most = 60_000
-    thickness, areas = np.empty(most), np.empty(most)
+    thickness, areas, patches = np.empty(most), np.empty(most), np.empty(most, np.int64)
     count = 0
+    down = np.empty(3)
     normal, point = np.empty(3), np.empty(3)
     for f in range(corners.shape[0]):
         t = corners[f]
@@ -156,11 +164,14 @@ def _inward_reach(corners, inside, samples):  # type: ignore[no-untyped-def] # p
         ux, uy, uz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
         vx, vy, vz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
         area = 0.5 * np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2)
+        main = int(np.argmax(np.abs(normal)))
+        down[:] = 0.0
+        down[main] = -1.0 if normal[main] > 0.0 else 1.0
         side = int(min(max(np.sqrt(min(float(samples), area / 4.0)), 1.0), 20.0))
         for i in range(side):
             for j in range(side - i):
                 if count == most:
-                    return thickness[:count], areas[:count]
+                    return thickness[:count], areas[:count], patches[:count]
                 a, b = (i + 1.0 / 3.0) / side, (j + 1.0 / 3.0) / side
                 for axis in range(3):
                     point[axis] = t[0, axis] + a * (t[1, axis] - t[0, axis]) + b * (t[2, axis] - t[0, axis])
@@ -169,18 +180,20 @@ def _inward_reach(corners, inside, samples):  # type: ignore[no-untyped-def] # p
                 reach, first = 0.0, False
                 for n in range(16):
                     along = 0.5 * (n + 1)
-                    x = int(np.floor(point[0] - along * normal[0] + 0.5))
-                    y = int(np.floor(point[1] - along * normal[1] + 0.5))
-                    z = int(np.floor(point[2] - along * normal[2] + 0.5))
+                    x = int(np.floor(point[0] + along * down[0] + 0.5))
+                    y = int(np.floor(point[1] + along * down[1] + 0.5))
+                    z = int(np.floor(point[2] + along * down[2] + 0.5))
                     if x < 0 or y < 0 or z < 0 or x >= inside.shape[0] or y >= inside.shape[1] or z >= inside.shape[2]:
                         break
                     if inside[x, y, z]:
                         reach, first = along, True
-                    elif first or along > 1.0:
+                    elif first or along > 1.5:
                         break
+                block = (int(point[0]) // 4 * 1000 + int(point[1]) // 4) * 1000 + int(point[2]) // 4
+                patches[count] = block * 6 + main * 2 + (normal[main] > 0.0)
                 thickness[count], areas[count] = reach, area / (side * (side + 1) / 2)
                 count += 1
-    return thickness[:count], areas[:count]
+    return thickness[:count], areas[:count], patches[:count]
 
 
 @numba.njit(cache=True, nogil=True)
