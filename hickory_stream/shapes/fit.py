@@ -31,12 +31,15 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.mesh import Mesh
 
 
+SEEDS_PER_COMPONENT = 2
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FitConfig:
     """How a mesh becomes superquadrics.
 
-    `cells` along the longest side; distances are cut off at `band_cells`. Per primitive `num_seeds` boxes are grown,
-    and the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least `min_gain` of
+    `cells` along the longest side; distances are cut off at `band_cells`. For the next primitive boxes are grown
+    in the `num_seeds` largest components, and the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least `min_gain` of
     the object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space outside.
     `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains are
     measured on up to `gain_samples` cells. Then `num_rounds` times every primitive is fitted again beside the others
@@ -47,7 +50,7 @@ class FitConfig:
     cells: int = 64
     band_cells: float = 3.0
     min_thickness_cells: float = 3.5
-    num_seeds: int = 4
+    num_seeds: int = 3
     num_candidates: int = 4
     min_gain: float = 0.015
     max_primitives: int = 12
@@ -59,7 +62,7 @@ class FitConfig:
     gain_samples: int = 10_000
     merge_loss: float = 0.02
     num_rounds: int = 1
-    joint_samples: int = 6000
+    joint_samples: int = 4500
     joint_sweeps: int = 10
     simple_samples: int = 40_000
     simple_samples_each: int = 600
@@ -149,7 +152,7 @@ def _refined_best(field: FitField, starts: list[NDArray[np.float64]], config: Fi
     finalists = _best_by_gain(field, coarse, 2, config.fine_samples)
     fine = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in finalists]
     # A grown box lies inside the object: where a fit goes astray, the start itself is the better primitive.
-    return _best_by_gain(field, fine + finalists + starts[:2], 1, config.gain_samples)[0]
+    return _best_by_gain(field, fine + finalists + starts[:2], 1, config.gain_samples // 3)[0]
 
 
 def refitted(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
@@ -253,18 +256,23 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
     starts = []
-    for label in np.argsort(-sizes, kind="stable")[: min(count, num_seeds)]:
-        starts += _component_starts(np.argwhere(labels == label))
-    solid = field.solid
+    windows = ndimage.find_objects(labels)
     depth = ndimage.distance_transform_cdt(left, "chessboard")
-    for _ in range(num_seeds):
-        i, j, k = (int(n) for n in np.unravel_index(int(np.argmax(depth)), depth.shape))
-        if depth[i, j, k] == 0:
-            break
-        box = grown_box(solid, (i, j, k), 0.8)
-        starts += _box_starts(box)
-        # The next seed lies outside of this box.
-        depth[box[0, 0] : box[1, 0] + 1, box[0, 1] : box[1, 1] + 1, box[0, 2] : box[1, 2] + 1] = 0
+    for label in np.argsort(-sizes, kind="stable")[: min(count, num_seeds)]:
+        window = windows[label - 1]
+        first = np.array([part.start for part in window])
+        mine = labels[window] == label
+        starts += _component_starts(np.argwhere(mine) + first)
+        depth_here = depth[window] * mine
+        for _ in range(SEEDS_PER_COMPONENT):
+            seed = np.unravel_index(int(np.argmax(depth_here)), depth_here.shape)
+            if depth_here[seed] == 0:
+                break
+            box = grown_box(field.solid, tuple(int(n) for n in seed + first), 0.8)
+            starts += _box_starts(box)
+            # The next seed lies outside of this box.
+            (a, b, c), (d, e, f) = np.maximum(box[0] - first, 0), np.maximum(box[1] - first + 1, 0)
+            depth_here[a:d, b:e, c:f] = 0
     return starts
 
 

@@ -148,16 +148,21 @@ class FitField:
 
 
 @numba.njit(cache=True, nogil=True)
-def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the share of a cell within a primitive, linear near its surface; `axes` = exp(row[2:5])."""
+def _occupancy(row, x, y, z, axes, within, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the share of a cell within a primitive, linear near its surface.
+
+    `axes` = exp(row[2:5]); `within` is the inscribed box, in shares of them.
+    """
     dx, dy, dz = x - row[5], y - row[6], z - row[7]
     u = abs(row[8] * dx + row[11] * dy + row[14] * dz)
     v = abs(row[9] * dx + row[12] * dy + row[15] * dz)
     w = abs(row[10] * dx + row[13] * dy + row[16] * dz)
-    # Most cells need no logarithm: outside the box is outside, and deep in the octahedron (for exponents up to 1 in the
-    # ellipsoid) is inside. A gauge changes by at most 1 / inradius per cell.
+    # Most cells need no logarithm: outside the box is outside; deep in the inscribed box or octahedron (for exponents up
+    # to 1, ellipsoid) is inside. A gauge changes by at most 1 / inradius per cell.
     if u > axes[0] + 0.5 or v > axes[1] + 0.5 or w > axes[2] + 0.5:
         return 0.0
+    if min(within * axes[0] - u, within * axes[1] - v, within * axes[2] - w) > 0.5:
+        return 1.0
     u, v, w = u / axes[0], v / axes[1], w / axes[2]
     smallest = min(axes[0], axes[1], axes[2])
     if row[0] <= 1.0 and row[1] <= 1.0:
@@ -169,14 +174,20 @@ def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-u
 
 
 @numba.njit(cache=True, nogil=True)
+def _inscribed(row):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return s such that the box of s times the semi-axes touches the primitive with its corners."""
+    return np.exp(-0.5 * row[0] * np.log1p(2.0 ** (row[1] / row[0])))
+
+
+@numba.njit(cache=True, nogil=True)
 def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty((high[0] - low[0], high[1] - low[1], high[2] - low[2]), np.float32)
     local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
-    axes = np.exp(row[2:5])
+    axes, within = np.exp(row[2:5]), _inscribed(row)
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
             for k in range(low[2], high[2]):
-                occupied = _occupancy(row, i, j, k, axes, local, gradient, shape)
+                occupied = _occupancy(row, i, j, k, axes, within, local, gradient, shape)
                 out[i - low[0], j - low[1], k - low[2]] = occupied
     return out
 
@@ -184,7 +195,7 @@ def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no c
 @numba.njit(cache=True, nogil=True)
 def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
     local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
-    axes = np.exp(row[2:5])
+    axes, within = np.exp(row[2:5]), _inscribed(row)
     total = 0.0
     size_y, size_z = high[1] - low[1], high[2] - low[2]
     size = (high[0] - low[0]) * size_y * size_z
@@ -199,7 +210,7 @@ def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignor
         before = covered[i, j, k]
         if before >= 1.0:
             continue
-        after = max(_occupancy(row, i, j, k, axes, local, gradient, shape), before)
+        after = max(_occupancy(row, i, j, k, axes, within, local, gradient, shape), before)
         share = inside[i, j, k]
         total += min(after, share) - min(before, share)
         total -= waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))

@@ -24,7 +24,7 @@ _MAX_FINAL = 20_000
 def object_axes(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return (3, 3) right-handed columns: the object's own axes in the frame of its mesh, longest extent first.
 
-    Each axis points to where the surface is skewed to. Where an object is symmetric, the axes are any of the equal ones.
+    Each axis points to where the surface is skewed to. Where an object is symmetric, any of the equal ones.
     """
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     doubled = np.cross(b - a, c - a)
