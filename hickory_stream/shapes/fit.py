@@ -63,7 +63,7 @@ class FitConfig:
     merge_loss: float = 0.02
     num_rounds: int = 1
     joint_samples: int = 4500
-    joint_sweeps: int = 10
+    joint_sweeps: int = 15
     simple_samples: int = 40_000
     simple_samples_each: int = 600
     simple_sweeps: int = 5
@@ -118,7 +118,7 @@ def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]
         rows = polished(field, rows, config)
         rows = pruned(field, merged(field, rows, config), config)
     rows = with_protruding(field, rows, config)
-    return polished(field, rows, config)
+    return pruned(field, polished(field, rows, config), config)
 
 
 def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
@@ -221,7 +221,7 @@ def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: Fi
     rows = list(rows)
     field.cover_with(rows)
     for _ in range(config.max_protruding):
-        cells = field.protruding_part(config.protruding_cells)
+        cells = field.protruding_part(config.protruding_cells * field.longest_side / config.cells)
         if cells is None:
             break
         best = _refined_best(field, _component_starts(cells), config)

@@ -50,6 +50,11 @@ class FitField:
         return self._band
 
     @property
+    def longest_side(self) -> int:
+        """The cells along the longest side of the grid."""
+        return max(self._object.shape)
+
+    @property
     def max_log_axis(self) -> float:
         """The logarithm of the longest semi-axis that makes sense, in cells."""
         return float(np.log(max(self._object.shape)))

@@ -92,10 +92,18 @@ def simplified(
                 trial = _turned(rows[k], turn)
                 trial[:2] = e1, e2
                 trial, misfit = _stepped_beside(trial, own, goal, others, band, sweeps, max_log_axis, False)
-                if misfit < least:
+                # What leaves the samples around the primitive was not judged.
+                if misfit < least and _stays(trial, rows[k]):
                     best, least = trial, misfit
         rows[k] = best
     return rows
+
+
+def _stays(row: NDArray[np.float64], before: NDArray[np.float64]) -> bool:
+    """Return whether the box of a primitive, along the grid, is within two cells of what it was."""
+    reach = np.abs(row[8:17].reshape(3, 3)) @ np.exp(row[2:5])
+    room = np.abs(before[8:17].reshape(3, 3)) @ np.exp(before[2:5]) + 2.0
+    return bool((np.abs(row[5:8] - before[5:8]) + reach <= 1.1 * room).all())
 
 
 def _turned(row: NDArray[np.float64], turn: int) -> NDArray[np.float64]:
