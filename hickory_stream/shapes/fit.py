@@ -118,7 +118,7 @@ def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]
         rows = polished(field, rows, config)
         rows = pruned(field, merged(field, rows, config), config)
     rows = with_protruding(field, rows, config)
-    return pruned(field, polished(field, rows, config), config)
+    return polished(field, rows, config)
 
 
 def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:

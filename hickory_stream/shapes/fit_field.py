@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.shapes.quadric_lm import distances_to, refined, tangent_distance
+from hickory_stream.shapes.thinning import thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,7 +64,7 @@ class FitField:
         """Return the (N, 3) cells within the band of the surface, evenly thinned out, and their (N,) distances."""
         if self._band_cells is None:
             self._band_cells = np.argwhere(np.abs(self._distance) < self._band)
-        cells = self._band_cells[:: max(len(self._band_cells) // max_samples, 1) | 1]
+        cells = self._band_cells[thinned(len(self._band_cells), max_samples)]
         return cells.astype(np.float64), self._distance[tuple(cells.T)].astype(np.float64)
 
     def protruding_part(self, min_reach: float) -> NDArray[np.int64] | None:
@@ -106,7 +107,8 @@ class FitField:
         if self._speaking is None:
             self._speaking = _speaking(self._distance, self._covered, self._band)
         low, high = self._window(row, self._band + 2)
-        cells = _within(self._speaking, low, high, max_samples)
+        cells = _within(self._speaking, low, high)
+        cells = cells[thinned(len(cells), max_samples)]
         if len(cells) < 11:
             return row
         i, j, k = cells.T
@@ -128,7 +130,7 @@ class FitField:
         """
         low, high = self._window(row, 1.0)
         found = np.argwhere(self._distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]] < 0.5) + low
-        cells = found[:: max(1, len(found) // (2 * max_samples))].astype(np.float64)
+        cells = found[thinned(len(found), 2 * max_samples)].astype(np.float64)
         if len(cells) == 0:
             return row
         inside = cells[distances_to(row, cells) < 0.5]
@@ -239,8 +241,8 @@ def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma
 
 
 @numba.njit(cache=True, nogil=True)
-def _within(cells, low, high, max_samples):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the cells within a window, every n-th where there are more than about `max_samples`."""
+def _within(cells, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the cells within a window."""
     chosen = np.empty(len(cells), np.int64)
     count = 0
     for n in range(len(cells)):
@@ -248,5 +250,4 @@ def _within(cells, low, high, max_samples):  # type: ignore[no-untyped-def] # pr
         if low[0] <= i < high[0] and low[1] <= j < high[1] and low[2] <= k < high[2]:
             chosen[count] = n
             count += 1
-    # An odd stride, so that the samples do not fall into the same columns again and again.
-    return cells[chosen[: count : max(count // max_samples, 1) | 1]]
+    return cells[chosen[:count]]

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from hickory_stream.shapes.quadric_lm import OUTER_BAND, cut_distances, normal_step
+from hickory_stream.shapes.thinning import thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,7 +55,7 @@ def refined_beside(
     near = np.flatnonzero(_near(row, points, band))
     if len(near) < 30:
         return row
-    near = near[:: max(len(near) // max_samples, 1) | 1]
+    near = near[thinned(len(near), max_samples)]
     own, goal = points[near], np.clip(distances[near], -band, OUTER_BAND)
     beside = _union(others, own, band)
     return np.asarray(_stepped_beside(row, own, goal, beside, band, steps, max_log_axis, True)[0])
@@ -81,7 +82,7 @@ def simplified(
         near = np.flatnonzero(_near(rows[k], points, band))
         if len(near) < 30:
             continue
-        near = near[:: max(len(near) // per_primitive, 1) | 1]
+        near = near[thinned(len(near), per_primitive)]
         own, goal = points[near], targets[near]
         beside = np.delete(rows, k, axis=0)
         others = _union(beside, own, band)

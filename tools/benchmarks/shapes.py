@@ -199,7 +199,7 @@ def _row(name: str, mesh: trimesh.Trimesh, options: Options) -> Row:
 def _render(folder: Path, row: Row, mesh: trimesh.Trimesh) -> None:
     import cv2
 
-    from hickory_stream.evaluation.page import close_up_of, draw
+    from hickory_stream.evaluation.close_up import close_up_of, draw
     from hickory_stream.evaluation.raycast import Surface
     from hickory_stream.evaluation.render_parts import superquadric_surfaces
 
