@@ -106,7 +106,9 @@ class ClearanceScene:
         """
         rows = _rows_of(inflated)
         if not np.isfinite(rows).all():
-            raise ValueError(f"object {object_id} has a superquadric that is not finite: nothing can be checked with it")
+            raise ValueError(
+                f"object {object_id} has a superquadric that is not finite: nothing can be checked with it"
+            )
         self.remove(object_id)
         if len(rows) == 0:
             return

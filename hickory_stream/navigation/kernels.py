@@ -131,7 +131,9 @@ def exact_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pra
     p = np.abs(p)
     n, q = np.empty(3), np.empty(3)
     for i in range(3):
-        along = row[ROTATION + i] * gradient[0] + row[ROTATION + 3 + i] * gradient[1] + row[ROTATION + 6 + i] * gradient[2]
+        along = (
+            row[ROTATION + i] * gradient[0] + row[ROTATION + 3 + i] * gradient[1] + row[ROTATION + 6 + i] * gradient[2]
+        )
         n[i] = abs(along)
     # The best of a net of directions, refined by shrinking nets around it: the dual is smooth, but for boxes nearly has
     # edges, on which ascents stall.

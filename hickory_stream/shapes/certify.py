@@ -126,8 +126,13 @@ def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, 
     half_diagonal = _HALF_DIAGONAL * step
     covered_by_margin = np.abs(grid.values) + half_diagonal <= min(r_safe_m, grid.band_m)
     deep = np.flatnonzero((grid.values <= -half_diagonal) & ~covered_by_margin)
+    # A solid stays within its bounds; the winding numbers of a torn mesh need not.
+    centers = grid.points(deep)
+    low, high = vertices_world.min(axis=0) + 0.49 * step, vertices_world.max(axis=0) - 0.49 * step
+    is_within = ((centers >= low) & (centers <= high)).all(axis=1)
+    deep = deep[is_within]
     return Inside(
-        centers=grid.points(deep),
+        centers=centers[is_within],
         half_m=step / 2,
         distances_m=grid.values.ravel()[deep].astype(np.float64),
         margin_m=r_safe_m,

@@ -77,21 +77,47 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
 
     Where no primitive fits, because the mesh is flat or encloses nothing, its box is returned as one superquadric with
     exponents of 0.1.
+
+    Raises:
+        ValueError: the mesh has no triangles or no extent, or is not finite.
     """
-    vertices = mesh.vertices.astype(np.float64)
+    vertices = _checked(mesh)
+    # Far from the origin digits would be lost to the offset.
+    offset = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    vertices = vertices - offset
     axes = object_axes(vertices, mesh.faces)
     local = vertices @ axes
-    cells = adapted_cells(
-        local,
-        mesh.faces,
-        cells=config.cells,
-        min_thickness_cells=config.min_thickness_cells,
-        max_cells=2 * config.cells,
-    )
-    grid = distance_grid(local, mesh.faces, cells=cells, band_cells=config.band_cells)
-    rows = marching(grid, config)
-    found = _superquadrics(rows, grid) if rows else box_superquadric(local, grid.step_m)
-    return canonical(moved(found, from_rotation_translation(axes, np.zeros(3))))
+    extent = np.ptp(local, axis=0)
+    longest = float(extent.max())
+    rows: list[NDArray[np.float64]] = []
+    # What is flat has no inside; what is thinner than a few thousandths would take a grid too fine.
+    if extent.min() > 1e-3 * longest:
+        cells = adapted_cells(
+            local,
+            mesh.faces,
+            cells=config.cells,
+            min_thickness_cells=config.min_thickness_cells,
+            max_cells=2 * config.cells,
+        )
+        grid = distance_grid(local, mesh.faces, cells=cells, band_cells=config.band_cells)
+        rows = marching(grid, config)
+    found = _superquadrics(rows, grid) if rows else box_superquadric(local, longest / config.cells)
+    return canonical(moved(found, from_rotation_translation(axes, offset)))
+
+
+def _checked(mesh: Mesh) -> NDArray[np.float64]:
+    """Return the (V, 3) vertices that faces use; the mesh is known to be usable then."""
+    if len(mesh.faces) == 0:
+        raise ValueError("the mesh has no triangles; a shape needs at least one")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise ValueError(f"the mesh has faces of vertices that it has not ({len(mesh.vertices)}); repair it first")
+    vertices = mesh.vertices.astype(np.float64)
+    bad = int((~np.isfinite(vertices)).any(axis=1).sum())
+    if bad:
+        raise ValueError(f"{bad} of {len(vertices)} vertices are not finite; remove them first")
+    if not np.ptp(vertices[mesh.faces.ravel()], axis=0).max() > 0:
+        raise ValueError("all triangles of the mesh are one point; a shape needs an extent")
+    return vertices
 
 
 def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superquadrics:

@@ -223,9 +223,7 @@ class _Share:
             if own.any():
                 exponents[i], in_units = self._grown_one(i, own)
                 axes[i] = in_units * self.unit_m
-        return Superquadrics(
-            exponents=exponents, semi_axes_m=axes, world_from_local=self.fitted.world_from_local
-        )
+        return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=self.fitted.world_from_local)
 
     def _grown_one(self, index: int, own: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         pose = self.fitted.world_from_local[index].copy()

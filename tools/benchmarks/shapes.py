@@ -205,7 +205,9 @@ def _render(folder: Path, row: Row, mesh: trimesh.Trimesh) -> None:
 
     vertices = np.asarray(mesh.vertices, dtype=np.float32)
     grey = Surface(vertices=vertices, faces=mesh.faces, colors=np.full((len(vertices), 3), 176, np.uint8), owner=0)
-    view = close_up_of(np.concatenate([display_mesh(row.grown.primitives, i)[0] for i in range(len(row.grown.primitives))]), 0.6)
+    view = close_up_of(
+        np.concatenate([display_mesh(row.grown.primitives, i)[0] for i in range(len(row.grown.primitives))]), 0.6
+    )
     parts = [[grey], superquadric_surfaces(row.fitted, 1), superquadric_surfaces(row.grown.primitives, 1)]
     folder.mkdir(parents=True, exist_ok=True)
     picture = np.concatenate([draw(surfaces, view) for surfaces in parts], axis=1)
@@ -241,7 +243,10 @@ def _folder(folder: Path) -> dict[str, trimesh.Trimesh]:
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES)
     if not files:
         raise SystemExit(f"{folder} has no meshes; known are {', '.join(_SUFFIXES)}")
-    return {str(path.relative_to(folder).with_suffix("")).replace("/", "-"): trimesh.load(path, force="mesh") for path in files}
+    return {
+        str(path.relative_to(folder).with_suffix("")).replace("/", "-"): trimesh.load(path, force="mesh")
+        for path in files
+    }
 
 
 def _turned(mesh: trimesh.Trimesh, rng: np.random.Generator) -> trimesh.Trimesh:
@@ -264,9 +269,7 @@ def _random_primitives(rng: np.random.Generator, count: int) -> Superquadrics:
     exponents = rng.choice([0.1, 0.25, 0.4, 1.0], (count, 2))
     # One in four as an odd fit leaves it, so that the fast paths are not all there is.
     exponents = np.where(rng.random((count, 2)) < 0.25, rng.uniform(0.1, 1.5, (count, 2)), exponents)
-    return Superquadrics(
-        exponents=exponents, semi_axes_m=rng.uniform(0.05, 0.4, (count, 3)), world_from_local=poses
-    )
+    return Superquadrics(exponents=exponents, semi_axes_m=rng.uniform(0.05, 0.4, (count, 3)), world_from_local=poses)
 
 
 def _best_of(work: object, repeats: int = 4) -> float:
