@@ -2,8 +2,8 @@
 
 The rule, in this order:
 
-1. A column of equal axes with e2 > 1 is written as its dual, turned by 45 degrees about z with 2 - e2, where that is the
-   same body to within `DUAL_TOLERANCE` of its radius: near a circle and near a square.
+1. A column of equal axes with e2 > 1 is written as its dual, turned by 45 degrees about z with 2 - e2, where this is a
+   body the same to within `DUAL_TOLERANCE` of its radius: near a circle and near a square.
 2. For e1 = e2 every order of the axes is the same body: the semi-axes fall. Else x and y may change places: a1 >= a2.
 3. Of the rotations that are left (half turns; quarter turns about z for a1 = a2) it is the one closest to the frame's
    own axes, and of equally close ones the one whose matrix, row by row, is largest.

@@ -62,7 +62,7 @@ class ClearanceScene:
 
     def __init__(self, *, block_m: float = _BLOCK_M) -> None:
         self._block_m = block_m
-        self._rows = np.empty((0, kernels.ROW))
+        self._rows: NDArray[np.float64] = np.empty((0, kernels.ROW))
         self._kinds = np.empty(0, np.uint8)
         self._rows_of: dict[int, list[int]] = {}
         self._free_rows: list[int] = []

@@ -108,7 +108,7 @@ def bound_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pra
     if log_h <= 0.0:
         return 0.0
     slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-    # In d(ln h) the plane is at distance (1 - 1/h) / |grad ln h|. A hair less: rounding must not make it an upper bound.
+    # In d(ln h) the plane is at distance (1 - 1/h) / |grad ln h|. A hair less: rounding must not make it too large.
     plane = (1.0 - np.exp(-log_h)) / slope
     return max(np.sqrt(squared), plane) * (1.0 - 1e-9)
 
@@ -184,7 +184,7 @@ _CIRCLE = np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
 
 @numba.njit(cache=True, nogil=True)
 def _behind(row, p, n, q):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the distance of p from the plane with the normal n (>= 0) that touches the body; fill the point q there."""
+    """Return the distance of p from the plane with the normal n (>= 0) that touches the body, at q, which is filled."""
     length = np.sqrt((n * n).sum())
     a, b = _touching(row[AXES] * n[0], row[AXES + 1] * n[1], row[POWER_2])
     planar = a * row[AXES] * n[0] + b * row[AXES + 1] * n[1]
@@ -210,9 +210,10 @@ def _touching(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
 def inserted(row, index, layout, top, bricks, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
     """Enter a primitive into the two grids; return the next free item (there must be enough), and how many it took.
 
-    `layout` is the low corner of the grid (3) and the side of a block. `top` (X, Y, Z, 2) holds the brick of each block, -1 where there is none, and the head of the list of primitives near the block. `bricks`
-    (B, 512) holds the heads of the lists of the cells. Lists are chains through `links`, -1 at the end; a value is
-    2 * primitive, plus 1 where the primitive fills the cell.
+    `layout` is the low corner of the grid (3) and the side of a block. `top` (X, Y, Z, 2) holds the brick of a block,
+    -1 where there is none, and the head of the list of primitives near the block. `bricks` (B, 512) holds the heads of
+    the lists of the cells. Lists are chains through `links`, -1 at the end; a value is 2 * primitive, plus 1 where the
+    primitive fills the cell.
     """
     side = layout[3]
     cell = side / CELLS
@@ -492,7 +493,7 @@ def sweep_touches(row, start, way, half, radius, gradient):  # type: ignore[no-u
 
 @numba.njit(cache=True, nogil=True)
 def _free_around(row, start, way, t, half, radius, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the stretch of the way around t that a plane keeps free of a primitive; begin > end where there is none."""
+    """Return the stretch of the way around t that a plane keeps free of a primitive; begin > end where none does."""
     best_begin, best_end = 2.0, -1.0
     x, y, z = start[0] + t * way[0], start[1] + t * way[1], start[2] + t * way[2]
     log_h = log_gauge(row, x, y, z, gradient)

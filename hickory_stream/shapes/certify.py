@@ -113,7 +113,7 @@ def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, 
 
     Every cell is either as a whole inside the solid, or all of it is within two half diagonals of the surface. The
     lattice is as fine as it takes for the margin to cover the latter, up to a limit; a margin below that leaves a thin
-    shell under the surface, `shell_m`, that is not looked at. Overlapping parts are one solid; a flat mesh has no inside.
+    shell under the surface, `shell_m`, that is not looked at. Overlapping parts are one solid; a plane has no inside.
     """
     extent = np.ptp(vertices_world, axis=0)
     if len(faces) == 0 or not extent.min() > 1e-6 * extent.max():

@@ -38,13 +38,15 @@ SEEDS_PER_COMPONENT = 2
 class FitConfig:
     """How a mesh becomes superquadrics.
 
-    `cells` along the longest side; distances are cut off at `band_cells`. For the next primitive boxes are grown
-    in the `num_seeds` largest components, and the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least `min_gain` of
-    the object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space outside.
+    `cells` along the longest side, up to twice as many where the thinnest part is below `min_thickness_cells`;
+    distances are cut off at `band_cells`. For the next primitive boxes are grown in the `num_seeds` largest components, and the
+    `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least `min_gain` of the
+    object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space outside.
     `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains are
-    measured on up to `gain_samples` cells. Then `num_rounds` times every primitive is fitted again beside the others
-    and pairs are merged. Parts that reach more than `protruding_cells` beyond all primitives get up to
-    `max_protruding` of their own.
+    measured on up to `gain_samples` cells. Then `num_rounds` times all are refined together (`joint_...`), made simple
+    where the misfit rises by no more than `simple_tolerance` cells (`simple_...`), and pairs are merged that lose at
+    most `merge_loss` of the volume. Parts that reach more than `protruding_cells`, of `cells`, beyond all primitives
+    get up to `max_protruding` of their own.
     """
 
     cells: int = 64
@@ -152,17 +154,22 @@ def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig
     if not rows:
         return rows
     points, distances = field.samples(config.joint_samples)
-    settings = {"band": field.band, "max_log_axis": field.max_log_axis}
-    stacked = jointly_refined(np.stack(rows), points, distances, sweeps=config.joint_sweeps, **settings)
+    band, longest = field.band, field.max_log_axis
+    stacked = jointly_refined(
+        np.stack(rows), points, distances, band=band, sweeps=config.joint_sweeps, max_log_axis=longest
+    )
     stacked = simplified(
         stacked,
         *field.samples(config.simple_samples),
         per_primitive=config.simple_samples_each,
         sweeps=config.simple_sweeps,
         tolerance=config.simple_tolerance,
-        **settings,
+        band=band,
+        max_log_axis=longest,
     )
-    return list(jointly_refined(stacked, points, distances, sweeps=4, with_exponents=False, **settings))
+    return list(
+        jointly_refined(stacked, points, distances, band=band, sweeps=4, max_log_axis=longest, with_exponents=False)
+    )
 
 
 def best_candidate(field: FitField, config: FitConfig) -> NDArray[np.float64] | None:
@@ -294,7 +301,8 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
             seed = np.unravel_index(int(np.argmax(depth_here)), depth_here.shape)
             if depth_here[seed] == 0:
                 break
-            box = grown_box(field.solid, tuple(int(n) for n in seed + first), 0.8)
+            i, j, k = (int(n) for n in seed + first)
+            box = grown_box(field.solid, (i, j, k), 0.8)
             starts += _box_starts(box)
             # The next seed lies outside of this box.
             (a, b, c), (d, e, f) = np.maximum(box[0] - first, 0), np.maximum(box[1] - first + 1, 0)

@@ -164,7 +164,7 @@ def _occupancy(row, x, y, z, axes, within, local, gradient, shape):  # type: ign
     u = abs(row[8] * dx + row[11] * dy + row[14] * dz)
     v = abs(row[9] * dx + row[12] * dy + row[15] * dz)
     w = abs(row[10] * dx + row[13] * dy + row[16] * dz)
-    # Most cells need no logarithm: outside the box is outside; deep in the inscribed box or octahedron (for exponents up
+    # Most cells need no logarithm: outside the box is outside; deep in the inscribed box or octahedron (exponents up
     # to 1, ellipsoid) is inside. A gauge changes by at most 1 / inradius per cell.
     if u > axes[0] + 0.5 or v > axes[1] + 0.5 or w > axes[2] + 0.5:
         return 0.0

@@ -32,7 +32,8 @@ def object_axes(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDAr
     real = areas > 1e-12 * max(float(areas.max(initial=0.0)), 1e-300)
     if not real.any():
         return np.eye(3)
-    normals, areas = doubled[real] / areas[real, None], areas[real] / areas[real].sum()
+    normals = doubled[real] / areas[real, None]
+    areas = areas[real] / areas[real].sum()
     middles = ((a + b + c) / 3)[real]
     return _ordered(_manhattan(normals, areas, middles), vertices, middles, areas)
 
@@ -41,7 +42,8 @@ def _manhattan(
     normals: NDArray[np.float64], areas: NDArray[np.float64], middles: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     _, bins = np.unique(np.round(normals / _BIN).astype(np.int64), axis=0, return_inverse=True)
-    pooled = np.stack([np.bincount(bins.ravel(), areas * normals[:, i]) for i in range(3)], axis=1)
+    sums = [np.bincount(bins.ravel(), areas * normals[:, i]) for i in range(3)]
+    pooled: NDArray[np.float64] = np.stack(sums, axis=1).astype(np.float64)
     weights = np.linalg.norm(pooled, axis=1)
     pooled /= np.maximum(weights, 1e-300)[:, None]
     centered = middles - areas @ middles

@@ -64,7 +64,7 @@ def adapted_cells(
 ) -> int:
     """Return how many cells along the longest side give the thinnest part `min_thickness_cells`.
 
-    At least `cells`, at most `max_cells`, and fewer where the whole grid would be larger than a cube of 1.5 `cells`. The
+    At least `cells`, at most `max_cells`, and fewer where the whole grid would exceed a cube of 1.5 `cells`. The
     thinnest part is the 10th percentile, by area, of how far the solid reaches inwards from its surface.
     """
     low, size = vertices.min(axis=0), np.ptp(vertices, axis=0)
@@ -249,7 +249,10 @@ def _is_buried(inside, point, normal):  # type: ignore[no-untyped-def] # pragma:
 
 @numba.njit(cache=True, nogil=True)
 def _squared_distance(x, y, z, t, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the squared distance from a point to a triangle, and fill the point nearest to it (Ericson, Real-Time Collision Detection, 5.1.5)."""
+    """Return the squared distance from a point to a triangle, and fill its nearest point.
+
+    Ericson, Real-Time Collision Detection, 5.1.5.
+    """
     abx, aby, abz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
     acx, acy, acz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
     apx, apy, apz = x - t[0, 0], y - t[0, 1], z - t[0, 2]

@@ -30,8 +30,8 @@ class Figure:
 class Options:
     """What a benchmark may be told.
 
-    `quick` asks for a smaller sample in under 50 s; `scenes` are truth folders to measure on instead of its own, `meshes`
-    a folder of meshes; pictures go to `render`.
+    `quick` asks for a smaller sample in under 50 s; `scenes` are truth folders to measure on instead of its own,
+    `meshes` a folder of meshes; pictures go to `render`.
     """
 
     seed: int
