@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry.rigid import invert
 from hickory_stream.geometry.superquadric import world_bounds
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.navigation import kernels
@@ -94,7 +95,7 @@ class ClearanceScene:
     def observe(self, space: ObservedSpace | None, world_from_space: NDArray[np.float64] | None = None) -> None:
         """Let points outside the free space that was seen be UNKNOWN, and points in seen structure HIT_SEEN."""
         self._space = space
-        self._space_from_world = np.eye(4) if world_from_space is None else np.linalg.inv(world_from_space)
+        self._space_from_world = np.eye(4) if world_from_space is None else invert(world_from_space)
 
     def put(self, object_id: int, inflated: Superquadrics, seen_share: NDArray[np.float64] | None = None) -> None:
         """Add an object, or replace what it was.

@@ -39,8 +39,8 @@ class FitConfig:
     """How a mesh becomes superquadrics.
 
     `cells` along the longest side, up to twice as many where the thinnest part is below `min_thickness_cells`;
-    distances are cut off at `band_cells`. For the next primitive boxes are grown in the `num_seeds` largest components, and the
-    `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least `min_gain` of the
+    distances are cut off at `band_cells`. For the next primitive boxes are grown in the `num_seeds` largest
+    components, and the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least `min_gain` of the
     object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space outside.
     `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains are
     measured on up to `gain_samples` cells. Then `num_rounds` times all are refined together (`joint_...`), made simple
