@@ -40,13 +40,13 @@ class FitConfig:
 
     `cells` along the longest side, up to twice as many where the thinnest part is below `min_thickness_cells`;
     distances are cut off at `band_cells`. For the next primitive boxes are grown in the `num_seeds` largest
-    components, and the `num_candidates` most promising starts are fitted. A primitive is kept
-    when it adds at least `min_gain` of the object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space outside.
-    `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains are
-    measured on up to `gain_samples` cells. Then `num_rounds` times all are refined together (`joint_...`), made simple
-    where the misfit rises by no more than `simple_tolerance` cells (`simple_...`), and pairs are merged that lose at
-    most `merge_loss` of the volume. Parts that reach more than `protruding_cells`, of `cells`, beyond all primitives
-    get up to `max_protruding` of their own.
+    components, and the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least
+    `min_gain` of the object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space
+    outside. `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains
+    are measured on up to `gain_samples` cells. Then `num_rounds` times all are refined together (`joint_...`), made
+    simple where the misfit rises by no more than `simple_tolerance` cells (`simple_...`), and pairs are merged that
+    lose at most `merge_loss` of the volume. Parts that reach more than `protruding_cells`, of `cells`, beyond all
+    primitives get up to `max_protruding` of their own.
     """
 
     cells: int = 64
