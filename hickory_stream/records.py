@@ -219,11 +219,19 @@ class View:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Containment:
-    """How layer 4 covers the object, measured on its surface and layer-1 points: the worst G, how many are outside."""
+    """The certificate of layer 4: what was checked, how much of it lies in no primitive, the largest G of what does.
+
+    Checked are the pieces of the surface and the points of layer 1, each with a ball of `margin_m` around it, and the
+    cells of the inside. `is_certified` says that nothing is outside; `is_fallback` that a box around everything took
+    the place of the primitives.
+    """
 
     num_checked: int
     num_outside: int
     max_g: float
+    is_certified: bool = False
+    is_fallback: bool = False
+    margin_m: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -27,9 +27,7 @@ coarse_iterations = 3
 fine_samples = 300
 fine_iterations = 4
 gain_samples = 1000
-[mapper.shapes.inflate]
-num_samples = 500
-num_checks = 300
+joint_samples = 500
 """
 
 

@@ -9,6 +9,7 @@ and stamp of the snapshot, tickets and file names, the observed space, anything 
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import struct
 from typing import TYPE_CHECKING, Any
@@ -74,7 +75,7 @@ def _shape_values(shape: ObjectShape) -> tuple[Any, ...]:
         _primitive_values(shape.fitted),
         _primitive_values(shape.inflated),
         shape.seen_share,
-        (shape.containment.num_checked, shape.containment.num_outside, shape.containment.max_g),
+        dataclasses.astuple(shape.containment),
     )
 
 

@@ -198,6 +198,9 @@ def _encode_shape(shape: ObjectShape) -> Json:
             "num_checked": int(shape.containment.num_checked),
             "num_outside": int(shape.containment.num_outside),
             "max_g": _number(shape.containment.max_g),
+            "is_certified": bool(shape.containment.is_certified),
+            "is_fallback": bool(shape.containment.is_fallback),
+            "margin_m": _number(shape.containment.margin_m),
         },
     }
 
@@ -214,7 +217,13 @@ def _decode_shape(entry: Json) -> ObjectShape:
         inflated=decode_superquadrics(entry["inflated"]),
         seen_share=_array(entry["seen_share"]),
         containment=Containment(
-            num_checked=checked["num_checked"], num_outside=checked["num_outside"], max_g=float(checked["max_g"])
+            num_checked=checked["num_checked"],
+            num_outside=checked["num_outside"],
+            max_g=float(checked["max_g"]),
+            # Maps from before the certificate were checked by sampling only.
+            is_certified=checked.get("is_certified", False),
+            is_fallback=checked.get("is_fallback", False),
+            margin_m=float(checked.get("margin_m", 0.0)),
         ),
     )
 

@@ -51,7 +51,10 @@ class LayerSummary:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapSummary:
-    """A map; `digest` is of its objects as they are, `num_checked` and `num_outside` sum up the containment."""
+    """A map; `digest` is of its objects as they are, `num_checked` and `num_outside` sum up the containment.
+
+    `num_certified` objects have a layer 4 that provably contains them; `num_fallbacks` of these are boxes instead.
+    """
 
     objects: tuple[ObjectSummary, ...]
     layers: tuple[LayerSummary, ...]
@@ -60,6 +63,8 @@ class MapSummary:
     source: str
     num_checked: int
     num_outside: int
+    num_certified: int
+    num_fallbacks: int
 
 
 def summarize(saved: SavedMap) -> MapSummary:
@@ -74,6 +79,8 @@ def summarize(saved: SavedMap) -> MapSummary:
         source=str(saved.manifest.source.get("uri", "unknown")),
         num_checked=sum(check.num_checked for check in checks),
         num_outside=sum(check.num_outside for check in checks),
+        num_certified=sum(check.is_certified for check in checks),
+        num_fallbacks=sum(check.is_fallback for check in checks),
     )
 
 
@@ -201,6 +208,9 @@ def _ending(summary: MapSummary) -> str:
 
 def _containment_line(summary: MapSummary) -> str:
     if not summary.num_checked:
-        return "containment of layer 4: nothing checked"
+        return "layer 4: nothing checked"
     share = _share(summary.num_checked - summary.num_outside, summary.num_checked)
-    return f"containment of layer 4: {share} of {summary.num_checked} checked points inside"
+    shaped = sum(row.containment is not None for row in summary.objects)
+    certified = f"{summary.num_certified} of {shaped} objects certified"
+    boxes = f", {summary.num_fallbacks} as boxes" if summary.num_fallbacks else ""
+    return f"layer 4: {certified}{boxes}; {share} of {summary.num_checked} pieces checked are inside"

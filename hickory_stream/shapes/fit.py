@@ -15,11 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics, sorted_by_volume
+from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.shapes.fit_field import FitField
-from hickory_stream.shapes.quadric_lm import row_of
-from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
+from hickory_stream.shapes.frame import object_axes
+from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
+from hickory_stream.shapes.quadric_lm import ROW, row_of
+from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
 from hickory_stream.shapes.seeds import grown_box, principal_axes
 
 if TYPE_CHECKING:
@@ -28,32 +31,45 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.mesh import Mesh
 
 
+SEEDS_PER_COMPONENT = 2
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FitConfig:
     """How a mesh becomes superquadrics.
 
-    `cells` along the longest side; distances are cut off at `band_cells`. Per primitive `num_seeds` boxes are grown,
-    and the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least `min_gain` of
-    the object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space outside.
-    `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains are
-    measured on up to `gain_samples` cells. Then `num_rounds` times every primitive is fitted again beside the others
-    and pairs are merged. Parts that reach more than `protruding_cells` beyond all primitives get up to
-    `max_protruding` of their own.
+    `cells` along the longest side, up to twice as many where the thinnest part is below `min_thickness_cells`;
+    distances are cut off at `band_cells`. For the next primitive boxes are grown in the `num_seeds` largest
+    components, and the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least
+    `min_gain` of the object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space
+    outside. `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains
+    are measured on up to `gain_samples` cells. Then `num_rounds` times all are refined together (`joint_...`), made
+    simple where the misfit rises by no more than `simple_tolerance` cells (`simple_...`), and pairs are merged that
+    lose at most `merge_loss` of the volume. Parts that reach more than `protruding_cells`, of `cells`, beyond all
+    primitives get up to `max_protruding` of their own.
     """
 
     cells: int = 64
     band_cells: float = 3.0
-    num_seeds: int = 4
+    min_thickness_cells: float = 3.5
+    num_seeds: int = 3
     num_candidates: int = 4
-    min_gain: float = 0.01
+    min_gain: float = 0.015
     max_primitives: int = 12
     waste_weight: float = 1.5
     coarse_samples: int = 200
     coarse_iterations: int = 5
     fine_samples: int = 800
     fine_iterations: int = 8
-    gain_samples: int = 4000
+    gain_samples: int = 10_000
+    merge_loss: float = 0.02
     num_rounds: int = 1
+    joint_samples: int = 4500
+    joint_sweeps: int = 15
+    simple_samples: int = 40_000
+    simple_samples_each: int = 600
+    simple_sweeps: int = 5
+    simple_tolerance: float = 0.03
     max_protruding: int = 4
     protruding_cells: float = 3.0
 
@@ -63,13 +79,47 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
 
     Where no primitive fits, because the mesh is flat or encloses nothing, its box is returned as one superquadric with
     exponents of 0.1.
+
+    Raises:
+        ValueError: the mesh has no triangles or no extent, or is not finite.
     """
+    vertices = _checked(mesh)
+    # Far from the origin digits would be lost to the offset.
+    offset = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    vertices = vertices - offset
+    axes = object_axes(vertices, mesh.faces)
+    local = vertices @ axes
+    extent = np.ptp(local, axis=0)
+    longest = float(extent.max())
+    rows: list[NDArray[np.float64]] = []
+    # What is flat has no inside; what is thinner than a few thousandths would take a grid too fine.
+    if extent.min() > 1e-3 * longest:
+        cells = adapted_cells(
+            local,
+            mesh.faces,
+            cells=config.cells,
+            min_thickness_cells=config.min_thickness_cells,
+            max_cells=2 * config.cells,
+        )
+        grid = distance_grid(local, mesh.faces, cells=cells, band_cells=config.band_cells)
+        rows = marching(grid, config)
+    found = _superquadrics(rows, grid) if rows else box_superquadric(local, longest / config.cells)
+    return canonical(moved(found, from_rotation_translation(axes, offset)))
+
+
+def _checked(mesh: Mesh) -> NDArray[np.float64]:
+    """Return the (V, 3) vertices that faces use; the mesh is known to be usable then."""
+    if len(mesh.faces) == 0:
+        raise ValueError("the mesh has no triangles; a shape needs at least one")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise ValueError(f"the mesh has faces of vertices that it has not ({len(mesh.vertices)}); repair it first")
     vertices = mesh.vertices.astype(np.float64)
-    grid = distance_grid(vertices, mesh.faces, cells=config.cells, band_cells=config.band_cells)
-    rows = marching(grid, config)
-    if not rows:
-        return box_superquadric(vertices, grid.step_m)
-    return sorted_by_volume(_superquadrics(rows, grid))
+    bad = int((~np.isfinite(vertices)).any(axis=1).sum())
+    if bad:
+        raise ValueError(f"{bad} of {len(vertices)} vertices are not finite; remove them first")
+    if not np.ptp(vertices[mesh.faces.ravel()], axis=0).max() > 0:
+        raise ValueError("all triangles of the mesh are one point; a shape needs an extent")
+    return vertices
 
 
 def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superquadrics:
@@ -93,8 +143,33 @@ def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]
         rows.append(best)
         field.consume(best)
     for _ in range(config.num_rounds):
-        rows = merged(field, refitted(field, rows, config), config)
-    return with_protruding(field, pruned(field, rows, config), config)
+        rows = polished(field, rows, config)
+        rows = pruned(field, merged(field, rows, config), config)
+    rows = with_protruding(field, rows, config)
+    return polished(field, rows, config)
+
+
+def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
+    """Return the primitives refined together, with simple exponents where these do."""
+    if not rows:
+        return rows
+    points, distances = field.samples(config.joint_samples)
+    band, longest = field.band, field.max_log_axis
+    stacked = jointly_refined(
+        np.stack(rows), points, distances, band=band, sweeps=config.joint_sweeps, max_log_axis=longest
+    )
+    stacked = simplified(
+        stacked,
+        *field.samples(config.simple_samples),
+        per_primitive=config.simple_samples_each,
+        sweeps=config.simple_sweeps,
+        tolerance=config.simple_tolerance,
+        band=band,
+        max_log_axis=longest,
+    )
+    return list(
+        jointly_refined(stacked, points, distances, band=band, sweeps=4, max_log_axis=longest, with_exponents=False)
+    )
 
 
 def best_candidate(field: FitField, config: FitConfig) -> NDArray[np.float64] | None:
@@ -110,7 +185,7 @@ def _refined_best(field: FitField, starts: list[NDArray[np.float64]], config: Fi
     finalists = _best_by_gain(field, coarse, 2, config.fine_samples)
     fine = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in finalists]
     # A grown box lies inside the object: where a fit goes astray, the start itself is the better primitive.
-    return _best_by_gain(field, fine + finalists + starts[:2], 1, config.gain_samples)[0]
+    return _best_by_gain(field, fine + finalists + starts[:2], 1, config.gain_samples // 3)[0]
 
 
 def refitted(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
@@ -150,13 +225,25 @@ def _merged_pair(
     starts = [row for row in starts if field.gain(row, config.fine_samples) > 0]
     if not starts:
         return None
-    fits = [field.fitted(row, config.coarse_samples, config.fine_iterations) for row in starts]
-    one = _best_by_gain(field, fits, 1, config.fine_samples)[0]
+    fits = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in starts]
+    one = _best_by_gain(field, fits, 1, config.gain_samples)[0]
+    others = np.array([row for n, row in enumerate(rows) if n not in pair]).reshape(-1, ROW)
+    points, distances = field.samples(config.simple_samples)
+    one = refined_beside(
+        one,
+        others,
+        points,
+        distances,
+        band=field.band,
+        steps=config.joint_sweeps,
+        max_log_axis=field.max_log_axis,
+        max_samples=config.joint_samples // 4,
+    )
     gain_of_one = field.gain(one, config.gain_samples)
     gain_of_two = field.gain(rows[i], config.gain_samples)
     field.consume(rows[i])
     gain_of_two += field.gain(rows[j], config.gain_samples)
-    return one if gain_of_one >= gain_of_two - config.min_gain * field.volume else None
+    return one if gain_of_one >= gain_of_two - config.merge_loss * field.volume else None
 
 
 def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
@@ -167,7 +254,7 @@ def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: Fi
     rows = list(rows)
     field.cover_with(rows)
     for _ in range(config.max_protruding):
-        cells = field.protruding_part(config.protruding_cells)
+        cells = field.protruding_part(config.protruding_cells * field.longest_side / config.cells)
         if cells is None:
             break
         best = _refined_best(field, _component_starts(cells), config)
@@ -202,18 +289,24 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
     starts = []
-    for label in np.argsort(-sizes, kind="stable")[: min(count, num_seeds)]:
-        starts += _component_starts(np.argwhere(labels == label))
-    solid = field.solid
+    windows = ndimage.find_objects(labels)
     depth = ndimage.distance_transform_cdt(left, "chessboard")
-    for _ in range(num_seeds):
-        i, j, k = (int(n) for n in np.unravel_index(int(np.argmax(depth)), depth.shape))
-        if depth[i, j, k] == 0:
-            break
-        box = grown_box(solid, (i, j, k), 0.8)
-        starts += _box_starts(box)
-        # The next seed lies outside of this box.
-        depth[box[0, 0] : box[1, 0] + 1, box[0, 1] : box[1, 1] + 1, box[0, 2] : box[1, 2] + 1] = 0
+    for label in np.argsort(-sizes, kind="stable")[: min(count, num_seeds)]:
+        window = windows[label - 1]
+        first = np.array([part.start for part in window])
+        mine = labels[window] == label
+        starts += _component_starts(np.argwhere(mine) + first)
+        depth_here = depth[window] * mine
+        for _ in range(SEEDS_PER_COMPONENT):
+            seed = np.unravel_index(int(np.argmax(depth_here)), depth_here.shape)
+            if depth_here[seed] == 0:
+                break
+            i, j, k = (int(n) for n in seed + first)
+            box = grown_box(field.solid, (i, j, k), 0.8)
+            starts += _box_starts(box)
+            # The next seed lies outside of this box.
+            (a, b, c), (d, e, f) = np.maximum(box[0] - first, 0), np.maximum(box[1] - first + 1, 0)
+            depth_here[a:d, b:e, c:f] = 0
     return starts
 
 
@@ -230,6 +323,7 @@ _ORDERS = tuple(np.roll(np.eye(3), shift, axis=1) for shift in range(3))
 
 def _component_starts(cells: NDArray[np.int64]) -> list[NDArray[np.float64]]:
     """Return ellipsoid-like starts over the bounds of a component, along the grid and along its principal axes."""
+    cells = cells[:: len(cells) // 5000 + 1]
     starts = []
     for axes in (np.eye(3), principal_axes(cells)):
         local = cells @ axes

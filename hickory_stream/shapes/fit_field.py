@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.shapes.quadric_lm import distances_to, refined, tangent_distance
+from hickory_stream.shapes.thinning import thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,6 +32,7 @@ class FitField:
         self._band = grid.band_m / grid.step_m
         self._occupancies: dict[bytes, NDArray[np.float32]] = {}
         self._speaking: NDArray[np.int64] | None = None
+        self._band_cells: NDArray[np.int64] | None = None
         self.volume = float(self._object.sum(dtype=np.float64))
 
     @property
@@ -43,10 +45,32 @@ class FitField:
         """The cells inside the object that no primitive explains."""
         return (self._distance < 0) & (self._object - self._covered > 0.5)
 
+    @property
+    def band(self) -> float:
+        """Where distances are cut off, in cells."""
+        return self._band
+
+    @property
+    def longest_side(self) -> int:
+        """The cells along the longest side of the grid."""
+        return max(self._object.shape)
+
+    @property
+    def max_log_axis(self) -> float:
+        """The logarithm of the longest semi-axis that makes sense, in cells."""
+        return float(np.log(max(self._object.shape)))
+
+    def samples(self, max_samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the (N, 3) cells within the band of the surface, evenly thinned out, and their (N,) distances."""
+        if self._band_cells is None:
+            self._band_cells = np.argwhere(np.abs(self._distance) < self._band)
+        cells = self._band_cells[thinned(len(self._band_cells), max_samples)]
+        return cells.astype(np.float64), self._distance[tuple(cells.T)].astype(np.float64)
+
     def protruding_part(self, min_reach: float) -> NDArray[np.int64] | None:
         """Return the (N, 3) cells of the part that reaches farthest from what is explained; None below `min_reach`."""
         unexplained = self._covered < 0.5
-        reach = np.where(self._distance < 0, ndimage.distance_transform_edt(unexplained), 0.0)
+        reach = np.where(self._distance < 0, ndimage.distance_transform_cdt(unexplained, "chessboard"), 0.0)
         farthest = np.unravel_index(int(np.argmax(reach)), reach.shape)
         if reach[farthest] < min_reach:
             return None
@@ -83,7 +107,8 @@ class FitField:
         if self._speaking is None:
             self._speaking = _speaking(self._distance, self._covered, self._band)
         low, high = self._window(row, self._band + 2)
-        cells = _within(self._speaking, low, high, max_samples)
+        cells = _within(self._speaking, low, high)
+        cells = cells[thinned(len(cells), max_samples)]
         if len(cells) < 11:
             return row
         i, j, k = cells.T
@@ -94,7 +119,7 @@ class FitField:
             1.0 - self._covered[i, j, k].astype(np.float64),
             band=self._band,
             iterations=iterations,
-            max_log_axis=float(np.log(max(self._object.shape))),
+            max_log_axis=self.max_log_axis,
         )
         return self.trimmed(fit, max_samples)
 
@@ -105,7 +130,7 @@ class FitField:
         """
         low, high = self._window(row, 1.0)
         found = np.argwhere(self._distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]] < 0.5) + low
-        cells = found[:: max(1, len(found) // (2 * max_samples))].astype(np.float64)
+        cells = found[thinned(len(found), 2 * max_samples)].astype(np.float64)
         if len(cells) == 0:
             return row
         inside = cells[distances_to(row, cells) < 0.5]
@@ -130,16 +155,21 @@ class FitField:
 
 
 @numba.njit(cache=True, nogil=True)
-def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the share of a cell within a primitive, linear near its surface; `axes` = exp(row[2:5])."""
+def _occupancy(row, x, y, z, axes, within, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the share of a cell within a primitive, linear near its surface.
+
+    `axes` = exp(row[2:5]); `within` is the inscribed box, in shares of them.
+    """
     dx, dy, dz = x - row[5], y - row[6], z - row[7]
     u = abs(row[8] * dx + row[11] * dy + row[14] * dz)
     v = abs(row[9] * dx + row[12] * dy + row[15] * dz)
     w = abs(row[10] * dx + row[13] * dy + row[16] * dz)
-    # Most cells need no logarithm: outside the box is outside, and deep in the octahedron (for exponents up to 1 in the
-    # ellipsoid) is inside. A gauge changes by at most 1 / inradius per cell.
+    # Most cells need no logarithm: outside the box is outside; deep in the inscribed box or octahedron (exponents up
+    # to 1, ellipsoid) is inside. A gauge changes by at most 1 / inradius per cell.
     if u > axes[0] + 0.5 or v > axes[1] + 0.5 or w > axes[2] + 0.5:
         return 0.0
+    if min(within * axes[0] - u, within * axes[1] - v, within * axes[2] - w) > 0.5:
+        return 1.0
     u, v, w = u / axes[0], v / axes[1], w / axes[2]
     smallest = min(axes[0], axes[1], axes[2])
     if row[0] <= 1.0 and row[1] <= 1.0:
@@ -151,32 +181,43 @@ def _occupancy(row, x, y, z, axes, local, gradient, shape):  # type: ignore[no-u
 
 
 @numba.njit(cache=True, nogil=True)
+def _inscribed(row):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return s such that the box of s times the semi-axes touches the primitive with its corners."""
+    return np.exp(-0.5 * row[0] * np.log1p(2.0 ** (row[1] / row[0])))
+
+
+@numba.njit(cache=True, nogil=True)
 def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty((high[0] - low[0], high[1] - low[1], high[2] - low[2]), np.float32)
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
-    axes = np.exp(row[2:5])
+    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    axes, within = np.exp(row[2:5]), _inscribed(row)
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
             for k in range(low[2], high[2]):
-                occupied = _occupancy(row, i, j, k, axes, local, gradient, shape)
+                occupied = _occupancy(row, i, j, k, axes, within, local, gradient, shape)
                 out[i - low[0], j - low[1], k - low[2]] = occupied
     return out
 
 
 @numba.njit(cache=True, nogil=True)
 def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
-    axes = np.exp(row[2:5])
+    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    axes, within = np.exp(row[2:5]), _inscribed(row)
     total = 0.0
     size_y, size_z = high[1] - low[1], high[2] - low[2]
-    for n in range(0, (high[0] - low[0]) * size_y * size_z, stride):
+    size = (high[0] - low[0]) * size_y * size_z
+    for m in range((size + stride - 1) // stride):
+        # One cell of each stride, at a place that never falls into step with the rows of the window.
+        n = m * stride + int(stride * ((m * 0.6180339887498949) % 1.0))
+        if n >= size:
+            break
         i = low[0] + n // (size_y * size_z)
         j = low[1] + (n // size_z) % size_y
         k = low[2] + n % size_z
         before = covered[i, j, k]
         if before >= 1.0:
             continue
-        after = max(_occupancy(row, i, j, k, axes, local, gradient, shape), before)
+        after = max(_occupancy(row, i, j, k, axes, within, local, gradient, shape), before)
         share = inside[i, j, k]
         total += min(after, share) - min(before, share)
         total -= waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))
@@ -200,8 +241,8 @@ def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma
 
 
 @numba.njit(cache=True, nogil=True)
-def _within(cells, low, high, max_samples):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the cells within a window, every n-th where there are more than about `max_samples`."""
+def _within(cells, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the cells within a window."""
     chosen = np.empty(len(cells), np.int64)
     count = 0
     for n in range(len(cells)):
@@ -209,5 +250,4 @@ def _within(cells, low, high, max_samples):  # type: ignore[no-untyped-def] # pr
         if low[0] <= i < high[0] and low[1] <= j < high[1] and low[2] <= k < high[2]:
             chosen[count] = n
             count += 1
-    # An odd stride, so that the samples do not fall into the same columns again and again.
-    return cells[chosen[: count : max(count // max_samples, 1) | 1]]
+    return cells[chosen[:count]]

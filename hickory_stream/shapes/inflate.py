@@ -1,10 +1,12 @@
-"""Layer 4: primitives grown until they contain the object and a margin.
+"""Layer 4: primitives grown until they provably contain the object and a margin.
 
-The paper's rule: points of the object, moved outwards from its centroid by the margin, are assigned to their closest
-primitive, which grows until G <= g for all of its points. The paper's single factor per primitive makes a huge block of
-a thin plate; by default each semi-axis grows on its own. In the logarithms of the semi-axes ln G is convex and that of
-the volume is linear, so that the smallest growth is a convex problem in three unknowns, solved on the few points that
-bind; the paper's factor then takes up what numerical slack is left.
+What is contained is the Minkowski sum of the surface and the points of layer 1 with a ball of the margin, and the
+inside of a closed mesh. The surface is shared out among the primitives in pieces (`pieces`), each of them grows to the
+least volume that holds its share (`cover`), and the result is checked by code that knows nothing of how it came about
+(`certify`). Where the check fails, a box around everything takes the place of the primitives, and says so.
+
+The paper grows all three axes by one factor, which makes a huge block of a thin plate: by default each semi-axis grows
+on its own, and edges may become rounder, as those of the Minkowski sum are.
 """
 
 from __future__ import annotations
@@ -13,19 +15,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, assert_never
 
 import numpy as np
-from scipy.optimize import minimize
 
-from hickory_stream.geometry.mesh import sample_surface
-from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.superquadric import (
-    Superquadrics,
-    centroid_world,
-    implicit_value,
-    log_implicit_value,
-    radial_distance_m,
-    sorted_by_volume,
-)
+from hickory_stream.geometry.rigid import apply, from_rotation_translation
+from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, sorted_by_volume, volumes_m3
 from hickory_stream.records import Containment
+from hickory_stream.shapes.certify import Certificate, certify, inside_of, uncovered_cells
+from hickory_stream.shapes.cover import (
+    NET,
+    NET_FACTOR,
+    extremes,
+    least_axes,
+    local_abs,
+    with_net,
+    worst_balls,
+)
+from hickory_stream.shapes.pieces import owned_pieces, owners_of
+from hickory_stream.shapes.quadric_lm import row_of
 
 if TYPE_CHECKING:
     from typing import Any
@@ -34,168 +39,285 @@ if TYPE_CHECKING:
 
     from hickory_stream.ports import Reconstruction
 
+_UNIT_CELLS = 64
+# Exponents below these may rise to them: the rounder of the candidates wins where it takes less volume.
+_ROUNDINGS = (0.0, 0.25, 0.4)
+# What the growth stays below the limit of ln h by, so that the certificate's own rounding has room.
+_SLACK = 1e-7
+_ROUNDS = 6
+_WORST = 12
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InflateConfig:
     """How layer 4 is made.
 
-    `rule` is "per_axis" or the paper's "single_factor". `r_safe_m` is the margin; `g` in 0..1 is the value of G that no
-    point may exceed. `num_samples` surface points are covered, besides all vertices and the points of layer 1, and
-    `num_checks` others are checked; `num_rounds` times as many more are looked for what was missed.
+    `rule` is "per_axis" or the paper's "single_factor". `r_safe_m` is the margin; `g` in 0..1 is the value of G that
+    nothing may exceed. A triangle that reaches farther out of all primitives than `tolerance` of the object's diagonal
+    is bisected.
     """
 
     rule: Literal["per_axis", "single_factor"] = "per_axis"
     r_safe_m: float = 0.02
     g: float = 1.0
-    num_samples: int = 4000
-    num_rounds: int = 3
-    num_checks: int = 4000
+    tolerance: float = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Inflated:
+    """The inflated primitives in the world, largest first; their certificate; whether they are the box instead."""
+
+    primitives: Superquadrics
+    certificate: Certificate
+    is_fallback: bool
 
 
 def inflate(
     fitted: Superquadrics, reconstruction: Reconstruction, points_world: NDArray[np.float32], config: InflateConfig
 ) -> tuple[Superquadrics, Containment]:
-    """Return the inflated primitives in the world, largest first, and how well they contain the object.
+    """Return the inflated primitives in the world, largest first, and the record of their certificate.
 
-    `fitted` in the world; `points_world` (N, 3) are those of layer 1. No primitive ever shrinks. The containment is
-    measured on other samples of the surface than those that were covered.
+    `fitted` in the world; `points_world` (N, 3) are those of layer 1.
     """
-    mesh, pose = reconstruction.mesh, reconstruction.world_from_object
-    rng = np.random.default_rng(0)
-    surface = np.concatenate([sample_surface(mesh, config.num_samples, rng)[0], mesh.vertices])
-    points = np.concatenate([apply(pose, surface.astype(np.float64)), points_world.astype(np.float64)])
-    center = centroid_world(fitted)
-    # The surface itself too: of an object that is not convex, moving outwards need not cover where it came from.
-    inflated = inflate_to_cover(
-        fitted, np.concatenate([points, moved_outwards(points, center, config.r_safe_m)]), config
+    vertices = apply(reconstruction.world_from_object, reconstruction.mesh.vertices.astype(np.float64))
+    found = inflated(fitted, vertices, reconstruction.mesh.faces, points_world.astype(np.float64), config)
+    certificate = found.certificate
+    return found.primitives, Containment(
+        num_checked=certificate.num_pieces + certificate.num_points + certificate.num_cells,
+        num_outside=certificate.uncovered_triangles + certificate.uncovered_points + certificate.uncovered_cells,
+        max_g=certificate.max_g,
+        is_certified=certificate.holds,
+        is_fallback=found.is_fallback,
+        margin_m=config.r_safe_m,
     )
-    # Between the samples, at the seams of two primitives, a sliver may be left: further samples find it.
-    for _ in range(config.num_rounds):
-        more = apply(pose, sample_surface(mesh, config.num_samples, rng)[0].astype(np.float64))
-        outside = more[lowest_value(inflated, more) > config.g]
-        if len(outside):
-            inflated = inflate_to_cover(inflated, outside, config)
-    checks, _ = sample_surface(mesh, config.num_checks, np.random.default_rng(1))
-    checked = np.concatenate([apply(pose, checks.astype(np.float64)), points_world.astype(np.float64)])
-    return sorted_by_volume(inflated), containment_of(inflated, checked)
+
+
+def inflated(
+    fitted: Superquadrics,
+    vertices_world: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    points_world: NDArray[np.float64],
+    config: InflateConfig,
+) -> Inflated:
+    """Return the primitives grown around (V, 3) vertices with (F, 3) faces and (N, 3) points, and their certificate."""
+    inside = inside_of(vertices_world, faces, r_safe_m=config.r_safe_m)
+    checked = {"r_safe_m": config.r_safe_m, "g": config.g}
+    if len(fitted):
+        share = _Share.of(fitted, vertices_world, faces, points_world, config)
+        grown = share.grown()
+        for _ in range(_ROUNDS):
+            out = uncovered_cells(grown, inside, config.g)
+            if len(out) == 0:
+                break
+            share = share.with_balls(out[:, :3], out[:, 3] * np.sqrt(3))
+            grown = share.grown()
+        certificate = certify(grown, vertices_world, faces, points_world, inside, **checked)
+        if certificate.holds:
+            return Inflated(primitives=sorted_by_volume(grown), certificate=certificate, is_fallback=False)
+    box = box_around(np.concatenate([vertices_world, points_world]), config)
+    certificate = certify(box, vertices_world, faces, points_world, inside, **checked)
+    return Inflated(primitives=box, certificate=certificate, is_fallback=True)
+
+
+def box_around(points_world: NDArray[np.float64], config: InflateConfig) -> Superquadrics:
+    """Return one box-like superquadric with G <= g on the axis-aligned box of (N, 3) points and its margin."""
+    low, high = points_world.min(axis=0) - config.r_safe_m, points_world.max(axis=0) + config.r_safe_m
+    half = (high - low) / 2
+    # Thicker than nothing, and wide enough for the corners: G = 3 (1 / s)^(2 / e) there.
+    half = np.maximum(half, 1e-3 * max(float(half.max()), 1e-9))
+    axes = half * (3.0 / config.g) ** (MIN_EXPONENT / 2) * (1 + 1e-7)
+    return Superquadrics(
+        exponents=np.full((1, 2), MIN_EXPONENT),
+        semi_axes_m=axes[None],
+        world_from_local=from_rotation_translation(np.eye(3), (low + high) / 2)[None],
+    )
 
 
 def inflate_to_cover(fitted: Superquadrics, points_world: NDArray[Any], config: InflateConfig) -> Superquadrics:
-    """Return the primitives grown so that each of (N, 3) points has G <= g in the primitive closest to it."""
-    owner = closest_primitive(fitted, points_world)
-    semi_axes = fitted.semi_axes_m.copy()
-    for i in range(len(fitted)):
-        own = points_world[owner == i]
-        if len(own) == 0:
-            continue
-        if config.rule == "per_axis":
-            semi_axes[i] = _grown_axes(fitted, i, own, config.g)
-        elif config.rule != "single_factor":
-            assert_never(config.rule)
-        grown = _with_axes(fitted, semi_axes)
-        semi_axes[i] *= max(_factor(grown, i, own, config.g), 1.0)
-    return _with_axes(fitted, semi_axes)
+    """Return the primitives grown so that the primitive nearest to each of (N, 3) points holds the ball around it."""
+    points = np.asarray(points_world, dtype=np.float64)
+    return _Share.of(fitted, np.empty((0, 3)), np.empty((0, 3), np.int32), points, config).grown()
 
 
-def closest_primitive(primitives: Superquadrics, points_world: NDArray[Any]) -> NDArray[np.int64]:
-    """Return (N,) the primitive with the smallest radial distance to each point; the first of equal ones."""
-    distances = np.stack([radial_distance_m(primitives, i, points_world) for i in range(len(primitives))])
-    return np.asarray(np.argmin(distances, axis=0))
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Share:
+    """What each primitive has to hold: balls around (N, 3) points, in units of a 64th of the object, by owner.
 
-
-def moved_outwards(
-    points_world: NDArray[np.float64], center_world: NDArray[np.float64], margin_m: float
-) -> NDArray[np.float64]:
-    """Return the points moved away from the centre by `margin_m`; a point at the centre stays."""
-    offsets = points_world - center_world
-    lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
-    return points_world + offsets * (margin_m / np.maximum(lengths, 1e-12))
-
-
-def containment_of(primitives: Superquadrics, points_world: NDArray[Any]) -> Containment:
-    """Return how the union of the primitives contains (N, 3) points; a point may lie in any of them."""
-    lowest = lowest_value(primitives, points_world)
-    return Containment(
-        num_checked=len(points_world), num_outside=int((lowest > 1.0 + 1e-6).sum()), max_g=float(lowest.max())
-    )
-
-
-def lowest_value(primitives: Superquadrics, points_world: NDArray[Any]) -> NDArray[np.float64]:
-    """Return (N,) the smallest G of any primitive at each point: at most 1 inside their union."""
-    return np.asarray(np.min([implicit_value(primitives, i, points_world) for i in range(len(primitives))], axis=0))
-
-
-def _factor(primitives: Superquadrics, index: int, points: NDArray[np.float64], g: float) -> float:
-    """Return the paper's gamma = (G_max / g)^(e1 / 2), a hair larger so that rounding leaves no point outside."""
-    log_max = float(log_implicit_value(primitives, index, points).max())
-    return float(np.exp(primitives.exponents[index, 0] / 2 * (log_max - np.log(g)))) * (1 + 1e-9)
-
-
-def _grown_axes(primitives: Superquadrics, index: int, points: NDArray[np.float64], g: float) -> NDArray[np.float64]:
-    """Return the (3,) semi-axes of least volume, none shorter than before, for which G <= g (up to a small slack).
-
-    Constraints are added as they are violated; few of the points ever bind.
+    The unit keeps every tolerance free of scale, the offset keeps digits far from the origin.
     """
-    e1, e2 = primitives.exponents[index]
-    logs = np.log(np.maximum(np.abs(apply(invert(primitives.world_from_local[index]), points)), 1e-9))
-    before = np.log(primitives.semi_axes_m[index])
-    limit = e1 / 2 * float(np.log(g))
-    value, _ = _log_gauge(logs, before, e1, e2)
-    if value.max() <= limit:
-        return np.exp(before)
-    logs, value = logs[value > limit], value[value > limit]
-    axes = before + (value.max() - limit)
-    active = np.array([int(np.argmax(value))])
-    for _ in range(12):
-        axes = _least_growth(logs[active], before, axes, (e1, e2), limit)
-        value, _ = _log_gauge(logs, axes, e1, e2)
-        worst = np.argsort(-value, kind="stable")[:8]
-        worst = worst[value[worst] > limit + 1e-4]
-        if len(worst) == 0:
-            break
-        active = np.union1d(active, worst)
-        axes = axes + max(float(value.max()) - limit, 0.0)
-    return np.exp(np.maximum(axes, before))
+
+    fitted: Superquadrics
+    unit_m: float
+    offset_m: NDArray[np.float64]
+    points: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    belongs: NDArray[np.bool_]
+    config: InflateConfig
+
+    @classmethod
+    def of(
+        cls,
+        fitted: Superquadrics,
+        vertices_world: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        points_world: NDArray[np.float64],
+        config: InflateConfig,
+    ) -> _Share:
+        everything = np.concatenate([vertices_world, points_world])
+        offset = everything.mean(axis=0)
+        diagonal = float(np.linalg.norm(np.ptp(everything, axis=0)))
+        unit = max(diagonal, float(fitted.semi_axes_m.max())) / _UNIT_CELLS
+        rows = np.stack(
+            [
+                row_of(
+                    (float(fitted.exponents[i, 0]), float(fitted.exponents[i, 1])),
+                    fitted.semi_axes_m[i] / unit,
+                    (fitted.world_from_local[i, :3, 3] - offset) / unit,
+                    fitted.world_from_local[i, :3, :3],
+                )
+                for i in range(len(fitted))
+            ]
+        )
+        tolerance = config.tolerance * _UNIT_CELLS
+        vertices, pieces, owners = owned_pieces(
+            (vertices_world - offset) / unit, faces.astype(np.int64), rows, tolerance, 2 * tolerance
+        )
+        points = (points_world - offset) / unit
+        owners_of_points, _ = owners_of(points, rows)
+        belongs = np.zeros((len(fitted), len(vertices) + len(points)), bool)
+        for i in range(len(fitted)):
+            belongs[i, pieces[owners == i].ravel()] = True
+            belongs[i, len(vertices) :] = owners_of_points == i
+        everything = np.concatenate([vertices, points])
+        return cls(
+            fitted=fitted,
+            unit_m=unit,
+            offset_m=offset,
+            points=everything,
+            radii=np.full(len(everything), config.r_safe_m / unit),
+            belongs=belongs,
+            config=config,
+        )
+
+    def with_balls(self, centers_world: NDArray[np.float64], radii_m: NDArray[np.float64]) -> _Share:
+        """Return the share with more balls, each given to the primitive that it is nearest to by its gauge."""
+        centers = (centers_world - self.offset_m) / self.unit_m
+        gauges = np.stack([_gauge_of(self.fitted, i, centers_world) for i in range(len(self.fitted))])
+        owners = np.argmin(gauges, axis=0)
+        more = owners[None, :] == np.arange(len(self.fitted))[:, None]
+        return _Share(
+            fitted=self.fitted,
+            unit_m=self.unit_m,
+            offset_m=self.offset_m,
+            points=np.concatenate([self.points, centers]),
+            radii=np.concatenate([self.radii, radii_m / self.unit_m]),
+            belongs=np.concatenate([self.belongs, more], axis=1),
+            config=self.config,
+        )
+
+    def grown(self) -> Superquadrics:
+        """Return the primitives, each grown to hold its share."""
+        exponents, axes = self.fitted.exponents.copy(), self.fitted.semi_axes_m.copy()
+        for i in range(len(self.fitted)):
+            own = self.belongs[i]
+            if own.any():
+                exponents[i], in_units = self._grown_one(i, own)
+                axes[i] = in_units * self.unit_m
+        return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=self.fitted.world_from_local)
+
+    def _grown_one(self, index: int, own: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        pose = self.fitted.world_from_local[index].copy()
+        pose[:3, 3] = (pose[:3, 3] - self.offset_m) / self.unit_m
+        points, radii = local_abs(self.points[own], pose), self.radii[own]
+        before = self.fitted.semi_axes_m[index] / self.unit_m
+        exponents = self.fitted.exponents[index]
+        if self.config.rule == "single_factor":
+            return exponents, _by_one_factor(points, radii, before, exponents, self.config.g)
+        if self.config.rule != "per_axis":
+            assert_never(self.config.rule)
+        # The farthest points in many directions decide nearly alone; the rest is looked for as it sticks out.
+        scale = np.maximum(points.max(axis=0) + radii.max(), before)
+        far = extremes(points / scale, _DIRECTIONS)
+        binding = with_net(points[far], radii[far], NET, NET_FACTOR)
+        binding = binding[extremes(binding / scale, _DIRECTIONS)]
+        candidates = [np.maximum(exponents, rounding) for rounding in _ROUNDINGS]
+        sizes = [_size_around(binding, before, rounder, self.config.g) for rounder in candidates]
+        best = candidates[int(np.argmin(sizes))]
+        return best, _axes_around(points, radii, binding, before, best, self.config.g)
 
 
-def _least_growth(
-    logs: NDArray[np.float64],
+def _size_around(
+    binding: NDArray[np.float64], before: NDArray[np.float64], exponents: NDArray[np.float64], g: float
+) -> float:
+    """Return the logarithm of the volume, up to a constant, of the least primitive around (N, 3) points."""
+    e1, e2 = float(exponents[0]), float(exponents[1])
+    axes = least_axes(binding, before, e1, e2, e1 / 2 * float(np.log(g)) - _SLACK)
+    return float(np.log(axes).sum()) + _log_share(exponents)
+
+
+def _axes_around(
+    points: NDArray[np.float64],
+    radii: NDArray[np.float64],
+    binding: NDArray[np.float64],
     before: NDArray[np.float64],
-    start: NDArray[np.float64],
-    exponents: tuple[float, float],
-    limit: float,
+    exponents: NDArray[np.float64],
+    g: float,
 ) -> NDArray[np.float64]:
-    """Return the (3,) log semi-axes of least sum with ln h <= limit at all of `logs`."""
-    solution = minimize(
-        lambda axes: float(axes.sum()),
-        start,
-        jac=lambda axes: np.ones(3),
-        bounds=[(b, None) for b in before],
-        constraints={
-            "type": "ineq",
-            "fun": lambda axes: limit - _log_gauge(logs, axes, *exponents)[0],
-            "jac": lambda axes: -_log_gauge(logs, axes, *exponents)[1],
-        },
-        method="SLSQP",
-        options={"maxiter": 40, "ftol": 1e-5},
-    )
-    return np.asarray(np.maximum(solution.x, before)) if np.isfinite(solution.x).all() else start
+    """Return the (3,) semi-axes of about the least volume that hold all balls; `binding` are points to begin with."""
+    e1, e2 = float(exponents[0]), float(exponents[1])
+    limit = e1 / 2 * float(np.log(g)) - _SLACK
+    axes = before
+    for _ in range(_ROUNDS):
+        axes = least_axes(binding, before, e1, e2, limit)
+        worst, count = worst_balls(points, radii, axes, e1, e2, limit + _SLACK / 2, NET, NET_FACTOR, _WORST)
+        if count == 0:
+            return np.asarray(axes)
+        binding = np.concatenate([binding, with_net(points[worst], radii[worst], NET, NET_FACTOR)])
+    return _by_one_factor(points, radii, axes, exponents, g)
 
 
-def _log_gauge(
-    logs: NDArray[np.float64], axes: NDArray[np.float64], e1: float, e2: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (N,) ln h = e1/2 ln G at points with log coordinates (N, 3), and its (N, 3) gradient in the log axes."""
-    u = logs - axes
-    log_rho = e2 / 2 * np.logaddexp(2 / e2 * u[:, 0], 2 / e2 * u[:, 1])
-    value = e1 / 2 * np.logaddexp(2 / e1 * log_rho, 2 / e1 * u[:, 2])
-    share_rho = np.exp(2 / e1 * (log_rho - value))
-    share_x = np.exp(2 / e2 * (u[:, 0] - log_rho))
-    gradient = -np.stack([share_rho * share_x, share_rho * (1 - share_x), 1 - share_rho], axis=1)
-    return value, gradient
+def _by_one_factor(
+    points: NDArray[np.float64],
+    radii: NDArray[np.float64],
+    axes: NDArray[np.float64],
+    exponents: NDArray[np.float64],
+    g: float,
+) -> NDArray[np.float64]:
+    """Return the semi-axes times the paper's gamma = (G_max / g)^(e1 / 2), at least 1, over all balls."""
+    e1, e2 = float(exponents[0]), float(exponents[1])
+    limit = e1 / 2 * float(np.log(g)) - _SLACK
+    around = with_net(points, radii, NET, NET_FACTOR)
+    return np.asarray(np.maximum(_scaled_by_worst(around, axes, e1, e2, limit), axes))
 
 
-def _with_axes(primitives: Superquadrics, semi_axes_m: NDArray[np.float64]) -> Superquadrics:
-    return Superquadrics(
-        exponents=primitives.exponents, semi_axes_m=semi_axes_m, world_from_local=primitives.world_from_local
-    )
+def _scaled_by_worst(
+    points: NDArray[np.float64], axes: NDArray[np.float64], e1: float, e2: float, limit: float
+) -> NDArray[np.float64]:
+    logs = np.log(np.maximum(points / axes, 1e-200))
+    log_rho = e2 / 2 * np.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
+    worst = float((e1 / 2 * np.logaddexp(2 / e1 * log_rho, 2 / e1 * logs[:, 2])).max())
+    return np.asarray(axes * np.exp(worst - limit))
+
+
+def _gauge_of(primitives: Superquadrics, index: int, points_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    points = local_abs(points_world, primitives.world_from_local[index])
+    e1, e2 = primitives.exponents[index]
+    logs = np.log(np.maximum(points / primitives.semi_axes_m[index], 1e-200))
+    log_rho = e2 / 2 * np.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
+    return np.asarray(e1 / 2 * np.logaddexp(2 / e1 * log_rho, 2 / e1 * logs[:, 2]))
+
+
+def _log_share(exponents: NDArray[np.float64]) -> float:
+    """Return the logarithm of the share that a primitive fills of the product of its semi-axes."""
+    unit = Superquadrics(exponents=exponents[None], semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
+    return float(np.log(volumes_m3(unit)[0]))
+
+
+def _octant_directions() -> NDArray[np.float64]:
+    steps = np.linspace(0, np.pi / 2, 8)
+    a, b = np.meshgrid(steps, steps, indexing="ij")
+    directions = np.stack([np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)], axis=-1).reshape(-1, 3)
+    return np.unique(np.round(directions, 12), axis=0)
+
+
+_DIRECTIONS = _octant_directions()

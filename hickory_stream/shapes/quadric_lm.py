@@ -26,6 +26,8 @@ ROW = 17
 OUTER_BAND = 1.0
 # The density of the uniform distribution relative to the peak of the Gaussian.
 OUTLIER = 0.1
+# Beyond this many cells, missing cover counts linearly: it may belong to a part that has no primitive.
+_HUBER = 1.0
 # Parameter order of a step: e1, e2, ln a (3), centre in the local frame (3), rotation vector in the local frame (3).
 
 
@@ -70,38 +72,43 @@ def _log_gauge(row, px, py, pz, local, gradient, shape, with_shape):  # type: ig
     x = row[8] * dx + row[11] * dy + row[14] * dz
     y = row[9] * dx + row[12] * dy + row[15] * dz
     z = row[10] * dx + row[13] * dy + row[16] * dz
-    return _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape)
+    return _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape, 0)
 
 
 @numba.njit(cache=True, nogil=True)
-def _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return ln h at a local point; fill its gradient there and, if asked, d ln h / d (e1, e2, ln a1, ln a2, ln a3)."""
+def _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape, at):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return ln h at a local point; fill its gradient there and, if asked, d ln h / d (e1, e2, ln a1, ln a2, ln a3).
+
+    The arrays have room for two points, so that nothing is allocated per point: `at` 0 fills the first half of each.
+    """
     e1, e2 = row[0], row[1]
-    local[0] = x if abs(x) > 1e-6 else 1e-6
-    local[1] = y if abs(y) > 1e-6 else 1e-6
-    local[2] = z if abs(z) > 1e-6 else 1e-6
-    logs = (np.log(abs(local[0])) - row[2], np.log(abs(local[1])) - row[3], np.log(abs(local[2])) - row[4])
+    i, j = 3 * at, 5 * at
+    local[i] = x if abs(x) > 1e-6 else 1e-6
+    local[i + 1] = y if abs(y) > 1e-6 else 1e-6
+    local[i + 2] = z if abs(z) > 1e-6 else 1e-6
+    log_x, log_y = np.log(abs(local[i])) - row[2], np.log(abs(local[i + 1])) - row[3]
+    log_z = np.log(abs(local[i + 2])) - row[4]
     # ln of the gauge in the xy plane.
-    high = max(logs[0], logs[1])
-    share_x, share_y = np.exp(2.0 / e2 * (logs[0] - high)), np.exp(2.0 / e2 * (logs[1] - high))
+    high = max(log_x, log_y)
+    share_x, share_y = np.exp(2.0 / e2 * (log_x - high)), np.exp(2.0 / e2 * (log_y - high))
     total = share_x + share_y
     log_rho = high + 0.5 * e2 * np.log(total)
     share_x, share_y = share_x / total, share_y / total
     # ln of the gauge along z and in the plane.
-    top = max(log_rho, logs[2])
-    share_r, share_z = np.exp(2.0 / e1 * (log_rho - top)), np.exp(2.0 / e1 * (logs[2] - top))
+    top = max(log_rho, log_z)
+    share_r, share_z = np.exp(2.0 / e1 * (log_rho - top)), np.exp(2.0 / e1 * (log_z - top))
     whole = share_r + share_z
     log_h = top + 0.5 * e1 * np.log(whole)
     share_r, share_z = share_r / whole, share_z / whole
-    gradient[0] = share_r * share_x / local[0]
-    gradient[1] = share_r * share_y / local[1]
-    gradient[2] = share_z / local[2]
+    gradient[i] = share_r * share_x / local[i]
+    gradient[i + 1] = share_r * share_y / local[i + 1]
+    gradient[i + 2] = share_z / local[i + 2]
     if with_shape:
-        shape[0] = 0.5 * _entropy(share_r, share_z)
-        shape[1] = 0.5 * share_r * _entropy(share_x, share_y)
-        shape[2] = -share_r * share_x
-        shape[3] = -share_r * share_y
-        shape[4] = -share_z
+        shape[j] = 0.5 * _entropy(share_r, share_z)
+        shape[j + 1] = 0.5 * share_r * _entropy(share_x, share_y)
+        shape[j + 2] = -share_r * share_x
+        shape[j + 3] = -share_r * share_y
+        shape[j + 4] = -share_z
     return log_h
 
 
@@ -127,16 +134,17 @@ def tangent_distance(row, x, y, z, local, gradient, shape, with_shape):  # type:
     axis, reach = _nearest_along_axes(row, p0, p1, p2)
     if reach >= best * 4.0:
         return -best
-    at_axis, at_gradient, at_shape = np.empty(3), np.empty(3), np.empty(5)
     s0 = p0 + (reach if p0 > 0.0 else -reach) * (axis == 0)
     s1 = p1 + (reach if p1 > 0.0 else -reach) * (axis == 1)
     s2 = p2 + (reach if p2 > 0.0 else -reach) * (axis == 2)
-    _log_gauge_local(row, s0, s1, s2, at_axis, at_gradient, at_shape, with_shape)
-    at_slope = np.sqrt(at_gradient[0] ** 2 + at_gradient[1] ** 2 + at_gradient[2] ** 2)
-    planar = reach * abs(at_gradient[axis]) / at_slope
+    _log_gauge_local(row, s0, s1, s2, local, gradient, shape, with_shape, 1)
+    at_slope = np.sqrt(gradient[3] ** 2 + gradient[4] ** 2 + gradient[5] ** 2)
+    planar = reach * abs(gradient[3 + axis]) / at_slope
     if planar < best:
-        gradient[:] = at_gradient
-        shape[:] = at_shape
+        for p in range(3):
+            gradient[p] = gradient[3 + p]
+        for p in range(5):
+            shape[p] = shape[5 + p]
         best = planar
     return -best
 
@@ -165,7 +173,7 @@ def _nearest_along_axes(row, x, y, z):  # type: ignore[no-untyped-def] # pragma:
 @numba.njit(cache=True, nogil=True)
 def _distances(row, points):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty(points.shape[0])
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
     for n in range(points.shape[0]):
         out[n] = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False)
     return out
@@ -189,7 +197,7 @@ def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ign
     a = np.zeros((11, 11))
     b = np.zeros(11)
     jacobian = np.empty(11)
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
     for n in range(points.shape[0]):
         d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True)
         if d > OUTER_BAND or d < -band:
@@ -285,3 +293,79 @@ def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
         sigma2 = min(sigma2, _sigma2(d, targets, weights, band, sigma2))
         cost = _cost(d, targets, weights, band, sigma2)
     return row
+
+
+@numba.njit(cache=True, nogil=True)
+def _loss(r):  # type: ignore[no-untyped-def] # pragma: no cover
+    return r * r if r <= _HUBER else _HUBER * (2.0 * r - _HUBER)
+
+
+@numba.njit(cache=True, nogil=True)
+def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the (N,) distances to a primitive, cut off at the band; what is outside its box is not looked at."""
+    out = np.full(len(points), OUTER_BAND)
+    reach = np.exp(row[2:5]) + OUTER_BAND
+    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    for n in range(len(points)):
+        dx, dy, dz = points[n, 0] - row[5], points[n, 1] - row[6], points[n, 2] - row[7]
+        if (
+            abs(row[8] * dx + row[11] * dy + row[14] * dz) < reach[0]
+            and abs(row[9] * dx + row[12] * dy + row[15] * dz) < reach[1]
+            and abs(row[10] * dx + row[13] * dy + row[16] * dz) < reach[2]
+        ):
+            d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False)
+            out[n] = min(max(d, -band), OUTER_BAND)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def normal_step(  # type: ignore[no-untyped-def] # pragma: no cover
+    row, points, targets, others, found, band, damping, k, max_log_axis, with_exponents
+):
+    """Return the row after one step beside other primitives, its distances, and the relative gain (0: no step).
+
+    `others` (N,) are the distances to the union of the others, `found` (N,) those to this one; `damping[k]` is updated.
+    """
+    a, b = np.zeros((11, 11)), np.zeros(11)
+    jacobian = np.empty(11)
+    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    cost = 0.0
+    for n in range(len(points)):
+        r = min(found[n], others[n]) - targets[n]
+        cost += _loss(r)
+        if found[n] > others[n] or found[n] >= OUTER_BAND or found[n] <= -band:
+            continue
+        tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True)
+        w = 1.0 if r <= _HUBER else _HUBER / r
+        scale = 1.0 / np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+        for p in range(5):
+            jacobian[p] = shape[p] * scale
+        if not with_exponents:
+            jacobian[0], jacobian[1] = 0.0, 0.0
+        for p in range(3):
+            jacobian[5 + p] = -gradient[p] * scale
+        jacobian[8] = (gradient[1] * local[2] - gradient[2] * local[1]) * scale
+        jacobian[9] = (gradient[2] * local[0] - gradient[0] * local[2]) * scale
+        jacobian[10] = (gradient[0] * local[1] - gradient[1] * local[0]) * scale
+        for p in range(11):
+            wj = w * jacobian[p]
+            b[p] -= wj * r
+            for q in range(p, 11):
+                a[p, q] += wj * jacobian[q]
+    for p in range(11):
+        for q in range(p):
+            a[p, q] = a[q, p]
+    for _ in range(4):
+        lhs = a.copy()
+        for p in range(11):
+            lhs[p, p] += damping[k] * a[p, p] + 1e-6 * (a[0, 0] + a[5, 5] + 1.0)
+        candidate = _stepped(row, np.linalg.solve(lhs, b), max_log_axis)
+        again = cut_distances(candidate, points, band)
+        new_cost = 0.0
+        for n in range(len(points)):
+            new_cost += _loss(min(again[n], others[n]) - targets[n])
+        if new_cost < cost:
+            damping[k] = max(damping[k] * 0.3, 1e-6)
+            return candidate, again, (cost - new_cost) / max(cost, 1e-12)
+        damping[k] = min(damping[k] * 8.0, 1e6)
+    return row, found, 0.0

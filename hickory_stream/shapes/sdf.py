@@ -53,10 +53,38 @@ def distance_grid(
     origin = low + step * (0.5 - margin)
     corners = np.ascontiguousarray((vertices[faces] - origin) / step)
     squared = np.full(tuple(int(n) for n in counts), np.float32(band_cells**2))
-    _band(corners, squared, band_cells)
-    winding = winding_numbers(corners, squared.shape)
-    values = np.sqrt(squared) * np.where(winding > 0.5, np.float32(-step), np.float32(step))
+    inside = winding_numbers(corners, squared.shape) > 0.5
+    _band(corners, inside, squared, band_cells)
+    values = np.sqrt(squared) * np.where(inside, np.float32(-step), np.float32(step))
     return DistanceGrid(values=values, origin=origin, step_m=step, band_m=band_cells * step)
+
+
+def adapted_cells(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], *, cells: int, min_thickness_cells: float, max_cells: int
+) -> int:
+    """Return how many cells along the longest side give the thinnest part `min_thickness_cells`.
+
+    At least `cells`, at most `max_cells`, and fewer where the whole grid would exceed a cube of 1.5 `cells`. The
+    thinnest part is the 10th percentile, by area, of how far the solid reaches inwards from its surface.
+    """
+    low, size = vertices.min(axis=0), np.ptp(vertices, axis=0)
+    step = float(size.max()) / cells
+    shape = tuple(int(n) for n in np.ceil(size / step) + 4)
+    corners = np.ascontiguousarray((vertices[faces] - (low - 1.5 * step)) / step)
+    inside = winding_numbers(corners, shape) > 0.5
+    reach, areas, patches = _inward_reach(corners, inside, 400 * 400 // max(len(faces), 1))
+    if not areas.sum() > 0:
+        return cells
+    # The mean over patches: on a rough surface single samples look thin everywhere.
+    _, patches = np.unique(patches, return_inverse=True)
+    areas_of_patches = np.bincount(patches, areas)
+    thickness = np.bincount(patches, areas * reach) / np.maximum(areas_of_patches, 1e-300)
+    order = np.argsort(thickness, kind="stable")
+    below = np.cumsum(areas_of_patches[order])
+    thinnest = thickness[order[int(np.searchsorted(below, 0.1 * below[-1]))]]
+    factor = min(min_thickness_cells / max(float(thinnest), 0.5), max_cells / cells)
+    room = (1.5**3 * cells**3 / float(np.prod(shape))) ** (1 / 3)
+    return int(np.ceil(cells * max(min(factor, room), 1.0)))
 
 
 def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -117,11 +145,69 @@ def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def _band(corners, squared, band):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one."""
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+def _inward_reach(corners, inside, samples):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return for samples of the surface how far the solid reaches inwards, in cells, its area and its patch.
+
+    Inwards along the grid's axis that is nearest to the normal: the object stands along the axes. A patch is a block of
+    cells with one such direction.
+    About `samples` points per face on a regular pattern, fewer on small faces; surface within the solid is left out.
+    """
+    most = 60_000
+    thickness, areas, patches = np.empty(most), np.empty(most), np.empty(most, np.int64)
+    count = 0
+    down = np.empty(3)
+    normal, point = np.empty(3), np.empty(3)
     for f in range(corners.shape[0]):
         t = corners[f]
+        if not _normal(t, normal):
+            continue
+        ux, uy, uz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
+        vx, vy, vz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
+        area = 0.5 * np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2)
+        main = int(np.argmax(np.abs(normal)))
+        down[:] = 0.0
+        down[main] = -1.0 if normal[main] > 0.0 else 1.0
+        side = int(min(max(np.sqrt(min(float(samples), area / 4.0)), 1.0), 20.0))
+        for i in range(side):
+            for j in range(side - i):
+                if count == most:
+                    return thickness[:count], areas[:count], patches[:count]
+                a, b = (i + 1.0 / 3.0) / side, (j + 1.0 / 3.0) / side
+                for axis in range(3):
+                    point[axis] = t[0, axis] + a * (t[1, axis] - t[0, axis]) + b * (t[2, axis] - t[0, axis])
+                if _is_buried(inside, point, normal):
+                    continue
+                reach, first = 0.0, False
+                for n in range(16):
+                    along = 0.5 * (n + 1)
+                    x = int(np.floor(point[0] + along * down[0] + 0.5))
+                    y = int(np.floor(point[1] + along * down[1] + 0.5))
+                    z = int(np.floor(point[2] + along * down[2] + 0.5))
+                    if x < 0 or y < 0 or z < 0 or x >= inside.shape[0] or y >= inside.shape[1] or z >= inside.shape[2]:
+                        break
+                    if inside[x, y, z]:
+                        reach, first = along, True
+                    elif first or along > 1.5:
+                        break
+                block = (int(point[0]) // 4 * 1000 + int(point[1]) // 4) * 1000 + int(point[2]) // 4
+                patches[count] = block * 6 + main * 2 + (normal[main] > 0.0)
+                thickness[count], areas[count] = reach, area / (side * (side + 1) / 2)
+                count += 1
+    return thickness[:count], areas[:count], patches[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one.
+
+    Only the surface of the solid counts: where parts overlap, what lies within another part is skipped.
+    """
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    nearest, normal = np.empty(3), np.empty(3)
+    for f in range(corners.shape[0]):
+        t = corners[f]
+        if not _normal(t, normal):
+            continue
         for axis in range(3):
             size = squared.shape[axis]
             low[axis] = max(int(np.ceil(min(t[0, axis], t[1, axis], t[2, axis]) - band)), 0)
@@ -129,14 +215,44 @@ def _band(corners, squared, band):  # type: ignore[no-untyped-def] # pragma: no 
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
-                    d = _squared_distance(float(i), float(j), float(k), t)
-                    if d < squared[i, j, k]:
+                    d = _squared_distance(float(i), float(j), float(k), t, nearest)
+                    if d < squared[i, j, k] and not _is_buried(inside, nearest, normal):
                         squared[i, j, k] = d
 
 
 @numba.njit(cache=True, nogil=True)
-def _squared_distance(x, y, z, t):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the squared distance from a point to a triangle (Ericson, Real-Time Collision Detection, 5.1.5)."""
+def _normal(t, normal):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill the unit normal of a triangle; return whether it has one."""
+    ax, ay, az = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
+    bx, by, bz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
+    normal[0], normal[1], normal[2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    if length < 1e-12:
+        return False
+    normal /= length
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_buried(inside, point, normal):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether the solid goes on at both sides of a point of a triangle, most of a cell away from it."""
+    for side in (-0.75, 0.75):
+        i = int(np.floor(point[0] + side * normal[0] + 0.5))
+        j = int(np.floor(point[1] + side * normal[1] + 0.5))
+        k = int(np.floor(point[2] + side * normal[2] + 0.5))
+        if i < 0 or j < 0 or k < 0 or i >= inside.shape[0] or j >= inside.shape[1] or k >= inside.shape[2]:
+            return False
+        if not inside[i, j, k]:
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _squared_distance(x, y, z, t, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the squared distance from a point to a triangle, and fill its nearest point.
+
+    Ericson, Real-Time Collision Detection, 5.1.5.
+    """
     abx, aby, abz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
     acx, acy, acz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
     apx, apy, apz = x - t[0, 0], y - t[0, 1], z - t[0, 2]
@@ -167,6 +283,8 @@ def _squared_distance(x, y, z, t):  # type: ignore[no-untyped-def] # pragma: no 
         else:
             scale = 1.0 / max(va + vb + vc, 1e-30)
             v, w = vb * scale, vc * scale
+    for axis in range(3):
+        nearest[axis] = t[0, axis] + v * (t[1, axis] - t[0, axis]) + w * (t[2, axis] - t[0, axis])
     ex = apx - v * abx - w * acx
     ey = apy - v * aby - w * acy
     ez = apz - v * abz - w * acz

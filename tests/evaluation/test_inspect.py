@@ -58,7 +58,7 @@ def test_json_holds_the_digest_and_the_table_shows_every_object(map_path: Path, 
     assert (entry["num_checked"], entry["num_outside"]) == (2000, 2)
     table = format_table(summary)
     assert "desk.mcap: 3 objects (1 tentative, 2 active), finished cleanly" in table
-    assert "99.90 % of 2000 checked points inside" in table
+    assert "99.90 % of 2000 pieces checked are inside" in table
     assert summary.digest in table
     assert max(len(line) for line in table.splitlines()) <= 120
 

@@ -46,7 +46,7 @@ def test_few_primitives_explain_the_object(name: str, most: int, iou: float) -> 
     fitted = fit_superquadrics(as_mesh(test_mesh(name)), CONFIG)
     assert len(fitted) <= most
     assert union_iou(fitted, test_mesh(name)) >= iou
-    assert (np.diff(volumes_m3(fitted)) <= 0).all()
+    assert (np.diff(volumes_m3(fitted)) <= 1e-5 * volumes_m3(fitted)[0]).all()
     assert (fitted.exponents >= 0.1).all()
     assert (fitted.exponents <= 2.0).all()
 
@@ -82,7 +82,7 @@ def test_a_flat_mesh_becomes_one_box_of_its_extent() -> None:
     square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
     fitted = fit_superquadrics(as_mesh(square), CONFIG)
     assert len(fitted) == 1
-    assert fitted.semi_axes_m[0, :2] == pytest.approx([0.5, 1.0])
+    assert fitted.semi_axes_m[0, :2] == pytest.approx([1.0, 0.5])
     assert fitted.world_from_local[0, :3, 3] == pytest.approx([0.5, 1.0, 0.0])
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import tools.benchmarks
 from tools.benchmarks.figures import Options, print_table, write_json
 
-_HELPERS = {"__main__", "figures", "live_scene", "processes", "small_logs"}
+_HELPERS = {"__main__", "figures", "live_scene", "processes", "shape_meshes", "shape_truth", "small_logs"}
 
 
 def main() -> int:
@@ -25,11 +25,20 @@ def main() -> int:
     parser.add_argument(
         "--scenes", type=Path, nargs="+", default=[], metavar="DIR", help="truth folders with their logs beside them"
     )
+    parser.add_argument("--meshes", type=Path, metavar="DIR", help="shapes: measure on the meshes of a folder instead")
+    parser.add_argument("--render", type=Path, metavar="DIR", help="shapes: write a picture of each object")
     arguments = parser.parse_args()
     module = importlib.import_module(f"tools.benchmarks.{arguments.name}")
     if arguments.quick:
         print("quick: a smaller sample")
-    figures = module.measure(Options(seed=arguments.seed, quick=arguments.quick, scenes=tuple(arguments.scenes)))
+    options = Options(
+        seed=arguments.seed,
+        quick=arguments.quick,
+        scenes=tuple(arguments.scenes),
+        meshes=arguments.meshes,
+        render=arguments.render,
+    )
+    figures = module.measure(options)
     print_table(figures)
     if arguments.json is not None:
         write_json(figures, arguments.json)

@@ -30,12 +30,15 @@ class Figure:
 class Options:
     """What a benchmark may be told.
 
-    `quick` asks for a smaller sample in under 50 s; `scenes` are truth folders to measure on instead of its own.
+    `quick` asks for a smaller sample in under 50 s; `scenes` are truth folders to measure on instead of its own,
+    `meshes` a folder of meshes; pictures go to `render`.
     """
 
     seed: int
     quick: bool
     scenes: tuple[Path, ...] = ()
+    meshes: Path | None = None
+    render: Path | None = None
 
 
 def print_table(figures: list[Figure]) -> None:

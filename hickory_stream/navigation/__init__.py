@@ -1,0 +1,1 @@
+"""Collision checks among the inflated superquadrics of a map."""

@@ -1,0 +1,313 @@
+"""Collision checks against the layer 4 of a map: points, distances, swept balls and boxes.
+
+A `ClearanceScene` keeps thousands of superquadrics as flat arrays under a two-level grid. Objects come and go one by
+one; an update touches only the blocks that they reach into. All answers are conservative: free is proven, a hit may be
+a near miss by a stated margin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.superquadric import world_bounds
+from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.navigation import kernels
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import ObservedSpace, TrackedObject
+
+_BLOCK_M = 0.8
+# Blocks of room around the objects, so that one that is added nearby needs no new grid.
+_ROOM = 4
+_MOST_BLOCKS = 20_000_000
+
+
+class Answer(IntEnum):
+    """What is at a place; the larger, the graver.
+
+    `HIT_GENERATED` is inside of a primitive most of whose surface a reconstructor made up. `UNKNOWN` is only given
+    where an observed space says what was looked at.
+    """
+
+    FREE = kernels.FREE
+    UNKNOWN = kernels.UNKNOWN
+    HIT_GENERATED = kernels.HIT_GENERATED
+    HIT_SEEN = kernels.HIT_SEEN
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Body:
+    """A robot as a few rounded boxes in its own frame: (N, 3) centres, half extents along the world's axes, radii.
+
+    A ball has half extents of 0. The boxes do not turn with the robot: give those that hold it in every heading.
+    """
+
+    centers_m: NDArray[np.float64]
+    half_extents_m: NDArray[np.float64]
+    radii_m: NDArray[np.float64]
+
+
+class ClearanceScene:
+    """The superquadrics of a scene, by object."""
+
+    def __init__(self, *, block_m: float = _BLOCK_M) -> None:
+        self._block_m = block_m
+        self._rows: NDArray[np.float64] = np.empty((0, kernels.ROW))
+        self._kinds = np.empty(0, np.uint8)
+        self._rows_of: dict[int, list[int]] = {}
+        self._free_rows: list[int] = []
+        self._layout = np.array([0.0, 0.0, 0.0, block_m])
+        self._top = np.empty((0, 0, 0, 2), np.int32)
+        self._bricks = np.empty((0, kernels.CELLS**3), np.int32)
+        self._num_bricks = 0
+        self._values = np.empty(0, np.int32)
+        self._links = np.empty(0, np.int32)
+        self._free_item, self._num_free = -1, 0
+        self._space: ObservedSpace | None = None
+        self._space_from_world = np.eye(4)
+
+    @classmethod
+    def of(cls, objects: Iterable[TrackedObject]) -> ClearanceScene:
+        """Return the scene of the objects that have a layer 4."""
+        scene = cls()
+        shaped = [tracked for tracked in objects if tracked.shape is not None]
+        for tracked in shaped:
+            assert tracked.shape is not None
+            scene.put(tracked.id, tracked.shape.inflated, tracked.shape.seen_share)
+        return scene
+
+    @property
+    def num_primitives(self) -> int:
+        """How many superquadrics are in the scene."""
+        return sum(len(rows) for rows in self._rows_of.values())
+
+    def observe(self, space: ObservedSpace | None, world_from_space: NDArray[np.float64] | None = None) -> None:
+        """Let points outside the free space that was seen be UNKNOWN, and points in seen structure HIT_SEEN."""
+        self._space = space
+        self._space_from_world = np.eye(4) if world_from_space is None else invert(world_from_space)
+
+    def put(self, object_id: int, inflated: Superquadrics, seen_share: NDArray[np.float64] | None = None) -> None:
+        """Add an object, or replace what it was.
+
+        A primitive counts as seen where `seen_share` (N,) is at least a half; without it, all do.
+
+        Raises:
+            ValueError: a primitive is not finite.
+        """
+        rows = _rows_of(inflated)
+        if not np.isfinite(rows).all():
+            raise ValueError(
+                f"object {object_id} has a superquadric that is not finite: nothing can be checked with it"
+            )
+        self.remove(object_id)
+        if len(rows) == 0:
+            return
+        seen = np.ones(len(rows), bool) if seen_share is None else np.asarray(seen_share) >= 0.5
+        kinds = np.where(seen, np.uint8(kernels.HIT_SEEN), np.uint8(kernels.HIT_GENERATED))
+        places = self._room_for_rows(len(rows))
+        self._rows[places], self._kinds[places] = rows, kinds
+        self._rows_of[object_id] = places
+        if self._holds(rows):
+            for place in places:
+                self._insert(place)
+        else:
+            self._rebuild()
+
+    def remove(self, object_id: int) -> None:
+        """Take an object out; one that is not there is none to take."""
+        for place in self._rows_of.pop(object_id, []):
+            self._free_item, released = kernels.removed(
+                self._rows[place],
+                place,
+                self._layout,
+                self._top,
+                self._bricks,
+                self._values,
+                self._links,
+                self._free_item,
+            )
+            self._num_free += released
+            self._kinds[place] = kernels.FREE
+            self._free_rows.append(place)
+
+    def classify(self, points_world: NDArray[Any], *, is_parallel: bool = False) -> NDArray[np.uint8]:
+        """Return (N,) the `Answer` at each of (N, 3) points."""
+        points = np.ascontiguousarray(points_world, dtype=np.float64)
+        kernel = kernels.point_states_parallel if is_parallel else kernels.point_states
+        answers = np.asarray(
+            kernel(
+                points,
+                self._rows,
+                self._kinds,
+                self._layout,
+                self._top,
+                self._bricks,
+                self._values,
+                self._links,
+            )
+        )
+        return answers if self._space is None else self._with_space(points, answers)
+
+    def is_free(
+        self, points_world: NDArray[Any], *, may_touch_generated: bool = False, is_parallel: bool = False
+    ) -> NDArray[np.bool_]:
+        """Return (N,) whether each of (N, 3) points is known to be free; of generated surface only if so decided."""
+        answers = self.classify(points_world, is_parallel=is_parallel)
+        return (answers == Answer.FREE) | (may_touch_generated & (answers == Answer.HIT_GENERATED))
+
+    def clearance_m(
+        self, points_world: NDArray[Any], *, is_exact: bool = False, reach_m: float = 5.0
+    ) -> NDArray[np.float64]:
+        """Return (N,) distances to the nearest superquadric, at most `reach_m`, 0 inside.
+
+        A lower bound, or with `is_exact` the distance itself to about a millionth.
+        """
+        points = np.ascontiguousarray(points_world, dtype=np.float64)
+        return np.asarray(
+            kernels.clearances(
+                points, self._rows, is_exact, reach_m, self._layout, self._top, self._values, self._links
+            )
+        )
+
+    def sweep(
+        self,
+        starts_world: NDArray[Any],
+        ends_world: NDArray[Any],
+        *,
+        radius_m: float,
+        half_extents_m: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Return (N,) the `Answer` for a ball, or a rounded box, moved along (N, 3) straight ways.
+
+        FREE is proven. A hit may be a near miss by a hundredth of the radius plus a thousandth of the way. The observed
+        space is not consulted.
+        """
+        half = np.zeros(3) if half_extents_m is None else np.asarray(half_extents_m, dtype=np.float64)
+        return np.asarray(
+            kernels.sweep_states(
+                np.ascontiguousarray(starts_world, dtype=np.float64),
+                np.ascontiguousarray(ends_world, dtype=np.float64),
+                half,
+                float(radius_m),
+                self._rows,
+                self._kinds,
+                self._layout,
+                self._top,
+                self._values,
+                self._links,
+            )
+        )
+
+    def sweep_body(self, starts_world: NDArray[Any], ends_world: NDArray[Any], body: Body) -> NDArray[np.uint8]:
+        """Return (N,) the gravest `Answer` of all parts of a body moved along (N, 3) straight ways."""
+        answers = np.zeros(len(starts_world), np.uint8)
+        for center, half, radius in zip(body.centers_m, body.half_extents_m, body.radii_m, strict=True):
+            part = self.sweep(starts_world + center, ends_world + center, radius_m=float(radius), half_extents_m=half)
+            answers = np.maximum(answers, part)
+        return answers
+
+    def _with_space(self, points: NDArray[np.float64], answers: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        assert self._space is not None
+        local = points @ self._space_from_world[:3, :3].T + self._space_from_world[:3, 3]
+        keys = keys_of_points(local, self._space.voxel_m)
+        is_free, is_structure = contains(self._space.free, keys), contains(self._space.structure, keys)
+        known = np.where(is_structure, np.uint8(Answer.HIT_SEEN), np.where(is_free, np.uint8(0), np.uint8(1)))
+        return np.asarray(np.maximum(answers, known))
+
+    def _holds(self, rows: NDArray[np.float64]) -> bool:
+        """Return whether the grid reaches as far as these rows."""
+        low, high = rows[:, kernels.LOW : kernels.LOW + 3], rows[:, kernels.HIGH : kernels.HIGH + 3]
+        end = self._layout[:3] + self._layout[3] * np.array(self._top.shape[:3])
+        return self._top.size > 0 and bool((low >= self._layout[:3]).all() and (high < end).all())
+
+    def _rebuild(self) -> None:
+        used = [place for places in self._rows_of.values() for place in places]
+        low = self._rows[used, kernels.LOW : kernels.LOW + 3].min(axis=0)
+        high = self._rows[used, kernels.HIGH : kernels.HIGH + 3].max(axis=0)
+        # A scene of kilometres gets coarser blocks rather than endless memory.
+        side = max(self._block_m, float(np.prod((high - low) / _MOST_BLOCKS ** (1 / 3) + 1e-9)) ** (1 / 3))
+        shape = np.floor((high - low) / side).astype(np.int64) + 1 + 2 * _ROOM
+        self._layout = np.array([*(low - _ROOM * side), side])
+        self._top = np.full((*shape, 2), -1, np.int32)
+        self._bricks = np.full((64, kernels.CELLS**3), -1, np.int32)
+        self._num_bricks = 0
+        self._values, self._links = np.empty(0, np.int32), np.empty(0, np.int32)
+        self._free_item, self._num_free = -1, 0
+        for place in used:
+            self._insert(place)
+
+    def _insert(self, place: int) -> None:
+        blocks = kernels.blocks_of(self._rows[place], self._layout, self._top.shape[:3])
+        self._room_for_bricks(blocks)
+        self._room_for_items(len(blocks) * (kernels.CELLS**3 + 1))
+        self._free_item, used = kernels.inserted(
+            self._rows[place],
+            place,
+            self._layout,
+            self._top,
+            self._bricks,
+            self._values,
+            self._links,
+            self._free_item,
+        )
+        self._num_free -= used
+
+    def _room_for_rows(self, count: int) -> list[int]:
+        """Return places for so many rows, those of removed primitives first."""
+        missing = count - len(self._free_rows)
+        if missing > 0:
+            first = len(self._rows)
+            more = max(missing, first)
+            self._rows = np.concatenate([self._rows, np.zeros((more, kernels.ROW))])
+            self._kinds = np.concatenate([self._kinds, np.zeros(more, np.uint8)])
+            self._free_rows += range(first + more - 1, first - 1, -1)
+        return [self._free_rows.pop() for _ in range(count)]
+
+    def _room_for_bricks(self, blocks: NDArray[np.int64]) -> None:
+        for i, j, k in blocks[self._top[(*blocks.T, 0)] < 0]:
+            if self._num_bricks == len(self._bricks):
+                self._bricks = np.concatenate([self._bricks, np.full_like(self._bricks, -1)])
+            self._top[i, j, k, 0] = self._num_bricks
+            self._num_bricks += 1
+
+    def _room_for_items(self, count: int) -> None:
+        if count <= self._num_free:
+            return
+        first = len(self._links)
+        more = max(count, first, 4096)
+        chain = np.arange(first + 1, first + more + 1, dtype=np.int32)
+        chain[-1] = self._free_item
+        self._links = np.concatenate([self._links, chain])
+        self._values = np.concatenate([self._values, np.zeros(more, np.int32)])
+        self._free_item, self._num_free = first, self._num_free + more
+
+
+def _rows_of(primitives: Superquadrics) -> NDArray[np.float64]:
+    """Return (N, ROW) the numbers that the kernels need of each primitive."""
+    rows = np.zeros((len(primitives), kernels.ROW))
+    if len(rows) == 0:
+        return rows
+    bounds = world_bounds(primitives)
+    e1, e2 = primitives.exponents.T
+    rows[:, kernels.CENTER : kernels.CENTER + 3] = primitives.world_from_local[:, :3, 3]
+    rows[:, kernels.ROTATION : kernels.ROTATION + 9] = primitives.world_from_local[:, :3, :3].reshape(-1, 9)
+    rows[:, kernels.AXES : kernels.AXES + 3] = primitives.semi_axes_m
+    # Rounded, so that the kernels know 2 and 20 when they see them.
+    rows[:, kernels.POWER_1], rows[:, kernels.POWER_2] = np.round(2 / e1, 12), np.round(2 / e2, 12)
+    rows[:, kernels.RATIO], rows[:, kernels.GAUGE] = e2 / e1, e1 / 2
+    # A hair wider: rounding must not cut a surface point off.
+    room = 1e-9 * (1 + np.abs(bounds).max(axis=(1, 2)))[:, None]
+    rows[:, kernels.LOW : kernels.LOW + 3] = bounds[:, 0] - room
+    rows[:, kernels.HIGH : kernels.HIGH + 3] = bounds[:, 1] + room
+    return rows

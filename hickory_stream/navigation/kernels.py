@@ -1,0 +1,523 @@
+"""Collision kernels over a flat scene: one row of numbers per primitive, and two grids of lists of who is near.
+
+A block lists the primitives near it and, where there are any, has a brick of cells that list theirs. A cell knows of
+each primitive whether it fills the cell: then every point of it is inside, and no formula is evaluated. The distance to
+a primitive is bounded from below by that to planes it lies behind.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+# A primitive is a row: centre (3), rotation row by row (9; columns are the local axes), semi-axes (3), 2/e1, 2/e2,
+# e2/e1, e1/2, low corner of its bounds (3), high corner (3).
+CENTER, ROTATION, AXES = 0, 3, 12
+POWER_1, POWER_2, RATIO, GAUGE = 15, 16, 17, 18
+LOW, HIGH = 19, 22
+ROW = 25
+# A block is a brick of 8 cells along each side.
+SHIFT, MASK, CELLS = 3, 7, 8
+# The states of the answers, in order of gravity: the gravest of all primitives wins.
+FREE, UNKNOWN, HIT_GENERATED, HIT_SEEN = 0, 1, 2, 3
+
+
+@numba.njit(cache=True, nogil=True)
+def _power(x, p):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return x ** p for x in 0..2; the simple shapes that fits are made of have whole powers and need no logarithm."""
+    if p == 2.0:
+        return x * x
+    n = int(p)
+    if n == p and n <= 32:
+        result = 1.0
+        while n:
+            if n & 1:
+                result *= x
+            x *= x
+            n >>= 1
+        return result
+    if x <= 0.0:
+        return 0.0
+    return np.exp(p * np.log(x))
+
+
+@numba.njit(cache=True, nogil=True)
+def is_inside(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether G <= 1 at a point."""
+    dx, dy, dz = x - row[CENTER], y - row[CENTER + 1], z - row[CENTER + 2]
+    w = abs(row[ROTATION + 2] * dx + row[ROTATION + 5] * dy + row[ROTATION + 8] * dz) / row[AXES + 2]
+    if w > 1.0:
+        return False
+    u = abs(row[ROTATION] * dx + row[ROTATION + 3] * dy + row[ROTATION + 6] * dz) / row[AXES]
+    if u > 1.0:
+        return False
+    v = abs(row[ROTATION + 1] * dx + row[ROTATION + 4] * dy + row[ROTATION + 7] * dz) / row[AXES + 1]
+    if v > 1.0:
+        return False
+    # No coordinate exceeds 1 here: nothing overflows, and what underflows is 0 as it should be.
+    planar = _power(u, row[POWER_2]) + _power(v, row[POWER_2])
+    if row[RATIO] != 1.0:
+        planar = _power(planar, row[RATIO])
+    return planar + _power(w, row[POWER_1]) <= 1.0
+
+
+@numba.njit(cache=True, nogil=True)
+def log_gauge(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return ln h, h = G^(e1/2), at a point; fill its gradient in the world."""
+    dx, dy, dz = x - row[CENTER], y - row[CENTER + 1], z - row[CENTER + 2]
+    p0 = row[ROTATION] * dx + row[ROTATION + 3] * dy + row[ROTATION + 6] * dz
+    p1 = row[ROTATION + 1] * dx + row[ROTATION + 4] * dy + row[ROTATION + 7] * dz
+    p2 = row[ROTATION + 2] * dx + row[ROTATION + 5] * dy + row[ROTATION + 8] * dz
+    tiny = 1e-9 * min(row[AXES], row[AXES + 1], row[AXES + 2])
+    p0 = p0 if abs(p0) > tiny else tiny
+    p1 = p1 if abs(p1) > tiny else tiny
+    p2 = p2 if abs(p2) > tiny else tiny
+    u, v = np.log(abs(p0) / row[AXES]), np.log(abs(p1) / row[AXES + 1])
+    w = np.log(abs(p2) / row[AXES + 2])
+    high = max(u, v)
+    share_x, share_y = np.exp(row[POWER_2] * (u - high)), np.exp(row[POWER_2] * (v - high))
+    total = share_x + share_y
+    log_rho = high + np.log(total) / row[POWER_2]
+    top = max(log_rho, w)
+    share_r, share_z = np.exp(row[POWER_1] * (log_rho - top)), np.exp(row[POWER_1] * (w - top))
+    whole = share_r + share_z
+    g0 = share_r / whole * share_x / total / p0
+    g1 = share_r / whole * share_y / total / p1
+    g2 = share_z / whole / p2
+    for i in range(3):
+        at = ROTATION + 3 * i
+        gradient[i] = row[at] * g0 + row[at + 1] * g1 + row[at + 2] * g2
+    return top + row[GAUGE] * np.log(whole)
+
+
+@numba.njit(cache=True, nogil=True)
+def bound_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return a lower bound of the distance to a primitive, 0 inside.
+
+    The larger of two: to its box in its own axes, and to the tangent plane where the ray from the centre leaves it. A
+    convex body lies behind both.
+    """
+    dx, dy, dz = x - row[CENTER], y - row[CENTER + 1], z - row[CENTER + 2]
+    squared = 0.0
+    for i in range(3):
+        along = row[ROTATION + i] * dx + row[ROTATION + 3 + i] * dy + row[ROTATION + 6 + i] * dz
+        beyond = abs(along) - row[AXES + i]
+        if beyond > 0.0:
+            squared += beyond * beyond
+    log_h = log_gauge(row, x, y, z, gradient)
+    if log_h <= 0.0:
+        return 0.0
+    slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+    # In d(ln h) the plane is at distance (1 - 1/h) / |grad ln h|. A hair less: rounding must not make it too large.
+    plane = (1.0 - np.exp(-log_h)) / slope
+    return max(np.sqrt(squared), plane) * (1.0 - 1e-9)
+
+
+@numba.njit(cache=True, nogil=True)
+def exact_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the distance to a primitive, 0 inside: its dual, the largest distance to a plane that it lies behind.
+
+    The distance to a convex body is the maximum over directions n of n . p - support(n). The ascent turns n towards
+    the offset from the support point; it ends where that offset is parallel to n.
+    """
+    best = bound_outside(row, x, y, z, gradient)
+    if best == 0.0:
+        return 0.0
+    dx, dy, dz = x - row[CENTER], y - row[CENTER + 1], z - row[CENTER + 2]
+    p = np.empty(3)
+    for i in range(3):
+        p[i] = row[ROTATION + i] * dx + row[ROTATION + 3 + i] * dy + row[ROTATION + 6 + i] * dz
+    # By symmetry in the first octant.
+    p = np.abs(p)
+    n, q = np.empty(3), np.empty(3)
+    for i in range(3):
+        along = (
+            row[ROTATION + i] * gradient[0] + row[ROTATION + 3 + i] * gradient[1] + row[ROTATION + 6 + i] * gradient[2]
+        )
+        n[i] = abs(along)
+    # The best of a net of directions, refined by shrinking nets around it: the dual is smooth, but for boxes nearly has
+    # edges, on which ascents stall.
+    value = _behind(row, p, n, q)
+    first, second, trial = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        trial[i] = max(p[i] - row[AXES + i], 0.0)
+    if trial.sum() > 0.0 and _behind(row, p, trial, q) > value:
+        n[:] = trial
+    n /= np.sqrt((n * n).sum())
+    value = _behind(row, p, n, q)
+    width = 0.6
+    while width > 1e-7:
+        least = int(np.argmin(n))
+        first[:] = 0.0
+        first[least] = 1.0
+        first -= n[least] * n
+        first /= np.sqrt((first * first).sum())
+        second[0] = n[1] * first[2] - n[2] * first[1]
+        second[1] = n[2] * first[0] - n[0] * first[2]
+        second[2] = n[0] * first[1] - n[1] * first[0]
+        # Towards the offset from the touching point, and eight directions around.
+        _behind(row, p, n, q)
+        improved = False
+        for m in range(9):
+            if m == 0:
+                trial[:] = p - q
+            else:
+                c, s = _CIRCLE[m - 1, 0] * width, _CIRCLE[m - 1, 1] * width
+                trial[:] = n + c * first + s * second
+            trial[:] = np.abs(trial)
+            length = np.sqrt((trial * trial).sum())
+            if length == 0.0:
+                continue
+            trial /= length
+            ahead = _behind(row, p, trial, q)
+            if ahead > value:
+                value, improved = ahead, True
+                n[:] = trial
+                break
+        if not improved:
+            width *= 0.35
+    return max(best, value)
+
+
+_CIRCLE = np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
+
+
+@numba.njit(cache=True, nogil=True)
+def _behind(row, p, n, q):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the distance of p from the plane with the normal n (>= 0) that touches the body, at q, which is filled."""
+    length = np.sqrt((n * n).sum())
+    a, b = _touching(row[AXES] * n[0], row[AXES + 1] * n[1], row[POWER_2])
+    planar = a * row[AXES] * n[0] + b * row[AXES + 1] * n[1]
+    c, d = _touching(planar, row[AXES + 2] * n[2], row[POWER_1])
+    q[0], q[1], q[2] = c * a * row[AXES], c * b * row[AXES + 1], d * row[AXES + 2]
+    return (n[0] * (p[0] - q[0]) + n[1] * (p[1] - q[1]) + n[2] * (p[2] - q[2])) / length
+
+
+@numba.njit(cache=True, nogil=True)
+def _touching(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the point (a, b) of a^p + b^p = 1, both >= 0, that is farthest along (s, t)."""
+    largest = max(s, t)
+    if largest <= 0.0:
+        return 1.0, 0.0
+    # The dual exponent; near the diamond (p = 1) it goes to infinity and the farthest point is a corner.
+    power = 1.0 / max(p - 1.0, 1e-3)
+    a, b = (s / largest) ** power, (t / largest) ** power
+    norm = (a**p + b**p) ** (1.0 / p)
+    return a / norm, b / norm
+
+
+@numba.njit(cache=True, nogil=True)
+def inserted(row, index, layout, top, bricks, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Enter a primitive into the two grids; return the next free item (there must be enough), and how many it took.
+
+    `layout` is the low corner of the grid (3) and the side of a block. `top` (X, Y, Z, 2) holds the brick of a block,
+    -1 where there is none, and the head of the list of primitives near the block. `bricks` (B, 512) holds the heads of
+    the lists of the cells. Lists are chains through `links`, -1 at the end; a value is 2 * primitive, plus 1 where the
+    primitive fills the cell.
+    """
+    side = layout[3]
+    cell = side / CELLS
+    gradient = np.empty(3)
+    used = 0
+    for i, j, k in blocks_of(row, layout, top.shape[:3]):
+        x, y, z = layout[0] + i * side, layout[1] + j * side, layout[2] + k * side
+        free_item = _chained(top[i, j, k], 1, 2 * index, values, links, free_item)
+        used += 1
+        brick = bricks[top[i, j, k, 0]]
+        for n in range(CELLS * CELLS * CELLS):
+            px = x + (n // (CELLS * CELLS) + 0.5) * cell
+            py = y + (n // CELLS % CELLS + 0.5) * cell
+            pz = z + (n % CELLS + 0.5) * cell
+            if _far_from_box(row, px, py, pz, 0.5 * cell):
+                continue
+            # Half a cell's diagonal and a little: a point on the border of a cell may be counted to either.
+            if bound_outside(row, px, py, pz, gradient) <= 0.867 * cell:
+                filled = _fills(row, px, py, pz, 0.5 * cell)
+                free_item = _chained(brick, n, 2 * index + filled, values, links, free_item)
+                used += 1
+    return free_item, used
+
+
+@numba.njit(cache=True, nogil=True)
+def blocks_of(row, layout, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (M, 3) the blocks that a primitive may reach into."""
+    side = layout[3]
+    gradient, low, high = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):
+        low[axis] = max(int(np.floor((row[LOW + axis] - layout[axis]) / side)), 0)
+        high[axis] = min(int(np.floor((row[HIGH + axis] - layout[axis]) / side)), shape[axis] - 1)
+    out = np.empty((max((high - low + 1).prod(), 0), 3), np.int64)
+    count = 0
+    for i in range(low[0], high[0] + 1):
+        for j in range(low[1], high[1] + 1):
+            for k in range(low[2], high[2] + 1):
+                x, y, z = layout[0] + (i + 0.5) * side, layout[1] + (j + 0.5) * side, layout[2] + (k + 0.5) * side
+                if bound_outside(row, x, y, z, gradient) <= 0.867 * side:
+                    out[count, 0], out[count, 1], out[count, 2] = i, j, k
+                    count += 1
+    return out[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def removed(row, index, layout, top, bricks, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Take a primitive out of the lists of its blocks; return the first free item, and how many it gave back."""
+    released = 0
+    for i, j, k in blocks_of(row, layout, top.shape[:3]):
+        free_item, count = _unchained(top[i, j, k], 1, index, values, links, free_item)
+        released += count
+        brick = bricks[top[i, j, k, 0]]
+        for n in range(CELLS * CELLS * CELLS):
+            free_item, count = _unchained(brick, n, index, values, links, free_item)
+            released += count
+    return free_item, released
+
+
+@numba.njit(cache=True, nogil=True)
+def _chained(heads, at, value, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
+    after = links[free_item]
+    values[free_item], links[free_item] = value, heads[at]
+    heads[at] = free_item
+    return after
+
+
+@numba.njit(cache=True, nogil=True)
+def _unchained(heads, at, index, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
+    before, item, count = -1, heads[at], 0
+    while item >= 0:
+        after = links[item]
+        if values[item] >> 1 == index:
+            if before < 0:
+                heads[at] = after
+            else:
+                links[before] = after
+            links[item] = free_item
+            free_item = item
+            count += 1
+        else:
+            before = item
+        item = after
+    return free_item, count
+
+
+@numba.njit(cache=True, nogil=True)
+def _far_from_box(row, x, y, z, half):  # type: ignore[no-untyped-def] # pragma: no cover
+    return (
+        x + half < row[LOW]
+        or x - half > row[HIGH]
+        or y + half < row[LOW + 1]
+        or y - half > row[HIGH + 1]
+        or z + half < row[LOW + 2]
+        or z - half > row[HIGH + 2]
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _fills(row, x, y, z, half):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return 1 where a primitive surely holds every point of a cell, rounding included, else 0."""
+    half *= 1.0 + 1e-6
+    for corner in range(8):
+        dx = half if corner & 1 else -half
+        dy = half if corner & 2 else -half
+        dz = half if corner & 4 else -half
+        if not is_inside(row, x + dx, y + dy, z + dz):
+            return 0
+    return 1
+
+
+@numba.njit(cache=True, nogil=True)
+def point_states(points, rows, kinds, layout, top, bricks, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) uint8: FREE, or the gravest kind of the primitives that hold each of (N, 3) points."""
+    out = np.zeros(len(points), np.uint8)
+    _states(points, rows, kinds, layout, top, bricks, values, links, out, 0, len(points))
+    return out
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def point_states_parallel(points, rows, kinds, layout, top, bricks, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return what `point_states` returns, on all cores."""
+    out = np.zeros(len(points), np.uint8)
+    block = 8192
+    for b in numba.prange((len(points) + block - 1) // block):
+        last = min((b + 1) * block, len(points))
+        _states(points, rows, kinds, layout, top, bricks, values, links, out, b * block, last)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _states(points, rows, kinds, layout, top, bricks, values, links, out, first, last):  # type: ignore[no-untyped-def] # pragma: no cover
+    inverse = CELLS / layout[3]
+    ox, oy, oz = layout[0], layout[1], layout[2]
+    nx, ny, nz = top.shape[0] * CELLS, top.shape[1] * CELLS, top.shape[2] * CELLS
+    for n in range(first, last):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        fx, fy, fz = (x - ox) * inverse, (y - oy) * inverse, (z - oz) * inverse
+        if not (fx >= 0.0 and fy >= 0.0 and fz >= 0.0 and fx < nx and fy < ny and fz < nz):
+            continue
+        i, j, k = int(fx), int(fy), int(fz)
+        brick = top[i >> SHIFT, j >> SHIFT, k >> SHIFT, 0]
+        if brick < 0:
+            continue
+        item = bricks[brick, ((i & MASK) << 2 * SHIFT) | ((j & MASK) << SHIFT) | (k & MASK)]
+        gravest = 0
+        while item >= 0:
+            value = values[item]
+            kind = kinds[value >> 1]
+            if kind > gravest and (value & 1 or is_inside(rows[value >> 1], x, y, z)):
+                gravest = kind
+                if gravest == HIT_SEEN:
+                    break
+            item = links[item]
+        out[n] = gravest
+
+
+@numba.njit(cache=True, nogil=True)
+def clearances(points, rows, is_exact, reach, layout, top, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) the distance to the nearest primitive, or a lower bound of it, cut off at `reach`."""
+    out = np.empty(len(points))
+    gradient = np.empty(3)
+    seen = np.full(len(rows), -1, np.int64)
+    side = layout[3]
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        best = reach
+        looked = 0.0
+        while looked < best:
+            # A cube of blocks around the point, doubled until nothing nearer can lie outside of it.
+            looked = min(max(2.0 * looked, 0.5 * side), best)
+            for axis in range(3):
+                low[axis] = max(int(np.floor((points[n, axis] - looked - layout[axis]) / side)), 0)
+                high[axis] = min(int(np.floor((points[n, axis] + looked - layout[axis]) / side)), top.shape[axis] - 1)
+            for i in range(low[0], high[0] + 1):
+                for j in range(low[1], high[1] + 1):
+                    for k in range(low[2], high[2] + 1):
+                        item = top[i, j, k, 1]
+                        while item >= 0:
+                            row = values[item] >> 1
+                            if seen[row] != n and _box_distance(rows[row], x, y, z) < best:
+                                seen[row] = n
+                                if is_exact:
+                                    best = min(best, exact_outside(rows[row], x, y, z, gradient))
+                                else:
+                                    best = min(best, bound_outside(rows[row], x, y, z, gradient))
+                            item = links[item]
+        out[n] = best
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _box_distance(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+    dx = max(row[LOW] - x, 0.0, x - row[HIGH])
+    dy = max(row[LOW + 1] - y, 0.0, y - row[HIGH + 1])
+    dz = max(row[LOW + 2] - z, 0.0, z - row[HIGH + 2])
+    return np.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@numba.njit(cache=True, nogil=True)
+def sweep_states(starts, ends, half, radius, rows, kinds, layout, top, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) uint8: the gravest kind that a body touches on its way from (N, 3) starts to ends, else FREE.
+
+    The body is an axis-aligned box of half extents `half` (3), rounded by `radius`; a ball for half extents of 0.
+    """
+    out = np.zeros(len(starts), np.uint8)
+    gradient, way = np.empty(3), np.empty(3)
+    seen = np.full(len(rows), -1, np.int64)
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    first, last = np.empty(3), np.empty(3)
+    side = layout[3]
+    for n in range(len(starts)):
+        for axis in range(3):
+            way[axis] = ends[n, axis] - starts[n, axis]
+            first[axis] = min(starts[n, axis], ends[n, axis]) - half[axis] - radius
+            last[axis] = max(starts[n, axis], ends[n, axis]) + half[axis] + radius
+            low[axis] = max(int(np.floor((first[axis] - layout[axis]) / side)), 0)
+            high[axis] = min(int(np.floor((last[axis] - layout[axis]) / side)), top.shape[axis] - 1)
+        gravest = 0
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                for k in range(low[2], high[2] + 1):
+                    item = top[i, j, k, 1]
+                    while item >= 0 and gravest < HIT_SEEN:
+                        index = values[item] >> 1
+                        item = links[item]
+                        if seen[index] == n or kinds[index] <= gravest:
+                            continue
+                        seen[index] = n
+                        row = rows[index]
+                        if (
+                            row[LOW] > last[0]
+                            or row[LOW + 1] > last[1]
+                            or row[LOW + 2] > last[2]
+                            or row[HIGH] < first[0]
+                            or row[HIGH + 1] < first[1]
+                            or row[HIGH + 2] < first[2]
+                        ):
+                            continue
+                        if sweep_touches(row, starts[n], way, half, radius, gradient):
+                            gravest = kinds[index]
+        out[n] = gravest
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def sweep_touches(row, start, way, half, radius, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether a moving rounded box may touch a primitive; never False where it does.
+
+    A plane between a place of the body and the primitive, which is convex, keeps apart all of the way that stays on its
+    side. The way is covered from where a plane ends to where the next one begins; where a plane leaves less than a
+    hundredth of the way, or of the body, it counts as a touch.
+    """
+    length = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+    # Begin where the way is nearest to the centre: one plane from there often keeps all of it apart.
+    t = 0.0
+    if length > 0.0:
+        for axis in range(3):
+            t += (row[CENTER + axis] - start[axis]) * way[axis]
+        t = min(max(t / (length * length), 0.0), 1.0)
+    begin, end = _free_around(row, start, way, t, half, radius, gradient)
+    if begin > end:
+        return True
+    least = 1e-3 + 0.01 * radius / max(length, 1e-12) if length > 0.0 else 0.0
+    while begin > 0.0:
+        before, _ = _free_around(row, start, way, begin, half, radius, gradient)
+        if before > begin - least and before > 0.0:
+            return True
+        begin = before
+    while end < 1.0:
+        _, after = _free_around(row, start, way, end, half, radius, gradient)
+        if after < end + least and after < 1.0:
+            return True
+        end = after
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _free_around(row, start, way, t, half, radius, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the stretch of the way around t that a plane keeps free of a primitive; begin > end where none does."""
+    best_begin, best_end = 2.0, -1.0
+    x, y, z = start[0] + t * way[0], start[1] + t * way[1], start[2] + t * way[2]
+    log_h = log_gauge(row, x, y, z, gradient)
+    if log_h <= 0.0:
+        return best_begin, best_end
+    slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+    gap = (1.0 - np.exp(-log_h)) / slope * (1.0 - 1e-9)
+    nx, ny, nz = gradient[0] / slope, gradient[1] / slope, gradient[2] / slope
+    # The tangent plane, and the faces of the primitive's own box.
+    for choice in range(4):
+        if choice > 0:
+            axis = choice - 1
+            nx, ny, nz = row[ROTATION + axis], row[ROTATION + 3 + axis], row[ROTATION + 6 + axis]
+            along = (x - row[CENTER]) * nx + (y - row[CENTER + 1]) * ny + (z - row[CENTER + 2]) * nz
+            if along < 0.0:
+                nx, ny, nz, along = -nx, -ny, -nz, -along
+            gap = along - row[AXES + axis]
+        margin = gap - radius - (abs(nx) * half[0] + abs(ny) * half[1] + abs(nz) * half[2])
+        if margin <= 0.0:
+            continue
+        speed = nx * way[0] + ny * way[1] + nz * way[2]
+        # Going against the normal uses the margin up.
+        begin = t - margin / speed if speed > 0.0 else -1.0
+        end = t - margin / speed if speed < 0.0 else 2.0
+        if best_begin > best_end or end - begin > best_end - best_begin:
+            best_begin, best_end = begin, end
+    return best_begin, best_end

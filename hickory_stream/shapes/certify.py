@@ -1,0 +1,287 @@
+"""The certificate of layer 4: does it contain the object and its margin? Checked from the result alone.
+
+It knows nothing of how the primitives were grown. Every triangle, bisected as needed, must lie in one primitive with
+the ball of the margin around each of its points: since a primitive is convex, it is enough that the balls around the
+three corners do. Every point of layer 1 likewise. Of the inside, every cell of a lattice must lie in one primitive,
+split as needed, unless all of it is within the margin of the surface, which is covered already.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from hickory_stream.shapes.cover import NET, NET_FACTOR, log_gauge, log_gauge_of_ball
+from hickory_stream.shapes.sdf import distance_grid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.superquadric import Superquadrics
+
+# What ln G must stay below its limit by: several orders above the rounding of the evaluation.
+NUMERICAL_MARGIN = 1e-9
+# How often a triangle is bisected before it counts as uncovered.
+_MAX_BISECTIONS = 18
+_HALF_DIAGONAL = float(np.sqrt(0.75))
+# A cell of the inside is split in eight this often, less one.
+_CELL_LEVELS = 4
+# Seams are few cells. Where more than this are open, whole parts are, and splitting them would not help.
+_MOST_SPLIT = 2000
+# The fewest and the most cells along the longest side.
+_CELLS = (16, 96)
+_EIGHTHS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Certificate:
+    """What was checked, and what of it lies in no primitive.
+
+    `num_triangles` of the mesh, `num_pieces` after bisection, `num_points` of layer 1, `num_cells` of the inside; how
+    many of them are uncovered (triangles are counted whole); `max_g` bounds G of what is covered. `shell_m` is the
+    thickness of what was not looked at under the surface: 0 for margins from two hundredths of the longest side.
+    """
+
+    num_triangles: int
+    num_pieces: int
+    num_points: int
+    num_cells: int
+    uncovered_triangles: int
+    uncovered_points: int
+    uncovered_cells: int
+    max_g: float
+    shell_m: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether everything is covered."""
+        return self.uncovered_triangles + self.uncovered_points + self.uncovered_cells == 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Inside:
+    """The cells inside the solid, without those that the margin covers.
+
+    (N, 3) centres, half a side, and the (N,) signed distances of the centres, cut off; `margin_m` is the margin,
+    `shell_m` how much deeper the cells begin.
+    """
+
+    centers: NDArray[np.float64]
+    half_m: float
+    distances_m: NDArray[np.float64]
+    margin_m: float
+    shell_m: float
+
+
+def certify(
+    primitives: Superquadrics,
+    vertices_world: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    points_world: NDArray[np.float64],
+    inside: Inside,
+    *,
+    r_safe_m: float,
+    g: float,
+) -> Certificate:
+    """Return whether the union of the primitives, each with G <= g, contains the object and its margin.
+
+    (V, 3) vertices, (F, 3) faces and (N, 3) points of layer 1 in the frame of the primitives.
+    """
+    arguments = (primitives.exponents, primitives.semi_axes_m, primitives.world_from_local)
+    log_g = float(np.log(g)) - NUMERICAL_MARGIN
+    pieces, uncovered, worst = _triangles(vertices_world, faces, *arguments, r_safe_m, log_g, NET, NET_FACTOR)
+    out_points, worst_point = _balls(points_world, *arguments, r_safe_m, log_g, NET, NET_FACTOR)
+    out_cells = len(uncovered_cells(primitives, inside, g))
+    return Certificate(
+        num_triangles=len(faces),
+        num_pieces=pieces,
+        num_points=len(points_world),
+        num_cells=len(inside.centers),
+        uncovered_triangles=uncovered,
+        uncovered_points=out_points,
+        uncovered_cells=out_cells,
+        max_g=float(np.exp(min(max(worst, worst_point), 700.0))),
+        shell_m=inside.shell_m,
+    )
+
+
+def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, r_safe_m: float) -> Inside:
+    """Return what of the inside is to be covered besides the surface and its margin.
+
+    Every cell is either as a whole inside the solid, or all of it is within two half diagonals of the surface. The
+    lattice is as fine as it takes for the margin to cover the latter, up to a limit; a margin below that leaves a thin
+    shell under the surface, `shell_m`, that is not looked at. Overlapping parts are one solid; a plane has no inside.
+    """
+    extent = np.ptp(vertices_world, axis=0)
+    if len(faces) == 0 or not extent.min() > 1e-6 * extent.max():
+        return Inside(centers=np.empty((0, 3)), half_m=0.0, distances_m=np.empty(0), margin_m=r_safe_m, shell_m=0.0)
+    longest = float(extent.max())
+    wanted = 2.02 * _HALF_DIAGONAL * longest / max(r_safe_m, longest / _CELLS[1])
+    cells = int(np.ceil(np.clip(wanted, *_CELLS)))
+    step = longest / cells
+    grid = distance_grid(vertices_world, faces, cells=cells, band_cells=1.0)
+    half_diagonal = _HALF_DIAGONAL * step
+    covered_by_margin = np.abs(grid.values) + half_diagonal <= min(r_safe_m, grid.band_m)
+    deep = np.flatnonzero((grid.values <= -half_diagonal) & ~covered_by_margin)
+    # A solid stays within its bounds; the winding numbers of a torn mesh need not.
+    centers = grid.points(deep)
+    low, high = vertices_world.min(axis=0) + 0.49 * step, vertices_world.max(axis=0) - 0.49 * step
+    is_within = ((centers >= low) & (centers <= high)).all(axis=1)
+    deep = deep[is_within]
+    return Inside(
+        centers=centers[is_within],
+        half_m=step / 2,
+        distances_m=grid.values.ravel()[deep].astype(np.float64),
+        margin_m=r_safe_m,
+        shell_m=max(2 * half_diagonal - r_safe_m, 0.0),
+    )
+
+
+def uncovered_cells(primitives: Superquadrics, inside: Inside, g: float) -> NDArray[np.float64]:
+    """Return the (N, 4) centres and halves of what of the cells lies in no primitive.
+
+    A cell that is not in one primitive as a whole is split in eight, a few times: at the seam of two primitives each
+    part lies in one of them. Parts within the margin are dropped.
+    """
+    log_g = float(np.log(g)) - NUMERICAL_MARGIN
+    left = np.column_stack([inside.centers, inside.distances_m])
+    half = inside.half_m
+    for level in range(_CELL_LEVELS):
+        shape = (primitives.exponents, primitives.semi_axes_m, primitives.world_from_local)
+        left = left[_cells(np.ascontiguousarray(left[:, :3]), half, *shape, log_g)]
+        if len(left) == 0 or level == _CELL_LEVELS - 1 or len(left) > _MOST_SPLIT:
+            break
+        half /= 2
+        left = _parts(left, half, inside.margin_m)
+    return np.column_stack([left[:, :3], np.full(len(left), half)])
+
+
+def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[np.float64]:
+    """Return (M, 4) the eighths of cells, with bounds of their distances, that may reach beyond the margin."""
+    # From one centre to the next the distance changes by no more than the way between them.
+    way = half * np.sqrt(3)
+    parts = cells[:, None, :3] + half * _EIGHTHS[None]
+    farthest = np.repeat(cells[:, 3] - way, 8)
+    return np.column_stack([parts.reshape(-1, 3), farthest])[way - farthest > margin_m]
+
+
+@numba.njit(cache=True, nogil=True)
+def _ball_in(point, k, exponents, axes, poses, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return an upper bound of ln G over a ball in primitive k; infinity where it may stick out."""
+    dx, dy, dz = point[0] - poses[k, 0, 3], point[1] - poses[k, 1, 3], point[2] - poses[k, 2, 3]
+    x = abs(poses[k, 0, 0] * dx + poses[k, 1, 0] * dy + poses[k, 2, 0] * dz)
+    y = abs(poses[k, 0, 1] * dx + poses[k, 1, 1] * dy + poses[k, 2, 1] * dz)
+    z = abs(poses[k, 0, 2] * dx + poses[k, 1, 2] * dy + poses[k, 2, 2] * dz)
+    if x + radius > axes[k, 0] or y + radius > axes[k, 1] or z + radius > axes[k, 2]:
+        return np.inf
+    e1, e2 = exponents[k, 0], exponents[k, 1]
+    limit = 0.5 * e1 * log_g
+    value = log_gauge_of_ball(x, y, z, radius, axes[k], e1, e2, limit, net, factor)
+    return 2.0 / e1 * value if value <= limit else np.inf
+
+
+@numba.njit(cache=True, nogil=True)
+def _balls(points, exponents, axes, poses, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+    out, worst, last = 0, -700.0, 0
+    for n in range(len(points)):
+        best = np.inf
+        for i in range(len(axes)):
+            k = (last + i) % len(axes)
+            best = _ball_in(points[n], k, exponents, axes, poses, radius, log_g, net, factor)
+            if best < np.inf:
+                last = k
+                break
+        if best == np.inf:
+            out += 1
+        else:
+            worst = max(worst, best)
+    return out, worst
+
+
+@numba.njit(cache=True, nogil=True)
+def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the number of pieces, that of uncovered triangles, and the largest ln G of a covered one."""
+    count = len(axes)
+    bounds = np.empty((len(vertices), count))
+    for n in range(len(vertices)):
+        for k in range(count):
+            bounds[n, k] = _ball_in(vertices[n], k, exponents, axes, poses, radius, log_g, net, factor)
+    corners = np.empty((_MAX_BISECTIONS + 2, 3, 3))
+    values = np.empty((_MAX_BISECTIONS + 2, 3, count))
+    depths = np.empty(_MAX_BISECTIONS + 2, np.int64)
+    pieces, uncovered, worst = 0, 0, -700.0
+    for f in range(len(faces)):
+        size = 1
+        for c in range(3):
+            corners[0, c] = vertices[faces[f, c]]
+            values[0, c] = bounds[faces[f, c]]
+        depths[0] = 0
+        while size > 0:
+            size -= 1
+            best = np.inf
+            for k in range(count):
+                best = min(best, max(values[size, 0, k], values[size, 1, k], values[size, 2, k]))
+            if best < np.inf:
+                pieces += 1
+                worst = max(worst, best)
+                continue
+            if depths[size] == _MAX_BISECTIONS or _is_lost(values[size]):
+                uncovered += 1
+                break
+            first, most = 0, -1.0
+            for c in range(3):
+                squared = ((corners[size, c] - corners[size, (c + 1) % 3]) ** 2).sum()
+                if squared > most:
+                    first, most = c, squared
+            second = (first + 1) % 3
+            middle = 0.5 * (corners[size, first] + corners[size, second])
+            corners[size + 1], values[size + 1] = corners[size], values[size]
+            corners[size, second], corners[size + 1, first] = middle, middle
+            for k in range(count):
+                bound = _ball_in(middle, k, exponents, axes, poses, radius, log_g, net, factor)
+                values[size, second, k], values[size + 1, first, k] = bound, bound
+            depths[size] += 1
+            depths[size + 1] = depths[size]
+            size += 2
+    return pieces, uncovered, worst
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_lost(values):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether a corner lies in no primitive, so that no bisection helps."""
+    for c in range(3):
+        if values[c].min() == np.inf:
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _cells(centers, half, exponents, axes, poses, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.ones(len(centers), np.bool_)
+    reach = np.empty((len(axes), 3))
+    for k in range(len(axes)):
+        for i in range(3):
+            reach[k, i] = half * (abs(poses[k, 0, i]) + abs(poses[k, 1, i]) + abs(poses[k, 2, i]))
+    last = 0
+    for n in range(len(centers)):
+        for step in range(len(axes)):
+            k = (last + step) % len(axes)
+            dx, dy, dz = (
+                centers[n, 0] - poses[k, 0, 3],
+                centers[n, 1] - poses[k, 1, 3],
+                centers[n, 2] - poses[k, 2, 3],
+            )
+            x = abs(poses[k, 0, 0] * dx + poses[k, 1, 0] * dy + poses[k, 2, 0] * dz) + reach[k, 0]
+            y = abs(poses[k, 0, 1] * dx + poses[k, 1, 1] * dy + poses[k, 2, 1] * dz) + reach[k, 1]
+            z = abs(poses[k, 0, 2] * dx + poses[k, 1, 2] * dy + poses[k, 2, 2] * dz) + reach[k, 2]
+            if x > axes[k, 0] or y > axes[k, 1] or z > axes[k, 2]:
+                continue
+            e1, e2 = exponents[k, 0], exponents[k, 1]
+            if log_gauge(x, y, z, axes[k], e1, e2) <= 0.5 * e1 * log_g:
+                out[n] = False
+                last = k
+                break
+    return out

@@ -1,0 +1,99 @@
+"""The surface of an object in pieces, each owned by one primitive: what layer 4 has to contain.
+
+A triangle belongs to the primitive that it is nearest to as a whole. Where it lies far outside of every one, it is
+bisected: the large triangle of a seat belongs to the seat, but one that runs down a leg must not make the seat grow.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from hickory_stream.shapes.quadric_lm import tangent_distance
+
+_MOST_PIECES = 20_000
+
+
+@numba.njit(cache=True, nogil=True)
+def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the vertices with those that bisection adds, (P, 3) pieces of them, and (P,) the owner of each piece.
+
+    `rows` (K, 17) as in `quadric_lm`, in the unit of the vertices. A piece whose farthest corner is more than
+    `tolerance` outside of all primitives is bisected until its edges are shorter than `min_edge`.
+    """
+    most = len(faces) + _MOST_PIECES
+    points = np.empty((len(vertices) + most, 3))
+    distances = np.empty((len(vertices) + most, len(rows)))
+    num_points = len(vertices)
+    for n in range(num_points):
+        points[n] = vertices[n]
+        _distances(points[n], rows, distances[n])
+    pieces, owners = np.empty((most, 3), np.int64), np.empty(most, np.int64)
+    count = 0
+    stack = np.empty((64, 3), np.int64)
+    for f in range(len(faces)):
+        depth = 1
+        stack[0] = faces[f]
+        while depth > 0:
+            depth -= 1
+            corners = stack[depth].copy()
+            owner, outside = _owner(distances, corners)
+            longest, length = _longest_edge(points, corners)
+            has_room = depth < 60 and count + depth + len(faces) - f + 2 < most
+            if outside <= tolerance or length <= min_edge or not has_room:
+                pieces[count], owners[count] = corners, owner
+                count += 1
+                continue
+            after = (longest + 1) % 3
+            points[num_points] = 0.5 * (points[corners[longest]] + points[corners[after]])
+            _distances(points[num_points], rows, distances[num_points])
+            stack[depth, after] = num_points
+            stack[depth + 1] = corners
+            stack[depth + 1, longest] = num_points
+            num_points += 1
+            depth += 2
+    return points[:num_points], pieces[:count], owners[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def owners_of(points, rows):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) the primitive that each of (N, 3) points is nearest to, and (N,) its distance, negative inside."""
+    owners, nearest = np.empty(len(points), np.int64), np.empty(len(points))
+    distances = np.empty(len(rows))
+    for n in range(len(points)):
+        _distances(points[n], rows, distances)
+        owners[n] = np.argmin(distances)
+        nearest[n] = distances[owners[n]]
+    return owners, nearest
+
+
+@numba.njit(cache=True, nogil=True)
+def _distances(point, rows, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    for k in range(len(rows)):
+        out[k] = tangent_distance(rows[k], point[0], point[1], point[2], local, gradient, shape, False)
+
+
+@numba.njit(cache=True, nogil=True)
+def _owner(distances, corners):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the primitive whose farthest corner is the nearest, and how far outside that one is."""
+    best, least = 0, 1e300
+    for k in range(distances.shape[1]):
+        farthest = max(distances[corners[0], k], distances[corners[1], k], distances[corners[2], k])
+        if farthest < least:
+            best, least = k, farthest
+    return best, least
+
+
+@numba.njit(cache=True, nogil=True)
+def _longest_edge(points, corners):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the first corner of the longest edge, and its length."""
+    longest, most = 0, -1.0
+    for c in range(3):
+        d = (c + 1) % 3
+        squared = 0.0
+        for i in range(3):
+            squared += (points[corners[c], i] - points[corners[d], i]) ** 2
+        if squared > most:
+            longest, most = c, squared
+    return longest, np.sqrt(most)

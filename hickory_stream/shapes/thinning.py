@@ -1,0 +1,23 @@
+"""Every n-th of many samples, without falling into step with the rows of the grid that they come from."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def thinned(count: int, most: int) -> NDArray[np.int64]:
+    """Return the indices of about `most` of `count` samples, all of them where there are fewer.
+
+    One of each stretch, at a place given by the golden ratio: an even stride through the cells of a thin plate would
+    meet the same layer every time.
+    """
+    if count <= most:
+        return np.arange(count)
+    stride = count / most
+    n = np.arange(most)
+    return np.asarray((stride * (n + (n * 0.6180339887498949) % 1.0)).astype(np.int64))

@@ -1,0 +1,186 @@
+"""Collision checks against brute force over every primitive."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.geometry.superquadric import Superquadrics, display_mesh, log_implicit_value, taken
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.navigation.clearance import Answer, Body, ClearanceScene
+from hickory_stream.records import ObservedSpace
+
+
+def random_primitives(rng: np.random.Generator, count: int, size_m: float = 4.0) -> Superquadrics:
+    rotations = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+    rotations[:, :, 2] *= np.sign(np.linalg.det(rotations))[:, None]
+    poses = np.stack([from_rotation_translation(r, rng.uniform(0, size_m, 3)) for r in rotations])
+    exponents = np.where(rng.random((count, 2)) < 0.5, rng.choice([0.1, 0.25, 1.0], (count, 2)), 0.0)
+    exponents = np.where(exponents == 0, rng.uniform(0.1, 2.0, (count, 2)), exponents)
+    return Superquadrics(exponents=exponents, semi_axes_m=rng.uniform(0.02, 0.5, (count, 3)), world_from_local=poses)
+
+
+def brute_force(primitives: Superquadrics, points: np.ndarray) -> np.ndarray:
+    return np.any([log_implicit_value(primitives, i, points) <= 0 for i in range(len(primitives))], axis=0)
+
+
+def scene_of(primitives: Superquadrics) -> ClearanceScene:
+    scene = ClearanceScene()
+    for i in range(len(primitives)):
+        scene.put(i, taken(primitives, np.array([i])))
+    return scene
+
+
+def one(semi_axes: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0), e: float = 1.0):
+    return Superquadrics(
+        exponents=np.full((1, 2), e),
+        semi_axes_m=np.array([semi_axes]),
+        world_from_local=from_rotation_translation(np.eye(3), np.array(at))[None],
+    )
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 25))
+def test_every_point_is_answered_as_by_brute_force(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    primitives = random_primitives(rng, count)
+    points = rng.uniform(-0.5, 4.5, (3000, 3))
+    near = np.concatenate([display_mesh(primitives, i)[0] for i in range(count)])
+    points = np.concatenate([points, near + rng.normal(size=near.shape) * 0.02])
+    scene = scene_of(primitives)
+    expected = brute_force(primitives, points)
+    assert np.array_equal(scene.classify(points) == Answer.HIT_SEEN, expected)
+    assert np.array_equal(scene.classify(points, is_parallel=True), scene.classify(points))
+    assert np.array_equal(scene.is_free(points), ~expected)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000))
+def test_updates_one_by_one_leave_the_scene_as_if_it_were_new(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = random_primitives(rng, 12), random_primitives(rng, 12, size_m=9.0)
+    scene = scene_of(first)
+    for i in rng.permutation(12)[:8]:
+        scene.remove(int(i))
+    scene.remove(99)
+    for i in range(12):
+        scene.put(i, taken(second, np.array([i])))
+    points = rng.uniform(-0.5, 9.5, (4000, 3))
+    assert np.array_equal(scene.classify(points) == Answer.HIT_SEEN, brute_force(second, points))
+    assert scene.num_primitives == 12
+    ways = rng.normal(size=points.shape)
+    assert np.array_equal(
+        scene.sweep(points, points + ways, radius_m=0.1),
+        scene_of(second).sweep(points, points + ways, radius_m=0.1),
+    )
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_bound_never_exceeds_the_distance_and_the_exact_one_is_that_to_the_surface(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    primitives = random_primitives(rng, 5)
+    scene = scene_of(primitives)
+    points = rng.uniform(-1, 5, (60, 3))
+    exact, bound = scene.clearance_m(points, is_exact=True), scene.clearance_m(points)
+    assert (bound <= exact + 1e-9).all()
+    surface = np.concatenate([display_mesh(primitives, i, segments=200)[0] for i in range(5)])
+    sampled = cKDTree(surface).query(points)[0]
+    outside = ~brute_force(primitives, points)
+    assert (exact[outside] <= sampled[outside] + 1e-6).all()
+    assert np.abs(exact[outside] - sampled[outside]).max(initial=0.0) < 0.03
+    assert (exact[~outside] == 0).all()
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([0.0, 0.1]), st.booleans())
+def test_no_sweep_is_free_that_touches(seed: int, radius: float, is_box: bool) -> None:
+    rng = np.random.default_rng(seed)
+    primitives = random_primitives(rng, 20)
+    scene = scene_of(primitives)
+    half = np.array([0.1, 0.05, 0.2]) if is_box else np.zeros(3)
+    starts = rng.uniform(0, 4, (80, 3))
+    ends = starts + rng.normal(size=starts.shape) * 0.6
+    answers = scene.sweep(starts, ends, radius_m=radius, half_extents_m=half)
+    # Points of the body along the way: its corners, and the ball around each.
+    signs = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
+    ball = rng.normal(size=(20, 3))
+    ball = np.concatenate([np.zeros((1, 3)), radius * ball / np.linalg.norm(ball, axis=1, keepdims=True)])
+    body = (signs[:, None] * half + ball[None]).reshape(-1, 3)
+    t = np.linspace(0, 1, 9)[:, None, None]
+    for i in np.flatnonzero(answers == Answer.FREE):
+        points = (starts[i] + t * (ends[i] - starts[i]) + body).reshape(-1, 3)
+        assert not brute_force(primitives, points).any()
+    # And it is no answer to call everything a hit.
+    clear = scene.clearance_m(starts, is_exact=True) > radius + np.linalg.norm(half) + 1.2 * np.linalg.norm(
+        ends - starts, axis=1
+    )
+    assert (answers[clear] == Answer.FREE).all()
+
+
+def test_a_sphere_is_as_far_as_geometry_says_and_a_graze_counts_as_a_touch() -> None:
+    scene = scene_of(one((1.0, 1.0, 1.0)))
+    points = np.array([[3.0, 0, 0], [0, 0, 1.5], [1.0, 1.0, 1.0]])
+    expected = [2.0, 0.5, np.sqrt(3) - 1]
+    assert scene.clearance_m(points, is_exact=True) == pytest.approx(expected, abs=1e-6)
+    assert scene.clearance_m(points) == pytest.approx(expected, abs=1e-6)
+    starts, ends = np.array([[-3.0, 1.2, 0], [-3.0, 1.05, 0]]), np.array([[3.0, 1.2, 0], [3.0, 1.05, 0]])
+    assert scene.sweep(starts, ends, radius_m=0.1).tolist() == [Answer.FREE, Answer.HIT_SEEN]
+
+
+def test_generated_surface_is_a_hit_unless_the_caller_decides_otherwise() -> None:
+    two = Superquadrics(
+        exponents=np.ones((2, 2)),
+        semi_axes_m=np.ones((2, 3)),
+        world_from_local=np.stack([from_rotation_translation(np.eye(3), np.array([x, 0.0, 0.0])) for x in (0, 5)]),
+    )
+    scene = ClearanceScene()
+    scene.put(7, two, np.array([0.9, 0.1]))
+    points = np.array([[0.0, 0, 0], [5.0, 0, 0], [2.5, 0, 0]])
+    assert scene.classify(points).tolist() == [Answer.HIT_SEEN, Answer.HIT_GENERATED, Answer.FREE]
+    assert scene.is_free(points).tolist() == [False, False, True]
+    assert scene.is_free(points, may_touch_generated=True).tolist() == [False, True, True]
+
+
+def test_what_was_never_seen_is_unknown_and_a_wall_is_a_hit() -> None:
+    scene = scene_of(one((0.3, 0.3, 0.3)))
+    free, wall = np.array([[1.0, 0, 0], [0.0, 0, 0]]), np.array([[2.0, 0, 0]])
+    space = ObservedSpace(
+        voxel_m=0.05,
+        free=np.unique(keys_of_points(free, 0.05)),
+        structure=np.unique(keys_of_points(wall, 0.05)),
+        floor_z_m=None,
+    )
+    scene.observe(space)
+    points = np.array([[1.0, 0, 0], [0.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]])
+    assert scene.classify(points).tolist() == [Answer.FREE, Answer.HIT_SEEN, Answer.HIT_SEEN, Answer.UNKNOWN]
+    scene.observe(None)
+    assert scene.classify(points)[3] == Answer.FREE
+
+
+def test_a_body_touches_when_one_of_its_parts_does() -> None:
+    scene = scene_of(one((0.2, 0.2, 0.2), at=(1.0, 0, 1.0)))
+    body = Body(
+        centers_m=np.array([[0.0, 0, 0.2], [0.0, 0, 1.0]]),
+        half_extents_m=np.array([[0.2, 0.2, 0.1], [0.0, 0, 0]]),
+        radii_m=np.array([0.0, 0.1]),
+    )
+    ways = np.zeros((2, 3)), np.array([[0.5, 0, 0], [1.0, 0, 0]])
+    assert scene.sweep_body(*ways, body).tolist() == [Answer.FREE, Answer.HIT_SEEN]
+
+
+def test_an_empty_scene_is_free_and_a_broken_primitive_is_refused() -> None:
+    scene = ClearanceScene()
+    points = np.zeros((3, 3))
+    assert (scene.classify(points) == Answer.FREE).all()
+    assert (scene.clearance_m(points, reach_m=2.0) == 2.0).all()
+    assert (scene.sweep(points, points + 1, radius_m=0.1) == Answer.FREE).all()
+    with pytest.raises(ValueError, match="not finite"):
+        scene.put(1, one((np.nan, 1.0, 1.0)))
+
+
+def test_points_that_are_no_numbers_are_in_no_primitive_and_never_free_of_the_unknown() -> None:
+    scene = scene_of(one((1.0, 1.0, 1.0)))
+    assert scene.classify(np.array([[np.nan, 0, 0], [np.inf, 0, 0]])).tolist() == [Answer.FREE, Answer.FREE]
