@@ -1,0 +1,259 @@
+"""Find where two maps overlap, say how sure, and refuse when they do not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.alignment.acceptance import Chance, effective_volume_m3
+from hickory_stream.alignment.affinity import (
+    AffinityConfig,
+    build_affinity,
+    fused_scores,
+    log_ranks,
+    semantic_scores,
+)
+from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
+from hickory_stream.alignment.consensus import ConsensusConfig, densest_clique
+from hickory_stream.alignment.hypothesis import Evidence, Hypothesis, grown
+from hickory_stream.alignment.registration import differs, information, tilt_rad
+from hickory_stream.alignment.shape_scores import superquadric_scores
+from hickory_stream.geometry.rigid import apply
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.affinity import Affinity
+    from hickory_stream.alignment.object_map import ObjectMap
+
+    ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AcceptanceConfig:
+    """What an alignment must show.
+
+    Attributes:
+        max_log10_chance: as good a set of pairs is expected in fewer than one in 10^x pairs of unrelated maps.
+        min_margin: the best distinct rival is 10^x times as easily chance.
+        min_pairs: fewer pairs are never enough.
+        min_spread_m: the pairs' standard deviation across their main level direction, at least.
+        max_tilt_deg: no more than this between the verticals of two maps.
+        distinct_m, distinct_deg: transforms closer than this are one.
+        num_rivals: how many distinct transforms are looked for.
+    """
+
+    max_log10_chance: float = -3.0
+    min_margin: float = 2.0
+    min_pairs: int = 4
+    min_spread_m: float = 0.3
+    max_tilt_deg: float = 25.0
+    distinct_m: float = 0.5
+    distinct_deg: float = 5.0
+    num_rivals: int = 5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AlignConfig:
+    """Everything that alignment is configured by."""
+
+    affinity: AffinityConfig = field(default_factory=AffinityConfig)
+    consensus: ConsensusConfig = field(default_factory=ConsensusConfig)
+    acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Scores:
+    """The unary scores of all pairs, (N, M) each, None where a map lacks what it takes."""
+
+    semantic: NDArray[np.float64] | None
+    geometric: NDArray[np.float64] | None
+    log_ranks: NDArray[np.float64]
+
+
+def align(
+    map_a: ObjectMap,
+    map_b: ObjectMap,
+    config: AlignConfig | None = None,
+    shape_scores: ShapeScores | None = superquadric_scores,
+) -> Alignment | NoAlignment:
+    """Return where map b lies in map a; `NoAlignment` with the reason when that cannot be told.
+
+    Args:
+        map_a: N objects; its frame is the one of the answer.
+        map_b: M objects.
+        config: the defaults where it is None.
+        shape_scores: how shapes are compared; None for not at all.
+    """
+    config = AlignConfig() if config is None else config
+    refusal = _too_small(map_a, map_b, config)
+    if refusal is not None:
+        return refusal
+    scores = _scored(map_a, map_b, shape_scores)
+    evidence = _evidence(map_a, map_b, scores, config)
+    found = _searched(map_a, map_b, evidence, config, is_level=True)
+    if not found or found[0].log10_chance > 3 * config.acceptance.max_log10_chance:
+        # Gravity may not be known after all.
+        found = _ordered(found + _searched(map_a, map_b, evidence, config, is_level=False), map_b, config)
+    return _decided(map_a, map_b, scores, evidence, found, config)
+
+
+# ---- the steps ------------------------------------------------------------------------------------------------------
+
+
+def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None) -> _Scores:
+    semantic = semantic_scores(map_a, map_b)
+    geometric = None if shape_scores is None else shape_scores(map_a, map_b)
+    if geometric is not None and not np.isfinite(geometric).any():
+        geometric = None
+    fused = fused_scores((semantic, geometric), (len(map_a), len(map_b)))
+    return _Scores(semantic=semantic, geometric=geometric, log_ranks=log_ranks(fused))
+
+
+def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: _Scores, config: AlignConfig) -> Evidence:
+    ranks = scores.log_ranks
+    share = min(max(int(config.affinity.candidate_share * ranks.size), 1), ranks.size) - 1
+    volume_m3 = np.sqrt(effective_volume_m3(map_a.centroids) * effective_volume_m3(map_b.centroids))
+    return Evidence(
+        centroids_a=map_a.centroids,
+        centroids_b=map_b.centroids,
+        log_ranks=ranks,
+        max_log_rank=float(np.partition(ranks, share, axis=None)[share]),
+        sigma_m=float(np.sqrt(2.0) * config.affinity.centroid_m),
+        gate=config.affinity.gate + 0.5,
+        chance=Chance(
+            num_a=len(map_a),
+            num_b=len(map_b),
+            volume_m3=float(volume_m3),
+            max_tilt_rad=float(np.radians(config.acceptance.max_tilt_deg)),
+            num_tests=2,
+        ),
+    )
+
+
+def _searched(
+    map_a: ObjectMap, map_b: ObjectMap, evidence: Evidence, config: AlignConfig, *, is_level: bool
+) -> list[Hypothesis]:
+    """Return the distinct hypotheses, the least easily chance first."""
+    affinity = build_affinity(map_a, map_b, evidence.log_ranks, config.affinity, is_level=is_level)
+    alive = np.ones(len(affinity), dtype=bool)
+    found: list[Hypothesis] = []
+    for _ in range(config.acceptance.num_rivals):
+        clique = densest_clique(affinity, alive, config.consensus)
+        if len(clique) < 3:
+            break
+        alive[clique] = False
+        for levels in (True, False) if is_level else (False,):
+            hypothesis = grown(evidence, affinity.pairs[clique], is_level=levels)
+            if hypothesis is not None and tilt_rad(hypothesis.a_from_b) <= evidence.chance.max_tilt_rad:
+                found.append(hypothesis)
+                alive &= ~_explained(affinity, hypothesis, evidence)
+    return _ordered(found, map_b, config)
+
+
+def _explained(affinity: Affinity, hypothesis: Hypothesis, evidence: Evidence) -> NDArray[np.bool_]:
+    moved = apply(hypothesis.a_from_b, evidence.centroids_b)
+    offsets = evidence.centroids_a[affinity.pairs[:, 0]] - moved[affinity.pairs[:, 1]]
+    return np.asarray((offsets**2).sum(axis=1) < (evidence.gate * evidence.sigma_m) ** 2)
+
+
+def _ordered(found: list[Hypothesis], map_b: ObjectMap, config: AlignConfig) -> list[Hypothesis]:
+    """Return the hypotheses that differ from every better one."""
+    acceptance = config.acceptance
+    distinct: list[Hypothesis] = []
+    for hypothesis in sorted(found, key=lambda h: h.log10_chance):
+        center_b = map_b.centroids[hypothesis.pairs[:, 1]].mean(axis=0)
+        if all(
+            differs(
+                hypothesis.a_from_b,
+                better.a_from_b,
+                center_b,
+                distance_m=acceptance.distinct_m,
+                angle_rad=np.radians(acceptance.distinct_deg),
+            )
+            for better in distinct
+        ):
+            distinct.append(hypothesis)
+    return distinct
+
+
+def _decided(
+    map_a: ObjectMap,
+    map_b: ObjectMap,
+    scores: _Scores,
+    evidence: Evidence,
+    found: list[Hypothesis],
+    config: AlignConfig,
+) -> Alignment | NoAlignment:
+    acceptance = config.acceptance
+    hypotheses = tuple(found)
+    if not found or len(found[0].pairs) < acceptance.min_pairs:
+        most = len(found[0].pairs) if found else 0
+        reason = f"at most {most} pairs of objects agree, {acceptance.min_pairs} are needed"
+        return NoAlignment(refusal=Refusal.TOO_FEW_PAIRS, reason=reason, hypotheses=hypotheses)
+    best = found[0]
+    rival = found[1] if len(found) > 1 else None
+    if best.log10_chance > acceptance.max_log10_chance:
+        reason = (
+            f"{len(best.pairs)} pairs agree, but unrelated maps of this size would have "
+            f"10^{best.log10_chance:.1f} sets as good, at most 10^{acceptance.max_log10_chance:.1f} are allowed"
+        )
+        return NoAlignment(refusal=Refusal.CHANCE, reason=reason, hypotheses=hypotheses)
+    points = map_a.centroids[best.pairs[:, 0]]
+    spread_m = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(points[:, :2].T))[0], 0.0)))
+    if spread_m < acceptance.min_spread_m:
+        reason = f"the {len(points)} pairs stand in a line: {spread_m:.2f} m across it"
+        return NoAlignment(refusal=Refusal.COLLINEAR, reason=reason, hypotheses=hypotheses)
+    margin = (rival.log10_chance if rival else 0.0) - best.log10_chance
+    if margin < acceptance.min_margin:
+        reason = f"a different alignment is nearly as good: its chance is only 10^{margin:.1f} times greater"
+        return NoAlignment(refusal=Refusal.RIVAL, reason=reason, hypotheses=hypotheses)
+    center_a = points.mean(axis=0)
+    total = information(points, np.full(len(points), evidence.sigma_m), center_a)
+    if best.is_level:
+        total[:2, :2] += np.eye(2) / np.radians(config.affinity.level_tilt_deg) ** 2
+    return Alignment(
+        a_from_b=best.a_from_b,
+        pairs=_matched_pairs(map_a, map_b, scores, best),
+        covariance=np.linalg.inv(total),
+        center_a=center_a,
+        log10_chance=best.log10_chance,
+        margin=margin,
+        rival=rival,
+        is_level=best.is_level,
+    )
+
+
+def _matched_pairs(
+    map_a: ObjectMap, map_b: ObjectMap, scores: _Scores, hypothesis: Hypothesis
+) -> tuple[MatchedPair, ...]:
+    def known(values: NDArray[np.float64] | None, i: int, j: int) -> float | None:
+        return None if values is None or not np.isfinite(values[i, j]) else float(values[i, j])
+
+    return tuple(
+        MatchedPair(
+            id_a=int(map_a.ids[i]),
+            id_b=int(map_b.ids[j]),
+            semantic=known(scores.semantic, i, j),
+            geometric=known(scores.geometric, i, j),
+            rank=float(np.exp(rank)),
+            residual_m=float(residual),
+        )
+        for (i, j), rank, residual in zip(
+            hypothesis.pairs, hypothesis.log_ranks, hypothesis.residuals_m, strict=True
+        )
+    )
+
+
+def _too_small(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> NoAlignment | None:
+    for name, objects in (("a", map_a), ("b", map_b)):
+        if not len(objects):
+            return NoAlignment(refusal=Refusal.EMPTY, reason=f"map {name} holds no object")
+        if len(objects) < config.acceptance.min_pairs:
+            reason = f"map {name} holds {len(objects)} objects, {config.acceptance.min_pairs} pairs are needed"
+            return NoAlignment(refusal=Refusal.TOO_FEW_OBJECTS, reason=reason)
+    return None

@@ -1,0 +1,289 @@
+"""The densest set of candidate pairs that all agree with one another: CLIPPER's problem (Lusk et al., 2021).
+
+maximise u' M u over u >= 0 with |u| = 1, where u_c u_d = 0 for pairs c, d that contradict each other. Projected gradient
+ascent, with a penalty on contradictions that grows until none is left, gives a clique from any graph; an exact search
+for the clique of the greatest weight then starts from it, on what a larger clique could still consist of. Two pairs
+that share an object are never connected: every clique is one-to-one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.affinity import Affinity
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ConsensusConfig:
+    """How hard the densest set is looked for.
+
+    Attributes:
+        pair_gain: what a pair is worth beside the logarithm of its rank: the gain of its fitting the others.
+        penalties: steps in which contradictions are made dearer.
+        ascent_steps: iterations per penalty.
+        exact_nodes: nodes of the exact search; beyond them its best clique so far is taken.
+    """
+
+    pair_gain: float = 4.0
+    penalties: int = 8
+    ascent_steps: int = 12
+    exact_nodes: int = 200_000
+
+
+def densest_clique(affinity: Affinity, alive: NDArray[np.bool_], config: ConsensusConfig) -> NDArray[np.int64]:
+    """Return the ascending indices of the candidates in the heaviest clique found among those `alive` (C,).
+
+    The weight of a candidate is `pair_gain` less the logarithm of its rank. Empty when nothing is alive.
+    """
+    vertices, starts, neighbors, weights = _alive_graph(
+        affinity.starts, affinity.neighbors, affinity.weights, np.ascontiguousarray(alive)
+    )
+    if not len(vertices):
+        return np.empty(0, dtype=np.int64)
+    gains = config.pair_gain - affinity.log_ranks[vertices]
+    strengths = np.cbrt(gains / gains.max())
+    u = _ascend(starts, neighbors, np.cbrt(weights), strengths, config.penalties, config.ascent_steps)
+    clique = _rounded(starts, neighbors, np.argsort(-u, kind="stable"))
+    clique = _exact(starts, neighbors, gains, clique, config.exact_nodes)
+    return np.sort(vertices[clique])
+
+
+@numba.njit(cache=True, nogil=True)
+def _alive_graph(starts, neighbors, weights, alive):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the graph among the candidates that are alive, renumbered."""
+    vertices = np.flatnonzero(alive)
+    rank = np.full(len(alive), -1, dtype=np.int32)
+    rank[vertices] = np.arange(len(vertices), dtype=np.int32)
+    new_starts = np.zeros(len(vertices) + 1, dtype=np.int64)
+    new_neighbors = np.empty(len(neighbors), dtype=np.int32)
+    new_weights = np.empty(len(weights), dtype=np.float32)
+    at = 0
+    for v in range(len(vertices)):
+        for e in range(starts[vertices[v]], starts[vertices[v] + 1]):
+            if alive[neighbors[e]]:
+                new_neighbors[at] = rank[neighbors[e]]
+                new_weights[at] = weights[e]
+                at += 1
+        new_starts[v + 1] = at
+    return vertices, new_starts, new_neighbors[:at], new_weights[:at]
+
+
+@numba.njit(cache=True, nogil=True)
+def _ascend(starts, neighbors, weights, strengths, penalties, steps):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return u of projected gradient ascent; M has strengths^2 on its diagonal, weights times strengths beside it."""
+    count = len(strengths)
+    u = np.ones(count)
+    gradient = np.empty(count)
+    trial = np.empty(count)
+    penalty = 0.0
+    for stage in range(penalties + 1):
+        value = -np.inf
+        for _ in range(steps):
+            total = u.sum()
+            new_value = 0.0
+            for c in range(count):
+                pull, linked = strengths[c] ** 2 * u[c], u[c]
+                for e in range(starts[c], starts[c + 1]):
+                    other = u[neighbors[e]]
+                    pull += weights[e] * strengths[c] * strengths[neighbors[e]] * other
+                    linked += other
+                gradient[c] = pull - penalty * (total - linked)
+                new_value += u[c] * gradient[c]
+            norm_u = u @ u
+            new_value /= norm_u
+            # A step along the gradient; where it is negative the coordinate shrinks and at last is zero.
+            largest = np.abs(gradient).max()
+            if largest <= 0.0:
+                break
+            scale = np.sqrt(norm_u) / largest
+            for c in range(count):
+                trial[c] = max(u[c] + 2.0 * scale * gradient[c], 0.0)
+            norm = np.sqrt(trial @ trial)
+            if norm <= 0.0:
+                break
+            u = trial / norm
+            if new_value - value < 1e-6 * abs(new_value):
+                break
+            value = new_value
+        # From a little to more than any vertex can gain from all its neighbours.
+        penalty = 0.02 if stage == 0 else 2.0 * penalty
+    return u
+
+
+@numba.njit(cache=True, nogil=True)
+def _linked(starts, neighbors, c, d):  # type: ignore[no-untyped-def] # pragma: no cover
+    low, high = starts[c], starts[c + 1]
+    while low < high:
+        middle = (low + high) // 2
+        if neighbors[middle] < d:
+            low = middle + 1
+        else:
+            high = middle
+    return low < starts[c + 1] and neighbors[low] == d
+
+
+@numba.njit(cache=True, nogil=True)
+def _rounded(starts, neighbors, order):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the clique that taking vertices in `order` gives, each that agrees with all before it."""
+    clique = np.empty(len(order), dtype=np.int64)
+    size = 0
+    for v in order:
+        fits = True
+        for k in range(size):
+            if not _linked(starts, neighbors, v, clique[k]):
+                fits = False
+                break
+        if fits:
+            clique[size] = v
+            size += 1
+    return clique[:size].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _smallest_last(starts, neighbors):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the vertices with the one of least degree among the remaining first, and its position of each."""
+    count = len(starts) - 1
+    degree = starts[1:] - starts[:-1]
+    most = degree.max() if count else 0
+    # Buckets by degree (Batagelj and Zaversnik): linear in the number of edges.
+    first = np.zeros(most + 2, dtype=np.int64)
+    for d in degree:
+        first[d + 1] += 1
+    first = np.cumsum(first)
+    cursor = first[:-1].copy()
+    order = np.empty(count, dtype=np.int64)
+    position = np.empty(count, dtype=np.int64)
+    for v in range(count):
+        position[v] = cursor[degree[v]]
+        order[position[v]] = v
+        cursor[degree[v]] += 1
+    left = degree.copy()
+    for i in range(count):
+        v = order[i]
+        for e in range(starts[v], starts[v + 1]):
+            w = neighbors[e]
+            if left[w] > left[v]:
+                swap_at = first[left[w]]
+                other = order[swap_at]
+                if other != w:
+                    order[swap_at], order[position[w]] = w, other
+                    position[other], position[w] = position[w], swap_at
+                first[left[w]] += 1
+                left[w] -= 1
+    return order, position
+
+
+@numba.njit(cache=True, nogil=True)
+def _exact(starts, neighbors, gains, incumbent, max_nodes):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the clique of the greatest total gain, by branch and bound with a bound from colouring."""
+    best = incumbent
+    best_gain = gains[incumbent].sum()
+    order, position = _smallest_last(starts, neighbors)
+    nodes = 0
+    for i in range(len(order) - 1, -1, -1):
+        root = order[i]
+        later = np.empty(starts[root + 1] - starts[root], dtype=np.int64)
+        size = 0
+        possible = gains[root]
+        for e in range(starts[root], starts[root + 1]):
+            if position[neighbors[e]] > i:
+                later[size] = neighbors[e]
+                possible += gains[neighbors[e]]
+                size += 1
+        if possible <= best_gain or size == 0:
+            continue
+        later = later[:size]
+        linked = np.zeros((size, size), dtype=np.bool_)
+        for p in range(size):
+            for q in range(p):
+                if _linked(starts, neighbors, later[p], later[q]):
+                    linked[p, q] = True
+                    linked[q, p] = True
+        found, gain, nodes = _search(linked, gains[later], best_gain - gains[root], nodes, max_nodes)
+        if len(found):
+            best = np.empty(len(found) + 1, dtype=np.int64)
+            best[0] = root
+            best[1:] = later[found]
+            best_gain = gain + gains[root]
+        if nodes >= max_nodes:
+            break
+    return best
+
+
+@numba.njit(cache=True, nogil=True)
+def _colored(linked, gains, members, size, order, bound):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Write members class by class, no two of a class linked, and what a clique up to each of them can gain at most."""
+    left = members[:size].copy()
+    num_left = size
+    at = 0
+    total = 0.0
+    chosen = np.empty(size, dtype=np.int64)
+    while num_left:
+        num_chosen, num_kept, largest = 0, 0, 0.0
+        start = at
+        for t in range(num_left):
+            v = left[t]
+            is_free = True
+            for k in range(num_chosen):
+                if linked[v, chosen[k]]:
+                    is_free = False
+                    break
+            if is_free:
+                chosen[num_chosen] = v
+                num_chosen += 1
+                order[at] = v
+                at += 1
+                largest = max(largest, gains[v])
+            else:
+                left[num_kept] = v
+                num_kept += 1
+        num_left = num_kept
+        total += largest
+        for t in range(start, at):
+            bound[t] = total
+
+
+@numba.njit(cache=True, nogil=True)
+def _search(linked, gains, best_gain, nodes, max_nodes):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the heaviest clique above best_gain (empty if there is none), its gain, and the nodes spent so far."""
+    count = len(gains)
+    order = np.empty((count + 1, count), dtype=np.int64)
+    bound = np.empty((count + 1, count))
+    at = np.empty(count + 1, dtype=np.int64)
+    path = np.empty(count + 1, dtype=np.int64)
+    best = np.empty(0, dtype=np.int64)
+    members = np.arange(count)
+    _colored(linked, gains, members, count, order[0], bound[0])
+    at[0] = count - 1
+    depth, gain = 0, 0.0
+    while depth >= 0:
+        t = at[depth]
+        if t < 0 or gain + bound[depth, t] <= best_gain or nodes >= max_nodes:
+            depth -= 1
+            if depth >= 0:
+                gain -= gains[path[depth]]
+            continue
+        at[depth] -= 1
+        nodes += 1
+        v = order[depth, t]
+        path[depth] = v
+        size = 0
+        for k in range(t):
+            if linked[v, order[depth, k]]:
+                members[size] = order[depth, k]
+                size += 1
+        gain += gains[v]
+        if gain > best_gain + 1e-12:
+            best_gain = gain
+            best = path[: depth + 1].copy()
+        _colored(linked, gains, members, size, order[depth + 1], bound[depth + 1])
+        at[depth + 1] = size - 1
+        depth += 1
+    return best, best_gain, nodes
