@@ -92,18 +92,25 @@ def semantic_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64] |
     return np.clip((cosines - middle) / (1.0 - middle), 0.0, 1.0)
 
 
-def fused_scores(scores: Sequence[NDArray[np.float64] | None], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the geometric mean (N, M) of the scores that are there; what is NaN counts as the median of its kind."""
-    logs = [np.log(np.maximum(_filled(score), 1e-6)) for score in scores if score is not None]
-    return np.exp(np.mean(logs, axis=0)) if logs else np.ones(shape)
+def fused_log_ranks(
+    scores: Sequence[NDArray[np.float64] | None], shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Return (N, M) log ranks of the geometric mean of the ranks by each score that is there; NaN is an average rank."""
+    known = [_log_ranks(score) for score in scores if score is not None]
+    if not known:
+        return np.zeros(shape)
+    return known[0] if len(known) == 1 else _log_ranks(-np.sum(known, axis=0))
 
 
-def log_ranks(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N, M) logarithms of the share of all pairs that score at least as much: 0 for the worst, and for ties."""
-    ascending = np.sort(scores, axis=None)
+def _log_ranks(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return logarithms of the share of all known scores that are at least as high: 0 for the worst, and for ties."""
+    is_known = np.isfinite(scores)
+    ascending = np.sort(scores[is_known])
     # A little below: two scores that only rounding tells apart are ties.
-    at_least = scores.size - np.searchsorted(ascending, scores - 1e-12, side="left")
-    return np.log(np.maximum(at_least, 1) / max(scores.size, 1))
+    at_least = len(ascending) - np.searchsorted(ascending, scores - 1e-12, side="left")
+    logs = np.log(np.maximum(at_least, 1) / max(len(ascending), 1))
+    # The mean of the logarithm of a uniform number is -1.
+    return np.where(is_known, logs, -1.0)
 
 
 def build_affinity(
@@ -117,29 +124,19 @@ def build_affinity(
     pairs = _candidates(ranks, config)
     index = np.full(ranks.shape, -1, dtype=np.int32)
     index[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
+    along_a, up_a = _distances(map_a.centroids, is_level)
+    along_b, up_b = _distances(map_b.centroids, is_level)
+    order_b = np.argsort(along_b, axis=1, kind="stable")
+    sorted_b = np.take_along_axis(along_b, order_b, axis=1)
+    sorted_up_b = np.take_along_axis(up_b, order_b, axis=1)
     # A distance has the noise of two centroids in each of two maps.
-    sigma_m = 2.0 * config.centroid_m
-    tilt_rad = np.radians(config.level_tilt_deg)
-    along_b, _ = _distances(map_b.centroids, is_level)
-    order_b = np.argsort(along_b, axis=1, kind="stable").astype(np.int32)
-    arguments = (
-        *_distances(map_a.centroids, is_level),
-        *_distances(map_b.centroids, is_level),
-        order_b,
-        np.take_along_axis(along_b, order_b.astype(np.int64), axis=1),
-        pairs,
-        index,
-        sigma_m,
-        tilt_rad,
-        config.gate,
+    sigma_m, tilt_rad = 2.0 * config.centroid_m, np.radians(config.level_tilt_deg)
+    bin_m = config.gate * sigma_m
+    bins = _bins(sorted_b, max(along_a.max(initial=0.0), along_b.max(initial=0.0)), bin_m)
+    first, second, agreement = _edges(
+        along_a, up_a, sorted_up_b, order_b, sorted_b, bins, bin_m, pairs, index, sigma_m, tilt_rad, config.gate
     )
-    counts = np.zeros(len(pairs) + 1, dtype=np.int64)
-    nothing = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.float32)
-    _connect(*arguments, counts, *nothing, False)
-    starts = np.cumsum(counts)
-    neighbors = np.empty(starts[-1], dtype=np.int32)
-    weights = np.empty(starts[-1], dtype=np.float32)
-    _connect(*arguments, starts.copy(), neighbors, weights, True)
+    starts, neighbors, weights = _rows(len(pairs), first, second, agreement)
     return Affinity(
         pairs=pairs,
         log_ranks=ranks[pairs[:, 0], pairs[:, 1]],
@@ -169,62 +166,83 @@ def _distances(centroids: NDArray[np.float64], is_level: bool) -> tuple[NDArray[
     return np.linalg.norm(offsets, axis=2), np.zeros(offsets.shape[:2])
 
 
-def _filled(score: NDArray[np.float64]) -> NDArray[np.float64]:
-    is_known = np.isfinite(score)
-    return np.where(is_known, score, np.median(score[is_known]) if is_known.any() else 1.0)
+@numba.njit(cache=True, nogil=True)
+def _bins(sorted_rows, most, bin_m):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return for each row where the distances of each bin begin: a look-up instead of a search."""
+    count = int(most / bin_m) + 2
+    bins = np.empty((len(sorted_rows), count), dtype=np.int32)
+    for j in range(len(sorted_rows)):
+        at = 0
+        for b in range(count):
+            while at < sorted_rows.shape[1] and sorted_rows[j, at] < b * bin_m:
+                at += 1
+            bins[j, b] = at
+    return bins
 
 
 @numba.njit(cache=True, nogil=True)
-def _connect(  # type: ignore[no-untyped-def] # pragma: no cover
-    along_a,
-    up_a,
-    along_b,
-    up_b,
-    order_b,
-    sorted_b,
-    pairs,
-    index,
-    sigma_m,
-    tilt_rad,
-    gate,
-    cursor,
-    neighbors,
-    weights,
-    writes,
-):
-    """Count the neighbours of each candidate into cursor[c + 1], or write them from cursor[c] on."""
+def _edges(along_a, up_a, sorted_up_b, order_b, sorted_b, bins, bin_m, pairs, index, sigma_m, tilt_rad, gate):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the pairs (c, d), c < d, of candidates that agree, and how well: by c, unordered in d."""
+    room = 1024
+    first, second = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
+    agreement = np.empty(room, dtype=np.float32)
+    count = 0
+    reach_m = gate * sigma_m
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
-        row, order = sorted_b[j], order_b[j]
-        count = 0
-        for k in range(len(along_a)):
-            if k == i:
-                continue
-            wanted = along_a[i, k]
-            at = np.searchsorted(row, wanted - gate * sigma_m)
-            found = 0
-            first = cursor[c] + count
-            while at < len(row) and row[at] <= wanted + gate * sigma_m:
-                m = order[at]
-                other = index[k, m]
-                if other >= 0 and m != j:
-                    sigma_up = np.sqrt(sigma_m**2 + (tilt_rad * wanted) ** 2)
-                    up = (up_a[i, k] - up_b[j, m]) / sigma_up
-                    if abs(up) <= gate:
-                        if writes:
-                            along = (row[at] - wanted) / sigma_m
-                            # Kept ascending: few are found for one k, and the k ascend.
-                            slot = first + found
-                            while slot > first and neighbors[slot - 1] > other:
-                                neighbors[slot] = neighbors[slot - 1]
-                                weights[slot] = weights[slot - 1]
-                                slot -= 1
-                            neighbors[slot] = other
-                            weights[slot] = np.exp(-0.5 * (along * along + up * up))
-                        found += 1
+        row, row_up, row_bins, order = sorted_b[j], sorted_up_b[j], bins[j], order_b[j]
+        # Candidates are numbered by their object in map a: the later ones are those of a later object.
+        for k in range(i + 1, len(along_a)):
+            wanted, wanted_up = along_a[i, k], up_a[i, k]
+            sigma_up = np.sqrt(sigma_m**2 + (tilt_rad * wanted) ** 2)
+            reach_up = gate * sigma_up
+            at = row_bins[max(int(wanted / bin_m) - 1, 0)]
+            while at < len(row) and row[at] < wanted - reach_m:
                 at += 1
-            count += found
-        if writes:
-            cursor[c] += count
-        else:
-            cursor[c + 1] = count
+            while at < len(row) and row[at] <= wanted + reach_m:
+                if abs(wanted_up - row_up[at]) <= reach_up:
+                    m = order[at]
+                    other = index[k, m]
+                    if other >= 0 and m != j:
+                        if count == room:
+                            room *= 2
+                            first, second = _longer(first, room), _longer(second, room)
+                            agreement = _longer(agreement, room)
+                        along, up = (row[at] - wanted) / sigma_m, (row_up[at] - wanted_up) / sigma_up
+                        first[count], second[count] = c, other
+                        agreement[count] = np.exp(-0.5 * (along * along + up * up))
+                        count += 1
+                at += 1
+    return first[:count], second[:count], agreement[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def _longer(values, room):  # type: ignore[no-untyped-def] # pragma: no cover
+    longer = np.empty(room, dtype=values.dtype)
+    longer[: len(values)] = values
+    return longer
+
+
+@numba.njit(cache=True, nogil=True)
+def _rows(count, first, second, agreement):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the graph in compressed rows, the neighbours of each ascending: two passes of counting sort."""
+    starts = np.zeros(count + 1, dtype=np.int64)
+    for e in range(len(first)):
+        starts[first[e] + 1] += 1
+        starts[second[e] + 1] += 1
+    starts = np.cumsum(starts)
+    # Edges by their second end: walked in that order, each row receives its neighbours ascending.
+    by_second = np.argsort(second, kind="mergesort")
+    cursor = starts[:-1].copy()
+    neighbors = np.empty(2 * len(first), dtype=np.int32)
+    weights = np.empty(2 * len(first), dtype=np.float32)
+    # First the smaller neighbours (edges are by their first end already), then the larger ones.
+    for e in range(len(first)):
+        c = second[e]
+        neighbors[cursor[c]], weights[cursor[c]] = first[e], agreement[e]
+        cursor[c] += 1
+    for e in by_second:
+        c = first[e]
+        neighbors[cursor[c]], weights[cursor[c]] = second[e], agreement[e]
+        cursor[c] += 1
+    return starts, neighbors, weights

@@ -11,8 +11,7 @@ from hickory_stream.alignment.acceptance import Chance, effective_volume_m3
 from hickory_stream.alignment.affinity import (
     AffinityConfig,
     build_affinity,
-    fused_scores,
-    log_ranks,
+    fused_log_ranks,
     semantic_scores,
 )
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
@@ -47,7 +46,7 @@ class AcceptanceConfig:
         num_rivals: how many distinct transforms are looked for.
     """
 
-    max_log10_chance: float = -3.0
+    max_log10_chance: float = -2.0
     min_margin: float = 2.0
     min_pairs: int = 4
     min_spread_m: float = 0.3
@@ -110,8 +109,8 @@ def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None
     geometric = None if shape_scores is None else shape_scores(map_a, map_b)
     if geometric is not None and not np.isfinite(geometric).any():
         geometric = None
-    fused = fused_scores((semantic, geometric), (len(map_a), len(map_b)))
-    return _Scores(semantic=semantic, geometric=geometric, log_ranks=log_ranks(fused))
+    ranks = fused_log_ranks((semantic, geometric), (len(map_a), len(map_b)))
+    return _Scores(semantic=semantic, geometric=geometric, log_ranks=ranks)
 
 
 def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: _Scores, config: AlignConfig) -> Evidence:
@@ -122,7 +121,7 @@ def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: _Scores, config: Align
         centroids_a=map_a.centroids,
         centroids_b=map_b.centroids,
         log_ranks=ranks,
-        max_log_rank=float(np.partition(ranks, share, axis=None)[share]),
+        plausible=np.argwhere(ranks <= np.partition(ranks, share, axis=None)[share]),
         sigma_m=float(np.sqrt(2.0) * config.affinity.centroid_m),
         gate=config.affinity.gate + 0.5,
         chance=Chance(
@@ -143,6 +142,8 @@ def _searched(
     alive = np.ones(len(affinity), dtype=bool)
     found: list[Hypothesis] = []
     for _ in range(config.acceptance.num_rivals):
+        if len(found) > 1 and _is_clear(found, config):
+            break
         clique = densest_clique(affinity, alive, config.consensus)
         if len(clique) < 3:
             break
@@ -152,7 +153,15 @@ def _searched(
             if hypothesis is not None and tilt_rad(hypothesis.a_from_b) <= evidence.chance.max_tilt_rad:
                 found.append(hypothesis)
                 alive &= ~_explained(affinity, hypothesis, evidence)
-    return _ordered(found, map_b, config)
+        found = _ordered(found, map_b, config)
+    return found
+
+
+def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
+    """Return whether no further rival can matter: the next clique is lighter than those that were found."""
+    acceptance = config.acceptance
+    best, second = found[0].log10_chance, found[1].log10_chance
+    return best < 3 * acceptance.max_log10_chance and second - best > 3 * acceptance.min_margin
 
 
 def _explained(affinity: Affinity, hypothesis: Hypothesis, evidence: Evidence) -> NDArray[np.bool_]:

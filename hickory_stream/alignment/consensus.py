@@ -77,43 +77,54 @@ def _alive_graph(starts, neighbors, weights, alive):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True)
 def _ascend(starts, neighbors, weights, strengths, penalties, steps):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return u of projected gradient ascent; M has strengths^2 on its diagonal, weights times strengths beside it."""
+    """Return u of projected gradient ascent; M has strengths^2 on its diagonal, weights times strengths beside it.
+
+    A coordinate that has become zero stays so: what is left gets smaller with every step.
+    """
     count = len(strengths)
     u = np.ones(count)
+    active = np.arange(count)
     gradient = np.empty(count)
-    trial = np.empty(count)
     penalty = 0.0
-    for stage in range(penalties + 1):
+    for _ in range(penalties):
         value = -np.inf
+        is_clique = True
         for _ in range(steps):
-            total = u.sum()
-            new_value = 0.0
-            for c in range(count):
+            total = u[active].sum()
+            new_value, norm, largest = 0.0, 0.0, 0.0
+            is_clique = True
+            for c in active:
                 pull, linked = strengths[c] ** 2 * u[c], u[c]
                 for e in range(starts[c], starts[c + 1]):
                     other = u[neighbors[e]]
-                    pull += weights[e] * strengths[c] * strengths[neighbors[e]] * other
-                    linked += other
-                gradient[c] = pull - penalty * (total - linked)
+                    if other > 0.0:
+                        pull += weights[e] * strengths[c] * strengths[neighbors[e]] * other
+                        linked += other
+                contradicted = total - linked
+                is_clique &= contradicted <= 1e-9 * total
+                gradient[c] = pull - penalty * contradicted
                 new_value += u[c] * gradient[c]
-            norm_u = u @ u
-            new_value /= norm_u
-            # A step along the gradient; where it is negative the coordinate shrinks and at last is zero.
-            largest = np.abs(gradient).max()
+                norm += u[c] * u[c]
+                largest = max(largest, abs(gradient[c]))
             if largest <= 0.0:
                 break
-            scale = np.sqrt(norm_u) / largest
-            for c in range(count):
-                trial[c] = max(u[c] + 2.0 * scale * gradient[c], 0.0)
-            norm = np.sqrt(trial @ trial)
+            scale = 2.0 * np.sqrt(norm) / largest
+            norm = 0.0
+            for c in active:
+                # Where the gradient is negative the coordinate shrinks, and at last is zero.
+                u[c] = max(u[c] + scale * gradient[c], 0.0)
+                norm += u[c] * u[c]
             if norm <= 0.0:
                 break
-            u = trial / norm
-            if new_value - value < 1e-6 * abs(new_value):
+            u[active] /= np.sqrt(norm)
+            active = active[u[active] > 1e-6]
+            if new_value - value < 1e-3 * abs(new_value):
                 break
             value = new_value
+        if is_clique:
+            break
         # From a little to more than any vertex can gain from all its neighbours.
-        penalty = 0.02 if stage == 0 else 2.0 * penalty
+        penalty = 0.02 if penalty == 0.0 else 2.0 * penalty
     return u
 
 
@@ -186,6 +197,7 @@ def _exact(starts, neighbors, gains, incumbent, max_nodes):  # type: ignore[no-u
     best = incumbent
     best_gain = gains[incumbent].sum()
     order, position = _smallest_last(starts, neighbors)
+    place = np.full(len(order), -1, dtype=np.int64)
     nodes = 0
     for i in range(len(order) - 1, -1, -1):
         root = order[i]
@@ -202,10 +214,14 @@ def _exact(starts, neighbors, gains, incumbent, max_nodes):  # type: ignore[no-u
         later = later[:size]
         linked = np.zeros((size, size), dtype=np.bool_)
         for p in range(size):
-            for q in range(p):
-                if _linked(starts, neighbors, later[p], later[q]):
+            place[later[p]] = p
+        for p in range(size):
+            for e in range(starts[later[p]], starts[later[p] + 1]):
+                q = place[neighbors[e]]
+                if q >= 0:
                     linked[p, q] = True
-                    linked[q, p] = True
+        for p in range(size):
+            place[later[p]] = -1
         found, gain, nodes = _search(linked, gains[later], best_gain - gains[root], nodes, max_nodes)
         if len(found):
             best = np.empty(len(found) + 1, dtype=np.int64)

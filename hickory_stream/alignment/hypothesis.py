@@ -50,14 +50,14 @@ class Hypothesis:
 class Evidence:
     """What hypotheses are judged by: the centroids of both maps, the ranks (N, M) of all pairs, and chance.
 
-    Pairs of a rank above `max_log_rank` are never matched; `sigma_m` is the standard deviation of a residual on each
-    axis, `gate` how many of them a residual may be.
+    `plausible` (P, 2) are the pairs that look alike enough to be matched; `sigma_m` is the standard deviation of a
+    residual on each axis, `gate` how many of them a residual may be.
     """
 
     centroids_a: NDArray[np.float64]
     centroids_b: NDArray[np.float64]
     log_ranks: NDArray[np.float64]
-    max_log_rank: float
+    plausible: NDArray[np.int64]
     sigma_m: float
     gate: float
     chance: Chance
@@ -88,15 +88,20 @@ def _fitted(evidence: Evidence, pairs: NDArray[np.int64], is_level: bool) -> NDA
 def _matched(evidence: Evidence, a_from_b: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the pairs (K, 2), in ascending order, that a transform explains: one-to-one, the best in all."""
     moved = apply(a_from_b, evidence.centroids_b)
-    squares = ((evidence.centroids_a[:, None] - moved[None]) ** 2).sum(axis=2) / evidence.sigma_m**2
-    fits = (squares < evidence.gate**2) & (evidence.log_ranks <= evidence.max_log_rank)
-    rows, columns = np.flatnonzero(fits.any(axis=1)), np.flatnonzero(fits.any(axis=0))
-    if not len(rows):
-        return np.empty((0, 2), dtype=np.int64)
-    block = np.ix_(rows, columns)
-    costs = np.where(fits[block], squares[block] / 2 + evidence.log_ranks[block] - _FAR, 0.0)
-    chosen_rows, chosen_columns = linear_sum_assignment(costs)
-    is_pair = fits[block][chosen_rows, chosen_columns]
+    offsets = evidence.centroids_a[evidence.plausible[:, 0]] - moved[evidence.plausible[:, 1]]
+    squares = np.einsum("kc,kc->k", offsets, offsets) / evidence.sigma_m**2
+    fits = np.flatnonzero(squares < evidence.gate**2)
+    pairs = evidence.plausible[fits]
+    costs = squares[fits] / 2 + evidence.log_ranks[pairs[:, 0], pairs[:, 1]]
+    rows, row_of = np.unique(pairs[:, 0], return_inverse=True)
+    columns, column_of = np.unique(pairs[:, 1], return_inverse=True)
+    if len(rows) == len(columns) == len(pairs):
+        return pairs
+    # As many pairs as can be, and of those the cheapest.
+    table = np.zeros((len(rows), len(columns)))
+    table[row_of, column_of] = costs - _FAR
+    chosen_rows, chosen_columns = linear_sum_assignment(table)
+    is_pair = table[chosen_rows, chosen_columns] < 0
     return np.stack([rows[chosen_rows[is_pair]], columns[chosen_columns[is_pair]]], axis=1)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numba
 import numpy as np
 
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
@@ -19,14 +20,26 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.object_map import ObjectMap
 
+# Of the literal score, and of our kernel: exponents, logarithms of lengths; a primitive weighs its share of volume to
+# this power, so that small parts have a say.
 _SIGMA_EXPONENTS = 1.0
+_EXPONENT_SIGMA, _LOG_REACH_SIGMA, _SHARE_POWER = 1.0, 0.2, 0.25
+_FAR_SQUARE = 30.0
 _MIN_POINTS = 4
 
 
 def superquadric_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
-    """Return the (N, M) scores of layer 3, whatever its decomposition: volume and spread along and across gravity."""
-    a, b = _signatures(map_a.shapes), _signatures(map_b.shapes)
-    return np.exp(-np.abs(a[:, None] - b[None]).mean(axis=2) / 0.25)
+    """Return the (N, M) kernels of layer 3: how alike two sets of primitives are, in any order and number.
+
+    Every primitive is a point: the logarithms of its reach along gravity and of its two level ones, and its exponents.
+    The score is the cosine between the sums of normal kernels around the two sets. No primitive need find a partner: a
+    lost one takes its share away and no more.
+    """
+    a, b = _primitive_sets(map_a.shapes), _primitive_sets(map_b.shapes)
+    scores = _kernels(*a, *b)
+    own_a, own_b = np.diagonal(_kernels(*a, *a, True)), np.diagonal(_kernels(*b, *b, True))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(scores / np.sqrt(np.multiply.outer(own_a, own_b)))
 
 
 def literal_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
@@ -65,19 +78,51 @@ def point_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
 # ---- attributes of one object ---------------------------------------------------------------------------------------
 
 
-def _signatures(shapes: Sequence[Superquadrics | None]) -> NDArray[np.float64]:
-    rows = np.full((len(shapes), 4), np.nan)
-    for row, shape in zip(rows, shapes, strict=True):
-        if shape is not None:
-            weights = volumes_m3(shape)
-            centers = shape.world_from_local[:, :3, 3]
-            mean = weights @ centers / weights.sum()
-            own = shape.world_from_local[:, :3, :3] * shape.semi_axes_m[:, None] / 2
-            spread = (centers - mean)[:, :, None] * (centers - mean)[:, None] + own @ own.transpose(0, 2, 1)
-            covariance = np.tensordot(weights / weights.sum(), spread, axes=1)
-            level = np.linalg.eigvalsh(covariance[:2, :2])
-            row[:] = np.log(weights.sum()) / 3, *(np.log(np.maximum((*level, covariance[2, 2]), 1e-8)) / 2)
-    return rows
+def _primitive_sets(
+    shapes: Sequence[Superquadrics | None],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return the points (P, 5) of all primitives, their weights (P,), and where each object's begin (N + 1,)."""
+    counts = [0 if shape is None else len(shape) for shape in shapes]
+    known = [shape for shape in shapes if shape is not None and len(shape)]
+    if not known:
+        return np.empty((0, 5)), np.empty(0), np.zeros(len(shapes) + 1, dtype=np.int64)
+    exponents = np.concatenate([shape.exponents for shape in known])
+    axes = np.concatenate([shape.semi_axes_m for shape in known])
+    rotations = np.concatenate([shape.world_from_local[:, :3, :3] for shape in known])
+    scaled = rotations * axes[:, None]
+    spread = scaled @ scaled.transpose(0, 2, 1)
+    # The eigenvalues of the level 2 x 2 block, in closed form.
+    middle, half = (spread[:, 0, 0] + spread[:, 1, 1]) / 2, (spread[:, 0, 0] - spread[:, 1, 1]) / 2
+    radius = np.hypot(half, spread[:, 0, 1])
+    reach = np.column_stack([spread[:, 2, 2], middle + radius, middle - radius])
+    points = np.column_stack(
+        [np.log(np.maximum(reach, 1e-8)) / (2 * _LOG_REACH_SIGMA), exponents / _EXPONENT_SIGMA]
+    )
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    volumes = np.concatenate([volumes_m3(shape) for shape in known])
+    totals = np.add.reduceat(volumes, starts[:-1][np.array(counts) > 0])
+    shares = volumes / np.repeat(totals, [count for count in counts if count])
+    return points, shares**_SHARE_POWER, starts
+
+
+@numba.njit(cache=True, nogil=True)
+def _kernels(points_a, weights_a, starts_a, points_b, weights_b, starts_b, only_diagonal=False):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, M) sums of normal kernels between all primitives of two objects; on request the diagonal alone."""
+    sums = np.zeros((len(starts_a) - 1, len(starts_b) - 1))
+    for i in range(sums.shape[0]):
+        for j in range(sums.shape[1]):
+            if only_diagonal and i != j:
+                continue
+            total = 0.0
+            for p in range(starts_a[i], starts_a[i + 1]):
+                for q in range(starts_b[j], starts_b[j + 1]):
+                    square = 0.0
+                    for c in range(points_a.shape[1]):
+                        square += (points_a[p, c] - points_b[q, c]) ** 2
+                    if square < _FAR_SQUARE:
+                        total += weights_a[p] * weights_b[q] * np.exp(-0.5 * square)
+            sums[i, j] = total
+    return sums
 
 
 def _padded(
