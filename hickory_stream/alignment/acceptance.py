@@ -30,13 +30,16 @@ _MIN_VOLUME_M3, _MIN_RESIDUAL_M = 1.0, 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Chance:
-    """What decides how likely a coincidence is: the numbers of objects, and the volume that they stand in."""
+    """What decides how likely a coincidence is: the numbers of objects, and the volume that they stand in.
+
+    A tilted transform, of up to `max_tilt_rad`, is `tilt_price` times as easily chance as a level one.
+    """
 
     num_a: int
     num_b: int
     volume_m3: float
     max_tilt_rad: float
-    num_tests: int = 1
+    tilt_price: float = 1.0
 
 
 def log_expected_sets(
@@ -60,10 +63,10 @@ def log_expected_sets(
     sets = _log_falling(chance.num_a, k) + _log_falling(chance.num_b, k) - gammaln(k + 1)
     looks = _log_upper_gamma(k, -np.cumsum(log_ranks))
     stands = _log_geometry(chance, k, square_sums_m2, scatters_m2, is_level)
-    expected = sets + looks + stands + np.log(chance.num_tests * np.maximum(len(k), 1))
+    expected = sets + looks + stands + np.log(len(k) * (1.0 if is_level else chance.tilt_price))
     # Below this number of pairs any set fits.
     parameters = _LEVEL_PARAMETERS if is_level else _TILTED_PARAMETERS
-    return np.where(3 * k > parameters + 1, expected, np.inf)
+    return np.where(3 * k >= parameters + 5, expected, np.inf)
 
 
 def effective_volume_m3(centroids: NDArray[np.float64]) -> float:

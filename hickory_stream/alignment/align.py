@@ -41,6 +41,8 @@ class AcceptanceConfig:
         min_margin: the best distinct rival is 10^x times as easily chance.
         min_pairs: fewer pairs are never enough.
         min_spread_m: the pairs' standard deviation across their main level direction, at least.
+        max_turn_deg: the standard deviation of the rotation, at most.
+        tilt_price: a tilt between the maps counts as 10^x times more easily chance: robots know gravity.
         max_tilt_deg: no more than this between the verticals of two maps.
         distinct_m, distinct_deg: transforms closer than this are one.
         num_rivals: how many distinct transforms are looked for.
@@ -50,6 +52,8 @@ class AcceptanceConfig:
     min_margin: float = 2.0
     min_pairs: int = 4
     min_spread_m: float = 0.3
+    max_turn_deg: float = 2.0
+    tilt_price: float = 4.0
     max_tilt_deg: float = 25.0
     distinct_m: float = 0.5
     distinct_deg: float = 5.0
@@ -95,8 +99,8 @@ def align(
     scores = _scored(map_a, map_b, shape_scores)
     evidence = _evidence(map_a, map_b, scores, config)
     found = _searched(map_a, map_b, evidence, config, is_level=True)
-    if not found or found[0].log10_chance > 3 * config.acceptance.max_log10_chance:
-        # Gravity may not be known after all.
+    if not found or not _shows_gravity(map_a, evidence, found[0], config):
+        # The maps may be tilted against one another after all.
         found = _ordered(found + _searched(map_a, map_b, evidence, config, is_level=False), map_b, config)
     return _decided(map_a, map_b, scores, evidence, found, config)
 
@@ -129,7 +133,7 @@ def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: _Scores, config: Align
             num_b=len(map_b),
             volume_m3=float(volume_m3),
             max_tilt_rad=float(np.radians(config.acceptance.max_tilt_deg)),
-            num_tests=2,
+            tilt_price=10.0**config.acceptance.tilt_price,
         ),
     )
 
@@ -148,13 +152,23 @@ def _searched(
         if len(clique) < 3:
             break
         alive[clique] = False
-        for levels in (True, False) if is_level else (False,):
-            hypothesis = grown(evidence, affinity.pairs[clique], is_level=levels)
-            if hypothesis is not None and tilt_rad(hypothesis.a_from_b) <= evidence.chance.max_tilt_rad:
-                found.append(hypothesis)
-                alive &= ~_explained(affinity, hypothesis, evidence)
+        hypothesis = _better(evidence, affinity.pairs[clique], is_level=is_level)
+        if hypothesis is not None:
+            found.append(hypothesis)
+            alive &= ~_explained(affinity, hypothesis, evidence)
         found = _ordered(found, map_b, config)
     return found
+
+
+def _better(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hypothesis | None:
+    """Return the level hypothesis of some pairs, or the tilted one where it is better; None if neither fits."""
+    tilted = grown(evidence, pairs, is_level=False)
+    if tilted is not None and tilt_rad(tilted.a_from_b) > evidence.chance.max_tilt_rad:
+        tilted = None
+    level = grown(evidence, pairs, is_level=True) if is_level else None
+    if level is None or tilted is None:
+        return level or tilted
+    return tilted if tilted.log10_chance < level.log10_chance else level
 
 
 def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
@@ -162,6 +176,17 @@ def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
     acceptance = config.acceptance
     best, second = found[0].log10_chance, found[1].log10_chance
     return best < 3 * acceptance.max_log10_chance and second - best > 3 * acceptance.min_margin
+
+
+def _shows_gravity(map_a: ObjectMap, evidence: Evidence, best: Hypothesis, config: AlignConfig) -> bool:
+    """Return whether a level hypothesis would not hold if the maps were tilted: many pairs, spread to all sides."""
+    if best.log10_chance > 3 * config.acceptance.max_log10_chance:
+        return False
+    points = map_a.centroids[best.pairs[:, 0]]
+    total = information(points, np.full(len(points), evidence.sigma_m), points.mean(axis=0))
+    tilts = np.linalg.pinv(total)[:2, :2]
+    is_fixed = np.linalg.matrix_rank(total) == 6
+    return bool(is_fixed and np.degrees(np.sqrt(np.linalg.eigvalsh(tilts)[1])) < config.acceptance.max_turn_deg)
 
 
 def _explained(affinity: Affinity, hypothesis: Hypothesis, evidence: Evidence) -> NDArray[np.bool_]:
@@ -225,10 +250,15 @@ def _decided(
     total = information(points, np.full(len(points), evidence.sigma_m), center_a)
     if best.is_level:
         total[:2, :2] += np.eye(2) / np.radians(config.affinity.level_tilt_deg) ** 2
+    covariance = np.linalg.inv(total)
+    turn_deg = float(np.degrees(np.sqrt(np.trace(covariance[:3, :3]))))
+    if turn_deg > acceptance.max_turn_deg:
+        reason = f"the {len(points)} pairs leave the rotation uncertain by {turn_deg:.1f} degrees"
+        return NoAlignment(refusal=Refusal.UNCERTAIN, reason=reason, hypotheses=hypotheses)
     return Alignment(
         a_from_b=best.a_from_b,
         pairs=_matched_pairs(map_a, map_b, scores, best),
-        covariance=np.linalg.inv(total),
+        covariance=covariance,
         center_a=center_a,
         log10_chance=best.log10_chance,
         margin=margin,

@@ -24,6 +24,7 @@ class Refusal(StrEnum):
     TOO_FEW_PAIRS = "too-few-pairs"
     CHANCE = "chance"
     COLLINEAR = "collinear"
+    UNCERTAIN = "uncertain"
     RIVAL = "rival"
     CONTRADICTED = "contradicted"
 
