@@ -78,18 +78,36 @@ class Affinity:
 def semantic_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64] | None:
     """Return the (N, M) cosines of the features, rescaled so that the middle one of all is 0 and the same is 1.
 
-    NaN where an object has none; None where a map has none at all, or the features differ in length: cosines of two
-    networks mean nothing.
+    NaN where an object has none; None where cosines mean nothing (`why_no_semantics`).
     """
-    a, b = map_a.features, map_b.features
-    if a is None or b is None or a.shape[1] != b.shape[1]:
+    if why_no_semantics(map_a, map_b) is not None:
         return None
-    cosines = (a @ b.T).astype(np.float64)
+    assert map_a.features is not None
+    assert map_b.features is not None
+    cosines = (map_a.features @ map_b.features.T).astype(np.float64)
     known = cosines[np.isfinite(cosines)]
     if not len(known):
         return None
     middle = min(float(np.median(known)), 1.0 - 1e-6)
     return np.clip((cosines - middle) / (1.0 - middle), 0.0, 1.0)
+
+
+def why_no_semantics(map_a: ObjectMap, map_b: ObjectMap) -> str | None:
+    """Return why cosines between two maps mean nothing; None when they do mean something."""
+    a, b = map_a.features, map_b.features
+    if a is None or b is None:
+        return f"map {'a' if a is None else 'b'} has no features: aligned without semantics"
+    if map_a.extractor != map_b.extractor:
+        return (
+            f"features are of two extractors ({map_a.extractor} and {map_b.extractor}), between which cosines mean "
+            "nothing: aligned without semantics"
+        )
+    if a.shape[1] != b.shape[1]:
+        return (
+            f"features have {a.shape[1]} and {b.shape[1]} dimensions, so they are of two extractors, between which "
+            "cosines mean nothing: aligned without semantics"
+        )
+    return None
 
 
 def fused_log_ranks(

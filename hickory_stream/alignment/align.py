@@ -13,10 +13,13 @@ from hickory_stream.alignment.affinity import (
     build_affinity,
     fused_log_ranks,
     semantic_scores,
+    why_no_semantics,
 )
-from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
+from hickory_stream.alignment.answer import Alignment, Contradictions, MatchedPair, NoAlignment, Refusal
 from hickory_stream.alignment.consensus import ConsensusConfig, densest_clique
+from hickory_stream.alignment.contradiction import ContradictionConfig, contradictions
 from hickory_stream.alignment.hypothesis import Evidence, Hypothesis, grown
+from hickory_stream.alignment.refinement import RefinementConfig, refined
 from hickory_stream.alignment.registration import differs, information, tilt_rad
 from hickory_stream.alignment.shape_scores import superquadric_scores
 from hickory_stream.geometry.rigid import apply
@@ -48,7 +51,7 @@ class AcceptanceConfig:
         num_rivals: how many distinct transforms are looked for.
     """
 
-    max_log10_chance: float = -2.0
+    max_log10_chance: float = -2.5
     min_margin: float = 2.0
     min_pairs: int = 4
     min_spread_m: float = 0.3
@@ -67,15 +70,18 @@ class AlignConfig:
     affinity: AffinityConfig = field(default_factory=AffinityConfig)
     consensus: ConsensusConfig = field(default_factory=ConsensusConfig)
     acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
+    contradiction: ContradictionConfig = field(default_factory=ContradictionConfig)
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Scores:
-    """The unary scores of all pairs, (N, M) each, None where a map lacks what it takes."""
+    """The unary scores of all pairs, (N, M) each, None where a map lacks what it takes, and what that was."""
 
     semantic: NDArray[np.float64] | None
     geometric: NDArray[np.float64] | None
     log_ranks: NDArray[np.float64]
+    notes: tuple[str, ...]
 
 
 def align(
@@ -102,7 +108,9 @@ def align(
     if not found or not _shows_gravity(map_a, evidence, found[0], config):
         # The maps may be tilted against one another after all.
         found = _ordered(found + _searched(map_a, map_b, evidence, config, is_level=False), map_b, config)
-    return _decided(map_a, map_b, scores, evidence, found, config)
+    judged = _confronted(map_a, map_b, found, config)
+    refusal = _refused(map_a, judged, evidence, scores.notes, config)
+    return _answered(map_a, map_b, scores, evidence, judged, config) if refusal is None else refusal
 
 
 # ---- the steps ------------------------------------------------------------------------------------------------------
@@ -113,8 +121,16 @@ def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None
     geometric = None if shape_scores is None else shape_scores(map_a, map_b)
     if geometric is not None and not np.isfinite(geometric).any():
         geometric = None
+    notes = [why_no_semantics(map_a, map_b)]
+    if geometric is None and shape_scores is not None:
+        notes.append("no two objects have shapes that can be compared: aligned without shapes")
     ranks = fused_log_ranks((semantic, geometric), (len(map_a), len(map_b)))
-    return _Scores(semantic=semantic, geometric=geometric, log_ranks=ranks)
+    return _Scores(
+        semantic=semantic,
+        geometric=geometric,
+        log_ranks=ranks,
+        notes=tuple(note for note in notes if note is not None),
+    )
 
 
 def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: _Scores, config: AlignConfig) -> Evidence:
@@ -215,56 +231,130 @@ def _ordered(found: list[Hypothesis], map_b: ObjectMap, config: AlignConfig) -> 
     return distinct
 
 
-def _decided(
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Judged:
+    """A hypothesis, what speaks against it, and how easily it is chance with that taken into account."""
+
+    hypothesis: Hypothesis
+    contradictions: Contradictions
+    log10_chance: float
+
+
+def _confronted(
+    map_a: ObjectMap, map_b: ObjectMap, found: list[Hypothesis], config: AlignConfig
+) -> tuple[_Judged, ...]:
+    """Return the hypotheses with what was not seen counted against them, the least easily chance first."""
+    judged = []
+    for hypothesis in found:
+        against = Contradictions()
+        if hypothesis.log10_chance <= config.acceptance.max_log10_chance:
+            against = contradictions(map_a, map_b, hypothesis.a_from_b, config.contradiction)
+        price = config.contradiction.price * against.num_missing
+        judged.append(
+            _Judged(hypothesis=hypothesis, contradictions=against, log10_chance=hypothesis.log10_chance + price)
+        )
+    return tuple(sorted(judged, key=lambda one: one.log10_chance))
+
+
+def _refused(
+    map_a: ObjectMap,
+    judged: tuple[_Judged, ...],
+    evidence: Evidence,
+    notes: tuple[str, ...],
+    config: AlignConfig,
+) -> NoAlignment | None:
+    """Return why the best hypothesis is not enough; None when it is."""
+    acceptance = config.acceptance
+
+    def refusal(kind: Refusal, reason: str) -> NoAlignment:
+        return NoAlignment(
+            refusal=kind,
+            reason=reason,
+            hypotheses=tuple(one.hypothesis for one in judged),
+            contradictions=judged[0].contradictions if judged else Contradictions(),
+            notes=notes,
+        )
+
+    most = len(judged[0].hypothesis.pairs) if judged else 0
+    if most < acceptance.min_pairs:
+        reason = f"at most {most} pairs of objects agree, {acceptance.min_pairs} are needed"
+        return refusal(Refusal.TOO_FEW_PAIRS, reason)
+    best, against = judged[0].hypothesis, judged[0].contradictions
+    limit = acceptance.max_log10_chance
+    expected, missing = against.num_expected, against.num_missing
+    is_gap = expected >= config.contradiction.min_expected and missing > config.contradiction.max_missing * expected
+    if is_gap or best.log10_chance <= limit < judged[0].log10_chance:
+        reason = f"{len(best.pairs)} pairs agree, but of {expected} objects that should be in both maps {missing} are not"
+        return refusal(Refusal.CONTRADICTED, reason)
+    if best.log10_chance > limit:
+        reason = (
+            f"{len(best.pairs)} pairs agree, but two unrelated maps of this size have 10^{best.log10_chance:.1f} sets of "
+            f"pairs as good; at most 10^{limit:.1f} are allowed"
+        )
+        return refusal(Refusal.CHANCE, reason)
+    points = map_a.centroids[best.pairs[:, 0]]
+    spread_m = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(points[:, :2].T))[0], 0.0)))
+    if spread_m < acceptance.min_spread_m:
+        reason = f"the {len(points)} pairs stand in a line: {spread_m:.2f} m across, {acceptance.min_spread_m} m needed"
+        return refusal(Refusal.COLLINEAR, reason)
+    turn_deg = np.degrees(np.sqrt(np.trace(_covariance(points, evidence, best, config)[:3, :3])))
+    if turn_deg > acceptance.max_turn_deg:
+        reason = f"the {len(points)} pairs leave the rotation uncertain by {turn_deg:.1f} degrees"
+        return refusal(Refusal.UNCERTAIN, reason)
+    if _margin(judged) < acceptance.min_margin:
+        reason = f"a different alignment is nearly as good: only 10^{_margin(judged):.1f} times as easily chance"
+        return refusal(Refusal.RIVAL, reason)
+    return None
+
+
+def _answered(
     map_a: ObjectMap,
     map_b: ObjectMap,
     scores: _Scores,
     evidence: Evidence,
-    found: list[Hypothesis],
+    judged: tuple[_Judged, ...],
     config: AlignConfig,
-) -> Alignment | NoAlignment:
-    acceptance = config.acceptance
-    hypotheses = tuple(found)
-    if not found or len(found[0].pairs) < acceptance.min_pairs:
-        most = len(found[0].pairs) if found else 0
-        reason = f"at most {most} pairs of objects agree, {acceptance.min_pairs} are needed"
-        return NoAlignment(refusal=Refusal.TOO_FEW_PAIRS, reason=reason, hypotheses=hypotheses)
-    best = found[0]
-    rival = found[1] if len(found) > 1 else None
-    if best.log10_chance > acceptance.max_log10_chance:
-        reason = (
-            f"{len(best.pairs)} pairs agree, but unrelated maps of this size would have "
-            f"10^{best.log10_chance:.1f} sets as good, at most 10^{acceptance.max_log10_chance:.1f} are allowed"
-        )
-        return NoAlignment(refusal=Refusal.CHANCE, reason=reason, hypotheses=hypotheses)
+) -> Alignment:
+    best = judged[0].hypothesis
     points = map_a.centroids[best.pairs[:, 0]]
-    spread_m = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(points[:, :2].T))[0], 0.0)))
-    if spread_m < acceptance.min_spread_m:
-        reason = f"the {len(points)} pairs stand in a line: {spread_m:.2f} m across it"
-        return NoAlignment(refusal=Refusal.COLLINEAR, reason=reason, hypotheses=hypotheses)
-    margin = (rival.log10_chance if rival else 0.0) - best.log10_chance
-    if margin < acceptance.min_margin:
-        reason = f"a different alignment is nearly as good: its chance is only 10^{margin:.1f} times greater"
-        return NoAlignment(refusal=Refusal.RIVAL, reason=reason, hypotheses=hypotheses)
-    center_a = points.mean(axis=0)
-    total = information(points, np.full(len(points), evidence.sigma_m), center_a)
+    finer = refined(
+        map_a,
+        map_b,
+        best.pairs,
+        best.a_from_b,
+        sigma_m=evidence.sigma_m,
+        tilt_sigma_rad=float(np.radians(config.affinity.level_tilt_deg)) if best.is_level else None,
+        config=config.refinement,
+    )
+    return Alignment(
+        a_from_b=best.a_from_b if finer is None else finer.a_from_b,
+        pairs=_matched_pairs(map_a, map_b, scores, best),
+        covariance=_covariance(points, evidence, best, config) if finer is None else finer.covariance,
+        center_a=points.mean(axis=0),
+        log10_chance=judged[0].log10_chance,
+        margin=_margin(judged),
+        rival=judged[1].hypothesis if len(judged) > 1 else None,
+        contradictions=judged[0].contradictions,
+        is_level=best.is_level,
+        is_refined=finer is not None,
+        notes=scores.notes,
+    )
+
+
+def _margin(judged: tuple[_Judged, ...]) -> float:
+    """Return by how much less easily chance the best is than its rival; than nothing special, where there is none."""
+    rival = min(judged[1].log10_chance, 0.0) if len(judged) > 1 else 0.0
+    return rival - judged[0].log10_chance
+
+
+def _covariance(
+    points_a: NDArray[np.float64], evidence: Evidence, best: Hypothesis, config: AlignConfig
+) -> NDArray[np.float64]:
+    """Return the covariance (6, 6) that the centroids leave; gravity fixes the tilt of level maps."""
+    total = information(points_a, np.full(len(points_a), evidence.sigma_m), points_a.mean(axis=0))
     if best.is_level:
         total[:2, :2] += np.eye(2) / np.radians(config.affinity.level_tilt_deg) ** 2
-    covariance = np.linalg.inv(total)
-    turn_deg = float(np.degrees(np.sqrt(np.trace(covariance[:3, :3]))))
-    if turn_deg > acceptance.max_turn_deg:
-        reason = f"the {len(points)} pairs leave the rotation uncertain by {turn_deg:.1f} degrees"
-        return NoAlignment(refusal=Refusal.UNCERTAIN, reason=reason, hypotheses=hypotheses)
-    return Alignment(
-        a_from_b=best.a_from_b,
-        pairs=_matched_pairs(map_a, map_b, scores, best),
-        covariance=covariance,
-        center_a=center_a,
-        log10_chance=best.log10_chance,
-        margin=margin,
-        rival=rival,
-        is_level=best.is_level,
-    )
+    return np.asarray(np.linalg.pinv(total))
 
 
 def _matched_pairs(

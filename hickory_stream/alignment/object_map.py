@@ -32,7 +32,7 @@ class ObjectMap:
     `ids` (N,); `centroids` (N, 3), of layer 3 in closed form where there is one, else of layer 1; `features` (N, D) of
     unit norm with rows of NaN where an object has none, None where no object has; `shapes` and `points` hold layer 3
     and layer 1 of each object, None where there is none; `boxes` are upright boxes around them. `submap_ids` (N,) says
-    which piece of the map an object hangs on. `submaps` hold the observed space.
+    which piece of the map an object hangs on. `submaps` hold the observed space. `extractor` names what made the features.
     """
 
     ids: NDArray[np.int64]
@@ -43,6 +43,7 @@ class ObjectMap:
     points: tuple[NDArray[np.float32] | None, ...]
     submap_ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     submaps: tuple[Submap, ...] = ()
+    extractor: str = ""
 
     def __post_init__(self) -> None:
         freeze(self, "ids", np.int64, (None,))
@@ -61,8 +62,11 @@ class ObjectMap:
         return len(self.ids)
 
 
-def object_map(snapshot: MapSnapshot) -> ObjectMap:
-    """Return the objects of a snapshot in its world; tracks that are still tentative are left out."""
+def object_map(snapshot: MapSnapshot, extractor: str = "") -> ObjectMap:
+    """Return the objects of a snapshot in its world; tracks that are still tentative are left out.
+
+    `extractor` names what made the features, as far as the caller knows: cosines between two mean nothing.
+    """
     world_from_submap = {submap.id: submap.world_from_submap for submap in snapshot.submaps}
     objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
     poses = [world_from_submap.get(tracked.submap_id, np.eye(4)) for tracked in objects]
@@ -88,6 +92,7 @@ def object_map(snapshot: MapSnapshot) -> ObjectMap:
         points=points,
         submap_ids=np.array([tracked.submap_id for tracked in objects], dtype=np.int64),
         submaps=snapshot.submaps,
+        extractor=extractor,
     )
 
 
@@ -102,6 +107,7 @@ def taken(objects: ObjectMap, indices: NDArray[np.int64]) -> ObjectMap:
         points=tuple(objects.points[i] for i in indices),
         submap_ids=objects.submap_ids[indices],
         submaps=objects.submaps,
+        extractor=objects.extractor,
     )
 
 
