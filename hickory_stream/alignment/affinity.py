@@ -39,7 +39,7 @@ class AffinityConfig:
     gate: float = 3.0
     level_tilt_deg: float = 0.5
     candidate_share: float = 0.25
-    max_candidates: int = 2500
+    max_candidates: int = 2000
 
     def __post_init__(self) -> None:
         for name in ("centroid_m", "gate", "candidate_share", "max_candidates"):

@@ -75,7 +75,7 @@ class AlignConfig:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Scores:
+class PairScores:
     """The unary scores of all pairs, (N, M) each, None where a map lacks what it takes, and what that was."""
 
     semantic: NDArray[np.float64] | None
@@ -102,8 +102,7 @@ def align(
     refusal = _too_small(map_a, map_b, config)
     if refusal is not None:
         return refusal
-    scores = _scored(map_a, map_b, shape_scores)
-    evidence = _evidence(map_a, map_b, scores, config)
+    evidence, scores = evidence_of(map_a, map_b, config, shape_scores)
     found = _searched(map_a, map_b, evidence, config, is_level=True)
     if not found or not _shows_gravity(map_a, evidence, found[0], config):
         # The maps may be tilted against one another after all.
@@ -113,10 +112,18 @@ def align(
     return _answered(map_a, map_b, scores, evidence, judged, config) if refusal is None else refusal
 
 
+def evidence_of(
+    map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape_scores: ShapeScores | None
+) -> tuple[Evidence, PairScores]:
+    """Return what hypotheses about two maps are judged by, and the scores of all pairs of objects."""
+    scores = _scored(map_a, map_b, shape_scores)
+    return _evidence(map_a, map_b, scores, config), scores
+
+
 # ---- the steps ------------------------------------------------------------------------------------------------------
 
 
-def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None) -> _Scores:
+def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None) -> PairScores:
     semantic = semantic_scores(map_a, map_b)
     geometric = None if shape_scores is None else shape_scores(map_a, map_b)
     if geometric is not None and not np.isfinite(geometric).any():
@@ -125,7 +132,7 @@ def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None
     if geometric is None and shape_scores is not None:
         notes.append("no two objects have shapes that can be compared: aligned without shapes")
     ranks = fused_log_ranks((semantic, geometric), (len(map_a), len(map_b)))
-    return _Scores(
+    return PairScores(
         semantic=semantic,
         geometric=geometric,
         log_ranks=ranks,
@@ -133,7 +140,7 @@ def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None
     )
 
 
-def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: _Scores, config: AlignConfig) -> Evidence:
+def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: AlignConfig) -> Evidence:
     ranks = scores.log_ranks
     share = min(max(int(config.affinity.candidate_share * ranks.size), 1), ranks.size) - 1
     volume_m3 = np.sqrt(effective_volume_m3(map_a.centroids) * effective_volume_m3(map_b.centroids))
@@ -310,7 +317,7 @@ def _refused(
 def _answered(
     map_a: ObjectMap,
     map_b: ObjectMap,
-    scores: _Scores,
+    scores: PairScores,
     evidence: Evidence,
     judged: tuple[_Judged, ...],
     config: AlignConfig,
@@ -358,7 +365,7 @@ def _covariance(
 
 
 def _matched_pairs(
-    map_a: ObjectMap, map_b: ObjectMap, scores: _Scores, hypothesis: Hypothesis
+    map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, hypothesis: Hypothesis
 ) -> tuple[MatchedPair, ...]:
     def known(values: NDArray[np.float64] | None, i: int, j: int) -> float | None:
         return None if values is None or not np.isfinite(values[i, j]) else float(values[i, j])

@@ -55,6 +55,24 @@ def densest_clique(affinity: Affinity, alive: NDArray[np.bool_], config: Consens
     return np.sort(vertices[clique])
 
 
+def ascended_clique(
+    agreement: NDArray[np.float64], strengths: NDArray[np.float64], config: ConsensusConfig
+) -> NDArray[np.int64]:
+    """Return the ascending indices of the clique that gradient ascent alone finds, without the exact search.
+
+    Args:
+        agreement: (C, C) symmetric weights, 0 where two candidates contradict each other.
+        strengths: (C,) of the candidates, in 0..1.
+        config: how many steps.
+    """
+    rows, columns = np.nonzero(agreement)
+    starts = np.searchsorted(rows, np.arange(len(strengths) + 1)).astype(np.int64)
+    neighbors = columns.astype(np.int32)
+    weights = agreement[rows, columns].astype(np.float32)
+    u = _ascend(starts, neighbors, weights, strengths, config.penalties, config.ascent_steps)
+    return np.sort(_rounded(starts, neighbors, np.argsort(-u, kind="stable")))
+
+
 @numba.njit(cache=True, nogil=True)
 def _alive_graph(starts, neighbors, weights, alive):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the graph among the candidates that are alive, renumbered."""

@@ -77,7 +77,7 @@ def grown(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hy
             break
         pairs = matched
     a_from_b = _fitted(evidence, pairs, is_level)
-    return _judged(evidence, a_from_b, pairs, is_level)
+    return judged(evidence, a_from_b, pairs, is_level=is_level)
 
 
 def _fitted(evidence: Evidence, pairs: NDArray[np.int64], is_level: bool) -> NDArray[np.float64]:
@@ -105,9 +105,10 @@ def _matched(evidence: Evidence, a_from_b: NDArray[np.float64]) -> NDArray[np.in
     return np.stack([rows[chosen_rows[is_pair]], columns[chosen_columns[is_pair]]], axis=1)
 
 
-def _judged(
-    evidence: Evidence, a_from_b: NDArray[np.float64], pairs: NDArray[np.int64], is_level: bool
+def judged(
+    evidence: Evidence, a_from_b: NDArray[np.float64], pairs: NDArray[np.int64], *, is_level: bool
 ) -> Hypothesis:
+    """Return the hypothesis of a transform and its pairs (K, 2), K >= 1."""
     points_a = evidence.centroids_a[pairs[:, 0]]
     residuals = points_a - apply(a_from_b, evidence.centroids_b[pairs[:, 1]])
     squares = (residuals**2).sum(axis=1)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
+from hickory_stream.alignment.object_map import shape_box
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
 
 if TYPE_CHECKING:
@@ -142,7 +143,11 @@ def _padded(
 
 
 def _box_sides(objects: ObjectMap) -> NDArray[np.float64]:
-    half = np.array([box.half_extents_m for box in objects.boxes]).reshape(-1, 3)
+    """Return (N, 3) half sides of the boxes around the whole objects (layer 3), else around what was seen of them."""
+    boxes = [
+        box if shape is None else shape_box(shape) for shape, box in zip(objects.shapes, objects.boxes, strict=True)
+    ]
+    half = np.array([box.half_extents_m for box in boxes]).reshape(-1, 3)
     return np.column_stack([np.sort(half[:, :2], axis=1), half[:, 2]])
 
 

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hickory_stream.alignment.object_map import ObjectMap, shape_box
+from hickory_stream.alignment.object_map import ObjectMap
+from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import (
     apply,
     from_rotation_translation,
@@ -31,6 +32,7 @@ from hickory_stream.geometry.superquadric import (
     centroid_world,
     moved,
     sorted_by_volume,
+    support_reach,
     taken,
 )
 
@@ -196,7 +198,7 @@ class _World:
             centroids=np.array([centroid_world(shape) for shape in shapes]).reshape(-1, 3),
             features=features if len(objects) else None,
             shapes=shapes,
-            boxes=tuple(shape_box(shape) for shape in shapes),
+            boxes=tuple(_box(shape) for shape in shapes),
             points=(None,) * len(objects),
         )
 
@@ -250,6 +252,15 @@ def _varied(shape: Superquadrics, exponents: float, axes: float, rng: np.random.
 
 def _centered(shape: Superquadrics, place: NDArray[np.float64]) -> Superquadrics:
     return moved(shape, from_rotation_translation(np.eye(3), place - centroid_world(shape)))
+
+
+def _box(shape: Superquadrics) -> OrientedBox:
+    """Return the box around a shape along the axes of its map."""
+    centers, reach = shape.world_from_local[:, :3, 3], support_reach(shape, np.eye(3))
+    low, high = (centers - reach).min(axis=0), (centers + reach).max(axis=0)
+    return OrientedBox(
+        world_from_box=from_rotation_translation(np.eye(3), (low + high) / 2), half_extents_m=(high - low) / 2
+    )
 
 
 def _direction(rng: np.random.Generator, dimensions: int) -> NDArray[np.float64]:
