@@ -180,5 +180,5 @@ def _title(map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) 
     sizes = f"a (blue) {len(map_a)} objects, b (orange) {len(map_b)}"
     if isinstance(answer, Alignment):
         sigma = f"+-{100 * answer.translation_sigma_m:.1f} cm, +-{np.degrees(answer.rotation_sigma_rad):.2f} deg"
-        return f"{sizes}    {len(answer.pairs)} pairs    {sigma}    chance 10^{answer.log10_chance:.0f}"
+        return f"{sizes}    {len(answer.pairs)} pairs    {sigma}    chance 1e{answer.log10_chance:.0f}"
     return f"{sizes}    not aligned: {answer.refusal.value}"

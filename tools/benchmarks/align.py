@@ -23,20 +23,28 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import METHODS
 from hickory_stream.alignment.object_map import object_map
+from hickory_stream.config import MapperConfig
 from hickory_stream.engine.manifest import is_map_folder
+from hickory_stream.engine.play import play
 from hickory_stream.engine.session import open_map
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
 from hickory_stream.evaluation.maps.trial import error_of, noise_floor, run_trial
-from hickory_stream.evaluation.maps.variants import moved_map, random_frame
+from hickory_stream.evaluation.maps.moved_source import MovedSource
+from hickory_stream.evaluation.maps.variants import random_frame
 from hickory_stream.evaluation.worlds.cache import cached_recording, recording_name
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.settings import Settings
+from hickory_stream.sinks.disk_sink import DiskSink
+from players import open_source
 from tools.benchmarks.figures import Figure, Options
-from tools.benchmarks.processes import ROOT, play
+from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from hickory_stream.alignment.methods import Method
     from hickory_stream.alignment.object_map import ObjectMap
@@ -230,11 +238,10 @@ def print_peak(seed: int) -> None:
 def _of_apartments(options: Options) -> list[Figure]:
     """Return the mean error over the apartments, each mapped twice, the second map in a frame of its own."""
     maps = _apartment_maps(options)
-    rng = np.random.default_rng([options.seed, 3])
     errors, found = [], 0
     for apartment, (map_a, map_b) in maps.items():
-        b_from_world = random_frame(rng)
-        answer = align(map_a, moved_map(map_b, b_from_world))
+        b_from_world = _frame_of(apartment, 1)
+        answer = align(map_a, map_b)
         if not isinstance(answer, Alignment):
             print(f"apartment {apartment}: refused, {answer.reason}", flush=True)
             continue
@@ -284,8 +291,26 @@ def _map_folder(apartment: int, walk: int, *, plays: bool) -> Path | None:
     log, _ = cached_recording(config)
     print(f"playing {log.name}", flush=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    play(log, folder)
+    source = MovedSource(open_source(str(log)), _frame_of(apartment, walk))
+    try:
+        play(
+            source,
+            MapperConfig(),
+            out=folder,
+            overwrite=True,
+            sinks=lambda made: [(DiskSink(made, Settings().disk), True)],
+            rate=None,
+            loops=1,
+            progress=lambda _: None,
+        )
+    finally:
+        source.close()
     return folder
+
+
+def _frame_of(apartment: int, walk: int) -> NDArray[np.float64]:
+    """Return `map_from_world`: where the robot of a walk started, by its own reckoning; the first one at the truth."""
+    return np.eye(4) if walk == 0 else random_frame(np.random.default_rng([apartment, walk, 3]))
 
 
 def _code_digest() -> str:
