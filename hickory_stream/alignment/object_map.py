@@ -13,8 +13,7 @@ import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
-from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.superquadric import Superquadrics, centroid_world, moved, support_reach
+from hickory_stream.geometry.superquadric import Superquadrics, centroid_world, support_reach
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -67,21 +66,12 @@ def object_map(snapshot: MapSnapshot, extractor: str = "") -> ObjectMap:
 
     `extractor` names what made the features, as far as the caller knows: cosines between two mean nothing.
     """
-    world_from_submap = {submap.id: submap.world_from_submap for submap in snapshot.submaps}
     objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
-    poses = [world_from_submap.get(tracked.submap_id, np.eye(4)) for tracked in objects]
     shapes = tuple(
-        moved(tracked.shape.fitted, pose) if tracked.shape and len(tracked.shape.fitted) else None
-        for tracked, pose in zip(objects, poses, strict=True)
+        tracked.shape.fitted if tracked.shape and len(tracked.shape.fitted) else None for tracked in objects
     )
-    points = tuple(
-        apply(pose, tracked.points_world) if len(tracked.points_world) else None
-        for tracked, pose in zip(objects, poses, strict=True)
-    )
-    boxes = tuple(
-        OrientedBox(world_from_box=pose @ tracked.box.world_from_box, half_extents_m=tracked.box.half_extents_m)
-        for tracked, pose in zip(objects, poses, strict=True)
-    )
+    points = tuple(tracked.points_world if len(tracked.points_world) else None for tracked in objects)
+    boxes = tuple(tracked.box for tracked in objects)
     centroids = [_centroid(*parts) for parts in zip(shapes, points, boxes, strict=True)]
     return ObjectMap(
         ids=np.array([tracked.id for tracked in objects], dtype=np.int64),
