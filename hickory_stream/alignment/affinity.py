@@ -53,8 +53,8 @@ class AffinityConfig:
 class Affinity:
     """C candidate pairs and how they agree.
 
-    `pairs` (C, 2) are indices into the two maps; `log_ranks` (C,) the logarithms of their ranks, at most 0. The graph is
-    in compressed rows: the neighbours of c are `neighbors[starts[c]:starts[c + 1]]`, ascending, with `weights` in 0..1;
+    `pairs` (C, 2) are indices into the two maps; `log_ranks` (C,) the logarithms of their ranks, at most 0. The graph
+    is in compressed rows: the neighbours of c are `neighbors[starts[c]:starts[c + 1]]`, ascending, with `weights` in 0..1;
     whatever is not listed contradicts c.
     """
 
@@ -110,10 +110,8 @@ def why_no_semantics(map_a: ObjectMap, map_b: ObjectMap) -> str | None:
     return None
 
 
-def fused_log_ranks(
-    scores: Sequence[NDArray[np.float64] | None], shape: tuple[int, int]
-) -> NDArray[np.float64]:
-    """Return (N, M) log ranks of the geometric mean of the ranks by each score that is there; NaN is an average rank."""
+def fused_log_ranks(scores: Sequence[NDArray[np.float64] | None], shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return (N, M) log ranks of the geometric mean of the ranks by each score; NaN is an average rank."""
     known = [_log_ranks(score) for score in scores if score is not None]
     if not known:
         return np.zeros(shape)

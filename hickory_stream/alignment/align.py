@@ -291,12 +291,14 @@ def _refused(
     expected, missing = against.num_expected, against.num_missing
     is_gap = expected >= config.contradiction.min_expected and missing > config.contradiction.max_missing * expected
     if is_gap or best.log10_chance <= limit < judged[0].log10_chance:
-        reason = f"{len(best.pairs)} pairs agree, but of {expected} objects that should be in both maps {missing} are not"
+        reason = (
+            f"{len(best.pairs)} pairs agree, but of {expected} objects that should be in both maps {missing} are not"
+        )
         return refusal(Refusal.CONTRADICTED, reason)
     if best.log10_chance > limit:
         reason = (
-            f"{len(best.pairs)} pairs agree, but two unrelated maps of this size have 10^{best.log10_chance:.1f} sets of "
-            f"pairs as good; at most 10^{limit:.1f} are allowed"
+            f"{len(best.pairs)} pairs agree, but two unrelated maps of this size have 10^{best.log10_chance:.1f} sets "
+            f"of pairs as good; at most 10^{limit:.1f} are allowed"
         )
         return refusal(Refusal.CHANCE, reason)
     points = map_a.centroids[best.pairs[:, 0]]
@@ -379,9 +381,7 @@ def _matched_pairs(
             rank=float(np.exp(rank)),
             residual_m=float(residual),
         )
-        for (i, j), rank, residual in zip(
-            hypothesis.pairs, hypothesis.log_ranks, hypothesis.residuals_m, strict=True
-        )
+        for (i, j), rank, residual in zip(hypothesis.pairs, hypothesis.log_ranks, hypothesis.residuals_m, strict=True)
     )
 
 

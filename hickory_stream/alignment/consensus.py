@@ -1,9 +1,9 @@
 """The densest set of candidate pairs that all agree with one another: CLIPPER's problem (Lusk et al., 2021).
 
-maximise u' M u over u >= 0 with |u| = 1, where u_c u_d = 0 for pairs c, d that contradict each other. Projected gradient
-ascent, with a penalty on contradictions that grows until none is left, gives a clique from any graph; an exact search
-for the clique of the greatest weight then starts from it, on what a larger clique could still consist of. Two pairs
-that share an object are never connected: every clique is one-to-one.
+Maximise u' M u over u >= 0 with |u| = 1, where u_c u_d = 0 for pairs c, d that contradict each other. Projected
+gradient ascent, with a penalty on contradictions that grows until none is left, gives a clique from any graph; an exact
+search for the clique of the greatest weight then starts from it, on what a larger clique could still consist of. Two
+pairs that share an object are never connected: every clique is one-to-one.
 """
 
 from __future__ import annotations

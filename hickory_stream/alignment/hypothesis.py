@@ -116,9 +116,7 @@ def judged(
     # The surest first: pairs are judged as the best k of them, for every k.
     order = np.lexsort((pairs[:, 0], squares / (2 * evidence.sigma_m**2) + ranks))
     pairs, squares, ranks, points_a = pairs[order], squares[order], ranks[order], points_a[order]
-    logs = log_expected_sets(
-        evidence.chance, ranks, np.cumsum(squares), _running_scatters(points_a), is_level=is_level
-    )
+    logs = log_expected_sets(evidence.chance, ranks, np.cumsum(squares), _running_scatters(points_a), is_level=is_level)
     best = int(np.argmin(logs))
     return Hypothesis(
         a_from_b=a_from_b,

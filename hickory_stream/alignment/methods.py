@@ -70,9 +70,7 @@ def _roman(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape: Shape
     return _answer(map_a, map_b, _roman_pairs(map_a, map_b, config, shape), config)
 
 
-def _roman_pairs(
-    map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape: ShapeScores
-) -> NDArray[np.int64]:
+def _roman_pairs(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape: ShapeScores) -> NDArray[np.int64]:
     """Return the pairs (K, 2) that ROMAN's scores and ascent choose."""
     if not len(map_a) or not len(map_b):
         return np.empty((0, 2), dtype=np.int64)
@@ -83,7 +81,9 @@ def _roman_pairs(
         return np.empty((0, 2), dtype=np.int64)
     pairs = np.stack(np.divmod(order, unary.shape[1]), axis=1)
     scores = unary[pairs[:, 0], pairs[:, 1]]
-    fused = np.cbrt(_gravity_scores(map_a.centroids[pairs[:, 0]], map_b.centroids[pairs[:, 1]]) * np.outer(scores, scores))
+    fused = np.cbrt(
+        _gravity_scores(map_a.centroids[pairs[:, 0]], map_b.centroids[pairs[:, 1]]) * np.outer(scores, scores)
+    )
     shares = (pairs[:, None] == pairs[None]).any(axis=2)
     clique = ascended_clique(np.where(shares, 0.0, fused), scores, config.consensus)
     return pairs[clique]
@@ -191,7 +191,9 @@ def _answer(
     return Alignment(
         a_from_b=a_from_b,
         pairs=matched,
-        covariance=np.linalg.pinv(information(points_a, np.full(len(pairs), evidence.sigma_m), center_a)),
+        covariance=np.asarray(
+            np.linalg.pinv(information(points_a, np.full(len(pairs), evidence.sigma_m), center_a)), dtype=np.float64
+        ),
         center_a=center_a,
         log10_chance=found.log10_chance if np.isfinite(found.log10_chance) else 0.0,
         margin=0.0,

@@ -88,16 +88,15 @@ def refined(
     prior = _prior(map_a, pairs, center_a, sigma_m, tilt_sigma_rad)
     start, current = a_from_b, a_from_b
     met_before = _met(surfaces, start, config)
-    total = prior
     for scale_m in np.geomspace(config.first_m, config.last_m, config.rounds):
-        parts = [surface.normal_equations(current, center_a, float(scale_m), config) for surface in surfaces]
-        total = prior + sum(own for own, _ in parts)
-        gain = sum(gain for _, gain in parts) - prior @ _twist(current, start, center_a)
-        current = _moved(current, np.linalg.solve(total, gain), center_a)
+        own, gains = _normal_equations(surfaces, current, center_a, float(scale_m), config)
+        gain = gains.sum(axis=0) - prior @ _twist(current, start, center_a)
+        current = _moved(current, np.asarray(np.linalg.solve(prior + own, gain), dtype=np.float64), center_a)
     met_after = _met(surfaces, current, config)
     if met_after <= met_before:
         return None
-    covariance = _covariance(total, np.array([gain for _, gain in parts]))
+    own, gains = _normal_equations(surfaces, current, center_a, config.last_m, config)
+    covariance = _covariance(prior + own, gains)
     return Refined(a_from_b=current, covariance=covariance, met_before=met_before, met_after=met_after)
 
 
@@ -127,7 +126,7 @@ class _Surface:
     def normal_equations(
         self, a_from_b: NDArray[np.float64], center_a: NDArray[np.float64], scale_m: float, config: RefinementConfig
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the information (6, 6) that this surface gives on a turn about the centre and a shift, and the gain."""
+        """Return the information (6, 6) that this surface gives on a turn about the centre and a shift; the gain (6,)."""
         places, distances, normals, gaps = self.residuals(a_from_b)
         # Geman and McClure: a gap of `scale_m` counts a quarter, one of many a nothing.
         weights = 1.0 / (1.0 + (gaps / scale_m) ** 2) ** 2
@@ -135,6 +134,18 @@ class _Surface:
         # The points of a surface err together: many of them are worth as much as a few.
         weights = weights * min(1.0, 100.0 / len(gaps)) / (config.surface_m**2 + (scale_m / 3) ** 2)
         return (rows * weights[:, None]).T @ rows, (rows * weights[:, None]).T @ distances
+
+
+def _normal_equations(
+    surfaces: list[_Surface],
+    a_from_b: NDArray[np.float64],
+    center_a: NDArray[np.float64],
+    scale_m: float,
+    config: RefinementConfig,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the information (6, 6) that all surfaces give together, and the gain (K, 6) of each."""
+    parts = [surface.normal_equations(a_from_b, center_a, scale_m, config) for surface in surfaces]
+    return np.sum([own for own, _ in parts], axis=0), np.array([gain for _, gain in parts])
 
 
 def _covariance(total: NDArray[np.float64], gains: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -148,16 +159,17 @@ def _covariance(total: NDArray[np.float64], gains: NDArray[np.float64]) -> NDArr
     return np.asarray(bread + bread @ meat @ bread)
 
 
-def _surfaces(
-    map_a: ObjectMap, map_b: ObjectMap, pairs: NDArray[np.int64], config: RefinementConfig
-) -> list[_Surface]:
+def _surfaces(map_a: ObjectMap, map_b: ObjectMap, pairs: NDArray[np.int64], config: RefinementConfig) -> list[_Surface]:
     surfaces = []
     for i, j in pairs:
         points_a, points_b = map_a.points[i], map_b.points[j]
         if points_a is None or points_b is None or min(len(points_a), len(points_b)) < config.min_points:
             continue
         tree_a, tree_b = cKDTree(points_a.astype(np.float64)), cKDTree(points_b.astype(np.float64))
-        thin_a, thin_b = thinned(points_a, _MAX_POINTS).astype(np.float64), thinned(points_b, _MAX_POINTS).astype(np.float64)
+        thin_a, thin_b = (
+            thinned(points_a, _MAX_POINTS).astype(np.float64),
+            thinned(points_b, _MAX_POINTS).astype(np.float64),
+        )
         surfaces.append(
             _Surface(
                 points_a=thin_a,
@@ -197,7 +209,9 @@ def _met(surfaces: list[_Surface], a_from_b: NDArray[np.float64], config: Refine
     shares = []
     for surface in surfaces:
         _, distances, _, gaps = surface.residuals(a_from_b)
-        shares.append(float(np.exp(-0.5 * (distances / config.last_m) ** 2)[gaps < 2 * config.first_m].sum()) / len(gaps))
+        shares.append(
+            float(np.exp(-0.5 * (distances / config.last_m) ** 2)[gaps < 2 * config.first_m].sum()) / len(gaps)
+        )
     return float(np.mean(shares))
 
 

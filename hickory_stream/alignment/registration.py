@@ -64,7 +64,7 @@ def differs(
     distance_m: float,
     angle_rad: float,
 ) -> bool:
-    """Return whether two transforms take `center_b` more than `distance_m` apart, or turn differently by `angle_rad`."""
+    """Return whether two transforms take `center_b` more than `distance_m` apart, or turn by more than `angle_rad`."""
     from hickory_stream.geometry.rigid import apply, rotation_angle_rad
 
     moved_m = float(np.linalg.norm(apply(a_from_b, center_b) - apply(other_a_from_b, center_b)))

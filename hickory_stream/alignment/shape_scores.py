@@ -96,9 +96,7 @@ def _primitive_sets(
     middle, half = (spread[:, 0, 0] + spread[:, 1, 1]) / 2, (spread[:, 0, 0] - spread[:, 1, 1]) / 2
     radius = np.hypot(half, spread[:, 0, 1])
     reach = np.column_stack([spread[:, 2, 2], middle + radius, middle - radius])
-    points = np.column_stack(
-        [np.log(np.maximum(reach, 1e-8)) / (2 * _LOG_REACH_SIGMA), exponents / _EXPONENT_SIGMA]
-    )
+    points = np.column_stack([np.log(np.maximum(reach, 1e-8)) / (2 * _LOG_REACH_SIGMA), exponents / _EXPONENT_SIGMA])
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     volumes = np.concatenate([volumes_m3(shape) for shape in known])
     totals = np.add.reduceat(volumes, starts[:-1][np.array(counts) > 0])
@@ -161,7 +159,5 @@ def _point_attributes(objects: ObjectMap) -> NDArray[np.float64]:
     return rows
 
 
-def _known(
-    scores: NDArray[np.float64], has_a: NDArray[np.bool_], has_b: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _known(scores: NDArray[np.float64], has_a: NDArray[np.bool_], has_b: NDArray[np.bool_]) -> NDArray[np.float64]:
     return np.where(np.logical_and.outer(has_a, has_b), scores, np.nan)

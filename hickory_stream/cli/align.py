@@ -137,10 +137,12 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
     yaw_deg = np.degrees(np.arctan2(answer.a_from_b[1, 0], answer.a_from_b[0, 0]))
     x, y, z = answer.a_from_b[:3, 3]
     lines = [
-        f"aligned by {len(answer.pairs)} pairs: b lies at ({x:.3f}, {y:.3f}, {z:.3f}) m in a, turned by {yaw_deg:.2f} deg",
+        f"aligned by {len(answer.pairs)} pairs: b lies at ({x:.3f}, {y:.3f}, {z:.3f}) m in a, turned by "
+        f"{yaw_deg:.2f} deg",
         f"  uncertainty {100 * answer.translation_sigma_m:.1f} cm, {np.degrees(answer.rotation_sigma_rad):.2f} deg"
         f"{', refined on surfaces' if answer.is_refined else ''}{'' if answer.is_level else ', maps tilted'}",
-        f"  chance 10^{answer.log10_chance:.1f}; the best distinct rival is 10^{answer.margin:.1f} times as easily chance",
+        f"  chance 10^{answer.log10_chance:.1f}; the best distinct rival is 10^{answer.margin:.1f} times as easily "
+        "chance",
         f"  of {against.num_expected} objects whose place the other map saw, {against.num_missing} are missing",
     ]
     return "\n".join([*lines, *notes])

@@ -7,11 +7,22 @@ from pathlib import Path
 from typing import TypeAlias
 
 from hickory_stream import __version__
-from hickory_stream.cli import align, config, evaluate, evaluate_alignment, evaluate_views, inspect, merge, play, render
+from hickory_stream.cli import (
+    align,
+    config,
+    evaluate,
+    evaluate_alignment,
+    evaluate_views,
+    inspect,
+    merge,
+    play,
+    relocalise,
+    render,
+)
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
-_COMMANDS = (play, inspect, render, align, merge, evaluate, evaluate_views, evaluate_alignment, config)
+_COMMANDS = (play, inspect, render, align, merge, relocalise, evaluate, evaluate_views, evaluate_alignment, config)
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -85,9 +85,10 @@ def outcome_text(pair: PairOutcome) -> str:
 
 def _source(merged: Merged, inputs: Sequence[SavedMap]) -> dict[str, Any]:
     digests = [saved.manifest.digest for saved in inputs]
+    used = [saved.folder.name for i, saved in enumerate(inputs) if i not in merged.left_out]
     return {
         "kind": "merge",
-        "uri": " + ".join(saved.folder.name for saved in inputs),
+        "uri": " + ".join(used),
         "identity": "+".join(str(digest) for digest in digests),
         "maps": [
             {
@@ -129,9 +130,7 @@ def _with_mesh(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: S
     """Return the object with its mesh in the new folder, under a name of its own."""
     if item.shape is None:
         return item
-    origin = next(
-        i for i, old in merged.provenance[item.id] if _has_mesh(inputs[i], old, item.shape)
-    )
+    origin = next(i for i, old in merged.provenance[item.id] if _has_mesh(inputs[i], old, item.shape))
     name = f"{item.id:06d}-{item.shape.revision:06d}.glb"
     with disk_errors(folder.path):
         _copied(inputs[origin].mesh_path(item.shape), folder.shapes / name)

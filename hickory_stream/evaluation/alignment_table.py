@@ -34,9 +34,7 @@ class Row:
     refusal: str | None
 
 
-def row_of(
-    scene: str, method: str, answer: Alignment | NoAlignment, true_a_from_b: NDArray[np.float64] | None
-) -> Row:
+def row_of(scene: str, method: str, answer: Alignment | NoAlignment, true_a_from_b: NDArray[np.float64] | None) -> Row:
     """Return the row of an answer."""
     if not isinstance(answer, Alignment):
         return Row(scene=scene, method=method, num_pairs=0, error=None, refusal=answer.refusal.value)
@@ -91,5 +89,7 @@ def _mean_line(method: str, rows: Sequence[Row]) -> str:
     found = f"{sum(map(_is_success, rows))} of {len(rows)}"
     if not errors:
         return f"{start} {'-':>9} {'-':>8} {'-':>10}  {found}"
-    means = [float(np.mean([getattr(e, name) for e in errors])) for name in ("origin_m", "rotation_deg", "translation_m")]
+    means = [
+        float(np.mean([getattr(e, name) for e in errors])) for name in ("origin_m", "rotation_deg", "translation_m")
+    ]
     return f"{start} {means[0]:>9.4f} {means[1]:>8.4f} {means[2]:>10.4f}  {found}"

@@ -70,8 +70,8 @@ def read_true_trajectory(path: Path) -> TrueTrajectory:
         poses = [_csv_row(row) if is_csv else _tum_row(row) for row in rows]
     except ValueError as error:
         raise RecordingError(
-            f"{path} is no trajectory ({error}); expected a truth folder, CSV rows `timestamp_ns,x,y,z,qw,qx,qy,qz`, or "
-            "TUM rows `timestamp tx ty tz qx qy qz qw`"
+            f"{path} is no trajectory ({error}); expected a truth folder, CSV rows `timestamp_ns,x,y,z,qw,qx,qy,qz`, "
+            "or TUM rows `timestamp tx ty tz qx qy qz qw`"
         ) from error
     if not poses:
         raise RecordingError(f"{path} holds no pose")
@@ -94,8 +94,8 @@ def world_from_map(snapshot: MapSnapshot, truth: TrueTrajectory, name: str) -> N
     known = [(body, camera) for body, camera in pairs if body is not None]
     if len(known) < _MIN_POSES:
         raise RecordingError(
-            f"of {len(views)} views of {name}, {len(known)} were taken while the ground truth was recorded; expected at "
-            f"least {_MIN_POSES}: name the truth of the log that was played"
+            f"of {len(views)} views of {name}, {len(known)} were taken while the ground truth was recorded; expected "
+            f"at least {_MIN_POSES}: name the truth of the log that was played"
         )
     bodies = np.array([body for body, _ in known])
     cameras = np.array([camera for _, camera in known])

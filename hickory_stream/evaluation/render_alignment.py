@@ -60,9 +60,7 @@ def render_alignment(
     return image
 
 
-def _draw_joined(
-    image: NDArray[np.uint8], left: int, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment
-) -> None:
+def _draw_joined(image: NDArray[np.uint8], left: int, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment) -> None:
     height, width = image.shape[:2]
     in_a, in_b = {pair.id_a for pair in answer.pairs}, {pair.id_b for pair in answer.pairs}
     bounds_a, bounds_b = _corners(map_a, np.eye(4)), _corners(map_b, answer.a_from_b)

@@ -94,9 +94,7 @@ def solve(num_nodes: int, odometries: Sequence[Relation], alignments: Sequence[R
             np.asarray(solution.atPose3(node).matrix()) if reached[node] is not None else None
             for node in range(num_nodes)
         ),
-        is_believed=tuple(
-            i in believed and reached[relation.a] is not None for i, relation in enumerate(alignments)
-        ),
+        is_believed=tuple(i in believed and reached[relation.a] is not None for i, relation in enumerate(alignments)),
     )
 
 

@@ -1,4 +1,4 @@
-"""Several maps made into one: all pairs aligned, one pose graph, what is one object united. Inputs are never changed."""
+"""Several maps made into one: all pairs aligned, one pose graph, one object of many. Inputs are never changed."""
 
 from __future__ import annotations
 
@@ -135,8 +135,9 @@ def _laid_out(
     for snapshot in snapshots:
         first_node.append(nodes)
         poses = [submap.world_from_submap for submap in snapshot.submaps] or [np.eye(4)]
-        for i in range(1, len(poses)):
-            odometries.append(odometry(nodes + i - 1, nodes + i, invert(poses[i - 1]) @ poses[i]))
+        odometries += [
+            odometry(nodes + i - 1, nodes + i, invert(poses[i - 1]) @ poses[i]) for i in range(1, len(poses))
+        ]
         nodes += len(poses)
     aligned = [(pair, answer) for pair, answer in answers.items() if isinstance(answer, Alignment)]
     alignments = [

@@ -27,9 +27,9 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.engine.manifest import is_map_folder
 from hickory_stream.engine.play import play
 from hickory_stream.engine.session import open_map
+from hickory_stream.evaluation.maps.moved_source import MovedSource
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
 from hickory_stream.evaluation.maps.trial import error_of, noise_floor, run_trial
-from hickory_stream.evaluation.maps.moved_source import MovedSource
 from hickory_stream.evaluation.maps.variants import random_frame
 from hickory_stream.evaluation.worlds.cache import cached_recording, recording_name
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
@@ -76,9 +76,7 @@ def _set(
     trials: tuple[int, int],
     tilt_deg: float = 0.0,
 ) -> _Set:
-    config = SimulationConfig(
-        num_objects=num_objects, outliers=outliers, difficulty=difficulty, tilt_deg=tilt_deg
-    )
+    config = SimulationConfig(num_objects=num_objects, outliers=outliers, difficulty=difficulty, tilt_deg=tilt_deg)
     return _Set(name=name, config=config, full=trials[0], quick=trials[1])
 
 

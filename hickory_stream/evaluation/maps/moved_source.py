@@ -1,4 +1,4 @@
-"""A log as a robot would have recorded it that started elsewhere: all poses in another frame, everything else as it was."""
+"""A log as a robot would have recorded it that started elsewhere: all poses in another frame, all else as it was."""
 
 from __future__ import annotations
 

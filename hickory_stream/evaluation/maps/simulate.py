@@ -1,10 +1,10 @@
 """A seeded simulator of pairs of object maps: what two robots would have mapped, without mapping.
 
-Objects stand in a square of 2.5 m^2 each, at heights of 0 to 1.5 m; each map's frame is where its robot started. Some are in both maps, moved by one rigid
-transform; the rest (the outliers) have no counterpart, but stand in the same square. Each map sees an object with its
-own noise: 5 cm on each axis of the centroid, exponents +-0.1, semi-axes +-6 %, primitives that are lost, a descriptor
-that is a little off. Descriptors are vectors, built so that their cosines have the wanted means and spreads: without
-the spread a threshold on the cosine alone would solve everything.
+Objects stand in a square of 2.5 m^2 each, at heights of 0 to 1.5 m; each map's frame is where its robot started. Some
+are in both maps; the rest (the outliers) have no counterpart, but stand in the same square. Each map sees an object
+with its own noise: 5 cm on each axis of the centroid, exponents +-0.1, semi-axes +-6 %, primitives that are lost, a
+descriptor that is a little off. Descriptors are vectors, built so that their cosines have the wanted means and spreads:
+without the spread a threshold on the cosine alone would solve everything.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -226,7 +227,7 @@ def real_fits() -> tuple[Superquadrics, ...]:
         centers, quaternions = data["centers_m"], data["quaternions"]
     starts = np.concatenate([[0], np.cumsum(counts)])
     fits = []
-    for start, end in zip(starts[:-1], starts[1:], strict=True):
+    for start, end in pairwise(starts):
         poses = [
             from_rotation_translation(rotation_from_quaternion(*(float(c) for c in quaternions[i])), centers[i])
             for i in range(start, end)
@@ -244,7 +245,9 @@ def real_fits() -> tuple[Superquadrics, ...]:
 def _varied(shape: Superquadrics, exponents: float, axes: float, rng: np.random.Generator) -> Superquadrics:
     """Return the shape with normal noise on its exponents, and relative noise on its semi-axes."""
     return Superquadrics(
-        exponents=np.clip(shape.exponents + rng.normal(0, exponents, shape.exponents.shape), MIN_EXPONENT, MAX_EXPONENT),
+        exponents=np.clip(
+            shape.exponents + rng.normal(0, exponents, shape.exponents.shape), MIN_EXPONENT, MAX_EXPONENT
+        ),
         semi_axes_m=shape.semi_axes_m * np.exp(rng.normal(0, axes, shape.semi_axes_m.shape)),
         world_from_local=shape.world_from_local,
     )
