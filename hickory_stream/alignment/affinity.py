@@ -54,7 +54,8 @@ class Affinity:
     """C candidate pairs and how they agree.
 
     `pairs` (C, 2) are indices into the two maps; `log_ranks` (C,) the logarithms of their ranks, at most 0. The graph
-    is in compressed rows: the neighbours of c are `neighbors[starts[c]:starts[c + 1]]`, ascending, with `weights` in 0..1;
+    is in compressed rows: the neighbours of c are `neighbors[starts[c]:starts[c + 1]]`, ascending, with `weights` in
+    0..1;
     whatever is not listed contradicts c.
     """
 
@@ -130,9 +131,14 @@ def _log_ranks(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def build_affinity(
-    map_a: ObjectMap, map_b: ObjectMap, ranks: NDArray[np.float64], config: AffinityConfig, *, is_level: bool
+    centroids_a: NDArray[np.float64],
+    centroids_b: NDArray[np.float64],
+    ranks: NDArray[np.float64],
+    config: AffinityConfig,
+    *,
+    is_level: bool,
 ) -> Affinity:
-    """Return the graph over the best pairs by rank (N, M).
+    """Return the graph over the best pairs by rank (N, M) of objects at (N, 3) and (M, 3) places.
 
     Where both maps know gravity (`is_level`), the horizontal and the vertical part of a distance must agree each on its
     own, the vertical one up to the tilt times the horizontal distance; otherwise the distance as a whole.
@@ -140,8 +146,8 @@ def build_affinity(
     pairs = _candidates(ranks, config)
     index = np.full(ranks.shape, -1, dtype=np.int32)
     index[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
-    along_a, up_a = _distances(map_a.centroids, is_level)
-    along_b, up_b = _distances(map_b.centroids, is_level)
+    along_a, up_a = _distances(centroids_a, is_level)
+    along_b, up_b = _distances(centroids_b, is_level)
     order_b = np.argsort(along_b, axis=1, kind="stable")
     sorted_b = np.take_along_axis(along_b, order_b, axis=1)
     sorted_up_b = np.take_along_axis(up_b, order_b, axis=1)

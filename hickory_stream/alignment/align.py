@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
 
     ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
+
+
+# Some tests are spared where the evidence is so many times what is asked for, in decades.
+_CLEAR, _SURE = 3.0, 4.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -103,10 +107,10 @@ def align(
     if refusal is not None:
         return refusal
     evidence, scores = evidence_of(map_a, map_b, config, shape_scores)
-    found = _searched(map_a, map_b, evidence, config, is_level=True)
-    if not found or not _shows_gravity(map_a, evidence, found[0], config):
+    found = _searched(evidence, config, is_level=True)
+    if not found or not _shows_gravity(evidence, found[0], config):
         # The maps may be tilted against one another after all.
-        found = _ordered(found + _searched(map_a, map_b, evidence, config, is_level=False), map_b, config)
+        found = _ordered(found + _searched(evidence, config, is_level=False), evidence, config)
     judged = _confronted(map_a, map_b, found, config)
     refusal = _refused(map_a, judged, evidence, scores.notes, config)
     return _answered(map_a, map_b, scores, evidence, judged, config) if refusal is None else refusal
@@ -161,11 +165,11 @@ def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: Al
     )
 
 
-def _searched(
-    map_a: ObjectMap, map_b: ObjectMap, evidence: Evidence, config: AlignConfig, *, is_level: bool
-) -> list[Hypothesis]:
+def _searched(evidence: Evidence, config: AlignConfig, *, is_level: bool) -> list[Hypothesis]:
     """Return the distinct hypotheses, the least easily chance first."""
-    affinity = build_affinity(map_a, map_b, evidence.log_ranks, config.affinity, is_level=is_level)
+    affinity = build_affinity(
+        evidence.centroids_a, evidence.centroids_b, evidence.log_ranks, config.affinity, is_level=is_level
+    )
     alive = np.ones(len(affinity), dtype=bool)
     found: list[Hypothesis] = []
     for _ in range(config.acceptance.num_rivals):
@@ -179,7 +183,7 @@ def _searched(
         if hypothesis is not None:
             found.append(hypothesis)
             alive &= ~_explained(affinity, hypothesis, evidence)
-        found = _ordered(found, map_b, config)
+        found = _ordered(found, evidence, config)
     return found
 
 
@@ -198,14 +202,14 @@ def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
     """Return whether no further rival can matter: the next clique is lighter than those that were found."""
     acceptance = config.acceptance
     best, second = found[0].log10_chance, found[1].log10_chance
-    return best < 3 * acceptance.max_log10_chance and second - best > 3 * acceptance.min_margin
+    return best < _CLEAR * acceptance.max_log10_chance and second - best > _CLEAR * acceptance.min_margin
 
 
-def _shows_gravity(map_a: ObjectMap, evidence: Evidence, best: Hypothesis, config: AlignConfig) -> bool:
+def _shows_gravity(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> bool:
     """Return whether a level hypothesis would not hold if the maps were tilted: many pairs, spread to all sides."""
-    if best.log10_chance > 3 * config.acceptance.max_log10_chance:
+    if best.log10_chance > _CLEAR * config.acceptance.max_log10_chance:
         return False
-    points = map_a.centroids[best.pairs[:, 0]]
+    points = evidence.centroids_a[best.pairs[:, 0]]
     total = information(points, np.full(len(points), evidence.sigma_m), points.mean(axis=0))
     tilts = np.linalg.pinv(total)[:2, :2]
     is_fixed = np.linalg.matrix_rank(total) == 6
@@ -218,12 +222,12 @@ def _explained(affinity: Affinity, hypothesis: Hypothesis, evidence: Evidence) -
     return np.asarray((offsets**2).sum(axis=1) < (evidence.gate * evidence.sigma_m) ** 2)
 
 
-def _ordered(found: list[Hypothesis], map_b: ObjectMap, config: AlignConfig) -> list[Hypothesis]:
+def _ordered(found: list[Hypothesis], evidence: Evidence, config: AlignConfig) -> list[Hypothesis]:
     """Return the hypotheses that differ from every better one."""
     acceptance = config.acceptance
     distinct: list[Hypothesis] = []
     for hypothesis in sorted(found, key=lambda h: h.log10_chance):
-        center_b = map_b.centroids[hypothesis.pairs[:, 1]].mean(axis=0)
+        center_b = evidence.centroids_b[hypothesis.pairs[:, 1]].mean(axis=0)
         if all(
             differs(
                 hypothesis.a_from_b,
@@ -310,6 +314,9 @@ def _refused(
     if turn_deg > acceptance.max_turn_deg:
         reason = f"the {len(points)} pairs leave the rotation uncertain by {turn_deg:.1f} degrees"
         return refusal(Refusal.UNCERTAIN, reason)
+    if _is_mirrored(best, evidence, config):
+        reason = f"the mirror image of one map fits the other better than its {len(best.pairs)} pairs do"
+        return refusal(Refusal.MIRRORED, reason)
     if _margin(judged) < acceptance.min_margin:
         reason = f"a different alignment is nearly as good: only 10^{_margin(judged):.1f} times as easily chance"
         return refusal(Refusal.RIVAL, reason)
@@ -348,6 +355,18 @@ def _answered(
         is_refined=finer is not None,
         notes=scores.notes,
     )
+
+
+def _is_mirrored(best: Hypothesis, evidence: Evidence, config: AlignConfig) -> bool:
+    """Return whether the mirror image of map b is the better explanation: what lies along the mirror fits both.
+
+    Not looked for where the pairs are too many to lie there by chance.
+    """
+    if best.log10_chance < _SURE * config.acceptance.max_log10_chance:
+        return False
+    mirrored = replace(evidence, centroids_b=evidence.centroids_b * (1.0, -1.0, 1.0))
+    found = _searched(mirrored, config, is_level=best.is_level)
+    return bool(found) and found[0].log10_chance < best.log10_chance
 
 
 def _margin(judged: tuple[_Judged, ...]) -> float:

@@ -26,6 +26,7 @@ class Refusal(StrEnum):
     COLLINEAR = "collinear"
     UNCERTAIN = "uncertain"
     RIVAL = "rival"
+    MIRRORED = "mirrored"
     CONTRADICTED = "contradicted"
 
 

@@ -26,7 +26,7 @@ _NEW_M = 0.02
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MergedObject:
-    """An object of the merged map; `needs_shape`: what its shape was made of has changed so much that it must be redone."""
+    """An object of the merged map; `needs_shape`: so much was learnt of it that its shape must be made anew."""
 
     item: TrackedObject
     needs_shape: bool

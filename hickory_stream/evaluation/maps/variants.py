@@ -46,6 +46,13 @@ def bent_map(objects: ObjectMap, yaw_deg_per_m: float) -> ObjectMap:
     return _placed(objects, poses, np.eye(4))
 
 
+def mirrored_map(objects: ObjectMap) -> ObjectMap:
+    """Return the map with every object at its mirrored place (x to -x), as it is: no motion leads there."""
+    poses = np.broadcast_to(np.eye(4), (len(objects), 4, 4)).copy()
+    poses[:, 0, 3] = -2 * objects.centroids[:, 0]
+    return replace(_placed(objects, poses, np.eye(4)), submaps=())
+
+
 def _placed(
     objects: ObjectMap, new_from_old: NDArray[np.float64], submaps_new_from_old: NDArray[np.float64]
 ) -> ObjectMap:
