@@ -30,7 +30,7 @@ class Refusal(StrEnum):
     CONTRADICTED = "contradicted"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class MatchedPair:
     """One object in both maps: its ids, its scores in 0..1 (None where unknown) and what is left between the two."""
 
@@ -42,7 +42,7 @@ class MatchedPair:
     residual_m: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Contradictions:
     """The check by what should have been seen: objects of one map whose place the other map saw.
 

@@ -75,6 +75,9 @@ def _missing(
         cells = _cells(points_other, submap)
         is_free |= contains(submap.observed_space.free, keys_of_cells(cells))
         is_solid |= _is_near(_solid(submap, other), cells)
+    for points, box in zip(other.points, other.boxes, strict=True):
+        if points is None:
+            is_solid |= box.contains(points_other)
     looked_at, missed = is_free | is_solid, is_free & ~is_solid
     count = len(objects)
     totals = np.bincount(owners, minlength=count)

@@ -126,7 +126,7 @@ class _Surface:
     def normal_equations(
         self, a_from_b: NDArray[np.float64], center_a: NDArray[np.float64], scale_m: float, config: RefinementConfig
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the information (6, 6) and the gain (6,) that this surface gives on a turn about the centre and shift."""
+        """Return the information (6, 6) and the gain (6,) that this gives on a turn about the centre and a shift."""
         places, distances, normals, gaps = self.residuals(a_from_b)
         # Geman and McClure: a gap of `scale_m` counts a quarter, one of many a nothing.
         weights = 1.0 / (1.0 + (gaps / scale_m) ** 2) ** 2

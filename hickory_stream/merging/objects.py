@@ -84,7 +84,8 @@ def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: flo
         best_view=replace(max(scored, key=lambda view: view.score or 0.0), object_id=first.id) if scored else None,
         shape=shape,
     )
-    needs_shape = shape is None or _new_share(keeper.points_world, points) > changed_share
+    # Without views there is nothing to make a shape of but what made none before.
+    needs_shape = bool(views) and (shape is None or _new_share(keeper.points_world, points) > changed_share)
     return MergedObject(item=item, needs_shape=needs_shape)
 
 
