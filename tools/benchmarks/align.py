@@ -30,7 +30,7 @@ from hickory_stream.engine.session import open_map
 from hickory_stream.evaluation.maps.moved_source import MovedSource
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
 from hickory_stream.evaluation.maps.trial import error_of, noise_floor, run_trial
-from hickory_stream.evaluation.maps.variants import random_frame
+from hickory_stream.evaluation.maps.variants import bent_map, random_frame
 from hickory_stream.evaluation.worlds.cache import cached_recording, recording_name
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.geometry.rigid import apply, invert
@@ -55,6 +55,7 @@ J, R = TypeVar("J"), TypeVar("R")
 _MAPS = ROOT / "out" / "maps"
 _APARTMENTS = 4
 _TIMED = (40, 160, 320)
+_DRIFT_DEG_PER_M = 0.3
 _ABLATED: tuple[Method, ...] = ("sq", "semantic", "bbox", "sq-paper", "ransac")
 
 
@@ -254,7 +255,11 @@ def _of_apartments(options: Options) -> list[Figure]:
         )
     if not maps:
         return []
-    figures = [_figure("apartments_found", found, "", "higher")]
+    bent = [align(map_a, bent_map(map_b, _DRIFT_DEG_PER_M)) for map_a, map_b in maps.values()]
+    figures = [
+        _figure("apartments_found", found, "", "higher"),
+        _figure("apartments_found_drifting", sum(isinstance(one, Alignment) for one in bent), "", "higher"),
+    ]
     if errors:
         figures += [
             _figure("apartments_trans_m", np.mean([e.translation_m for e in errors]), "m", "lower"),
