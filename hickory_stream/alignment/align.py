@@ -207,7 +207,7 @@ def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
 
 def _shows_gravity(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> bool:
     """Return whether a level hypothesis would not hold if the maps were tilted: many pairs, spread to all sides."""
-    if best.log10_chance > _CLEAR * config.acceptance.max_log10_chance:
+    if not best.is_level or best.log10_chance > _CLEAR * config.acceptance.max_log10_chance:
         return False
     points = evidence.centroids_a[best.pairs[:, 0]]
     total = information(points, np.full(len(points), evidence.sigma_m), points.mean(axis=0))

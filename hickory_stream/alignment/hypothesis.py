@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.acceptance import Chance
 
-_ROUNDS = 4
+_ROUNDS = 8
 _FAR = 1e6
 
 
