@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import MapSnapshot
 
-pytestmark = pytest.mark.timeout(90)
+pytestmark = pytest.mark.timeout(150)
 
 B_FROM_WORLD = frame(35, 1, 2)
 

@@ -17,7 +17,7 @@ from hickory_stream.evaluation.maps.variants import bent_map, mirrored_map, move
 from hickory_stream.geometry.rigid import apply, invert
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 
-pytestmark = pytest.mark.timeout(60)
+pytestmark = pytest.mark.timeout(150)
 
 
 def aligned(answer: Alignment | NoAlignment) -> Alignment:

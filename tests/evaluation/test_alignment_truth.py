@@ -20,7 +20,7 @@ from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 if TYPE_CHECKING:
     from pathlib import Path
 
-pytestmark = pytest.mark.timeout(60)
+pytestmark = pytest.mark.timeout(150)
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import MapSnapshot
 
-pytestmark = pytest.mark.timeout(90)
+pytestmark = pytest.mark.timeout(150)
 
 ITEMS = furniture(16, 7)
 B_FROM_WORLD, C_FROM_WORLD = frame(70, 2, -1), frame(-130, 0.5, 3)
