@@ -59,6 +59,17 @@ _DRIFT_DEG_PER_M = 0.3
 _ABLATED: tuple[Method, ...] = ("sq", "semantic", "bbox", "sq-paper", "ransac")
 
 
+# In a process of its own that imports nothing but what is measured.
+_PEAK = """
+import resource, sys
+from hickory_stream.alignment.align import align
+from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
+pair = simulate_pair(SimulationConfig(num_objects=320, difficulty="hard"), int(sys.argv[1]))
+align(pair.map_a, pair.map_b)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Set:
     """Trials of one kind: `quick` and `full` say how many."""
@@ -206,8 +217,9 @@ def _of_times(options: Options) -> list[Figure]:
     for size in _TIMED:
         seconds = [_seconds(size, _seed(options.seed, i)) for i in range(2 if options.quick else 5)]
         figures.append(_figure(f"seconds_{size}", float(np.median(seconds)), "s", "lower"))
-    code = f"from tools.benchmarks.align import print_peak; print_peak({_seed(options.seed, 0)})"
-    told = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    told = subprocess.run(
+        [sys.executable, "-c", _PEAK, str(_seed(options.seed, 0))], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
     return [*figures, _figure("rss_320_mb", float(told), "MB", "lower")]
 
 
@@ -220,15 +232,6 @@ def _seconds(size: int, seed: int) -> float:
         align(pair.map_a, pair.map_b)
         taken.append(time.process_time() - started)
     return min(taken)
-
-
-def print_peak(seed: int) -> None:
-    """Print the most memory, in MB, that this process has held after aligning two hard maps of 320 objects."""
-    import resource
-
-    pair = simulate_pair(SimulationConfig(num_objects=320, difficulty="hard"), seed)
-    align(pair.map_a, pair.map_b)
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 # ---- apartments -----------------------------------------------------------------------------------------------------
