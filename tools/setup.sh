@@ -23,6 +23,7 @@ if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$want" ]; then
     # Compiled kernels are cached beside their modules: the first real run then starts at once.
     warm=$(mktemp -d)
     .venv/bin/hickory-stream play recordings/demo.mcap --frames 12 --out "$warm/map" --viewer none --json >/dev/null 2>&1 || true
+    .venv/bin/hickory-stream align "$warm/map" "$warm/map" >/dev/null 2>&1 || true
     rm -rf "$warm"
     echo "$want" > "$stamp"
 fi

@@ -8,15 +8,19 @@ from typing import TypeAlias
 
 from hickory_stream import __version__
 from hickory_stream.cli import (
+    align,
     config,
     diff,
     doctor,
     evaluate,
+    evaluate_alignment,
     evaluate_views,
     export,
     inspect,
+    merge,
     play,
     reconstruct,
+    relocalise,
     render,
     replay,
     resume,
@@ -24,7 +28,24 @@ from hickory_stream.cli import (
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
-_COMMANDS = (play, resume, replay, doctor, inspect, render, export, diff, reconstruct, evaluate, evaluate_views, config)
+_COMMANDS = (
+    play,
+    resume,
+    replay,
+    doctor,
+    inspect,
+    render,
+    export,
+    diff,
+    align,
+    merge,
+    relocalise,
+    reconstruct,
+    evaluate,
+    evaluate_views,
+    evaluate_alignment,
+    config,
+)
 
 
 def make_parser() -> argparse.ArgumentParser:

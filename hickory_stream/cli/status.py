@@ -1,3 +1,4 @@
 """The exit statuses that are not a failure's own."""
 
 STOPPED = 130
+NO_ALIGNMENT = 3

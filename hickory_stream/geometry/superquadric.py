@@ -124,6 +124,14 @@ def support(primitives: Superquadrics, index: int, directions_world: NDArray[Any
     return np.asarray(directions @ pose[:3, 3] + reach)
 
 
+def support_reach(primitives: Superquadrics, directions_world: NDArray[Any]) -> NDArray[np.float64]:
+    """Return (K, N) max of d . (p - centre) over each of K primitives, for (N, 3) directions of any length."""
+    directions = np.asarray(directions_world, dtype=np.float64)
+    scaled = np.abs(directions @ primitives.world_from_local[:, :3, :3]) * primitives.semi_axes_m[:, None]
+    e1, e2 = primitives.exponents[:, :1], primitives.exponents[:, 1:]
+    return _dual_norm(_dual_norm(scaled[..., 0], scaled[..., 1], e2), scaled[..., 2], e1)
+
+
 def world_bounds(primitives: Superquadrics) -> NDArray[np.float64]:
     """Return the (N, 2, 3) tight axis-aligned bounds in the world: lowest corner, highest corner."""
     bounds = np.empty((len(primitives), 2, 3))
@@ -180,9 +188,9 @@ def _sphere_faces(rings: int, segments: int) -> NDArray[np.int32]:
     return np.concatenate(faces).astype(np.int32)
 
 
-def _dual_norm(a: NDArray[np.float64], b: NDArray[np.float64], exponent: float) -> NDArray[np.float64]:
+def _dual_norm(a: NDArray[np.float64], b: NDArray[np.float64], exponent: Any) -> NDArray[np.float64]:
     """Return the q-norm of (a, b), both at least 0, for q = 2/(2 - exponent): from the sum towards the maximum."""
     largest = np.maximum(a, b)
     ratio = np.minimum(a, b) / np.maximum(largest, _TINY)
-    q = 2 / max(2 - exponent, 1e-3)
+    q = 2 / np.maximum(2 - exponent, 1e-3)
     return np.asarray(largest * (1 + ratio**q) ** (1 / q))

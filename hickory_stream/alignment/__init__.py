@@ -1,0 +1,1 @@
+"""Where two maps of objects overlap: scores, consensus, acceptance, refinement."""

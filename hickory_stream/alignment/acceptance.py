@@ -1,0 +1,126 @@
+"""How many sets of pairs as good as this one two unrelated maps would have: the a-contrario test.
+
+In unrelated maps of N and M objects, whatever pairs of objects look alike, it is chance whether they also stand alike.
+The expected number of sets of k pairs that look and stand at least as well as those found is
+
+    N! M! / ((N - k)! (M - k)! k!)   sets of k pairs without a common object
+    x Q(k, -sum ln u)                of which so many rank as high (Fisher: u is the share of pairs that look as alike)
+    x o B(R) / V^(k - 1)             of which so many stand as alike.
+
+B(R) is the ball of the residual's norm R in the 3 k - d dimensions that a transform of d parameters leaves, o the
+volume of the transforms with their leverage on the k points, V the volume that objects stand in. Four pairs are proof
+where few pairs look alike, and chance where many do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import gammaln
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_LEVEL_PARAMETERS, _TILTED_PARAMETERS = 4, 6
+_NEAR_M, _NEAR_UP_M = 2.0, 0.3
+_MIN_VOLUME_M3, _MIN_RESIDUAL_M = 1.0, 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Chance:
+    """What decides how likely a coincidence is: the numbers of objects, and the volume that they stand in.
+
+    A tilted transform, of up to `max_tilt_rad`, is `tilt_price` times as easily chance as a level one.
+    """
+
+    num_a: int
+    num_b: int
+    volume_m3: float
+    max_tilt_rad: float
+    tilt_price: float = 1.0
+
+
+def log_expected_sets(
+    chance: Chance,
+    log_ranks: NDArray[np.float64],
+    square_sums_m2: NDArray[np.float64],
+    scatters_m2: NDArray[np.float64],
+    *,
+    is_level: bool,
+) -> NDArray[np.float64]:
+    """Return (K,) natural logarithms of the expected number of sets as good as the first 1, 2, ... K pairs.
+
+    Args:
+        chance: the two maps.
+        log_ranks: (K,) of each pair.
+        square_sums_m2: (K,) sums of squared residuals of the first k pairs.
+        scatters_m2: (K, 3, 3) sums of the outer products of the first k points about their mean.
+        is_level: which transforms were fitted.
+    """
+    k = np.arange(1, len(log_ranks) + 1, dtype=np.float64)
+    sets = _log_falling(chance.num_a, k) + _log_falling(chance.num_b, k) - gammaln(k + 1)
+    looks = _log_upper_gamma(k, -np.cumsum(log_ranks))
+    stands = _log_geometry(chance, k, square_sums_m2, scatters_m2, is_level)
+    expected = sets + looks + stands + np.log(len(k) * (1.0 if is_level else chance.tilt_price))
+    # Below this number of pairs any set fits.
+    parameters = _LEVEL_PARAMETERS if is_level else _TILTED_PARAMETERS
+    return np.where(3 * k >= parameters + 5, expected, np.inf)
+
+
+def effective_volume_m3(centroids: NDArray[np.float64]) -> float:
+    """Return the volume that (N, 3) objects stand in, as far as coincidences go: 1 / the integral of density squared.
+
+    Measured by how many pairs of objects are near one another, level and upright apart: where objects crowd, it is
+    smaller than the room.
+    """
+    count = len(centroids)
+    if count < 2:
+        return _MIN_VOLUME_M3
+    first, second = np.triu_indices(count, 1)
+    offsets = np.abs(centroids[first] - centroids[second])
+    level = np.hypot(offsets[:, 0], offsets[:, 1])
+    # One pair more than was seen: a bound for few objects.
+    area_m2 = np.pi * _NEAR_M**2 * len(first) / (np.count_nonzero(level < _NEAR_M) + 1)
+    height_m = 2 * _NEAR_UP_M * len(first) / (np.count_nonzero(offsets[:, 2] < _NEAR_UP_M) + 1)
+    return max(float(area_m2 * height_m), _MIN_VOLUME_M3)
+
+
+def _log_falling(count: int, k: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ln of count! / (count - k)!."""
+    return np.asarray(gammaln(count + 1) - gammaln(np.maximum(count - k, 0) + 1))
+
+
+def _log_upper_gamma(k: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ln Q(k, total): how likely k uniform numbers have a product of at most exp(-total)."""
+    terms = np.arange(len(k))
+    logs = terms * np.log(np.maximum(total, 1e-300))[:, None] - gammaln(terms + 1)
+    logs = np.where(terms < k[:, None], logs, -np.inf)
+    largest = logs.max(axis=1)
+    return np.minimum(largest + np.log(np.exp(logs - largest[:, None]).sum(axis=1)) - total, 0.0)
+
+
+def _log_geometry(
+    chance: Chance,
+    k: NDArray[np.float64],
+    square_sums_m2: NDArray[np.float64],
+    scatters_m2: NDArray[np.float64],
+    is_level: bool,
+) -> NDArray[np.float64]:
+    level_spread = scatters_m2[:, 0, 0] + scatters_m2[:, 1, 1]
+    if is_level:
+        leverage = np.log(2 * np.pi) + 0.5 * np.log(np.maximum(level_spread, 1e-6))
+        freedom = 3 * k - _LEVEL_PARAMETERS
+    else:
+        trace = np.trace(scatters_m2, axis1=1, axis2=2)
+        inertia = trace[:, None, None] * np.eye(3) - scatters_m2
+        tilts = np.log(2 * np.pi * (1 - np.cos(chance.max_tilt_rad)))
+        determinant = np.maximum(np.linalg.det(inertia), 1e-9)
+        leverage = np.log(2 * np.pi) + tilts + 0.5 * np.log(determinant)
+        freedom = 3 * k - _TILTED_PARAMETERS
+    freedom = np.maximum(freedom, 0)
+    radius_m = np.sqrt(np.maximum(square_sums_m2, k * _MIN_RESIDUAL_M**2))
+    ball = freedom / 2 * np.log(np.pi) - gammaln(freedom / 2 + 1) + freedom * np.log(radius_m)
+    logs = leverage + 1.5 * np.log(k) + ball - (k - 1) * np.log(chance.volume_m3)
+    return np.asarray(np.minimum(logs, 0.0))

@@ -1,0 +1,198 @@
+"""Find where two maps overlap, say how sure, and refuse when they do not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.alignment.acceptance import Chance, effective_volume_m3
+from hickory_stream.alignment.affinity import (
+    AffinityConfig,
+    fused_log_ranks,
+    semantic_scores,
+    why_no_semantics,
+)
+from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
+from hickory_stream.alignment.consensus import ConsensusConfig
+from hickory_stream.alignment.contradiction import ContradictionConfig
+from hickory_stream.alignment.hypothesis import Evidence
+from hickory_stream.alignment.judgement import (
+    AcceptanceConfig,
+    Judged,
+    centroid_covariance,
+    confronted,
+    margin_of,
+    why_refused,
+)
+from hickory_stream.alignment.refinement import RefinementConfig, refined
+from hickory_stream.alignment.search import hypotheses_of
+from hickory_stream.alignment.shape_scores import superquadric_scores
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.hypothesis import Hypothesis
+    from hickory_stream.alignment.object_map import ObjectMap
+
+    ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AlignConfig:
+    """Everything that alignment is configured by."""
+
+    affinity: AffinityConfig = field(default_factory=AffinityConfig)
+    consensus: ConsensusConfig = field(default_factory=ConsensusConfig)
+    acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
+    contradiction: ContradictionConfig = field(default_factory=ContradictionConfig)
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PairScores:
+    """The unary scores of all pairs, (N, M) each, None where a map lacks what it takes, and what that was."""
+
+    semantic: NDArray[np.float64] | None
+    geometric: NDArray[np.float64] | None
+    log_ranks: NDArray[np.float64]
+    notes: tuple[str, ...]
+
+
+def align(
+    map_a: ObjectMap,
+    map_b: ObjectMap,
+    config: AlignConfig | None = None,
+    shape_scores: ShapeScores | None = superquadric_scores,
+) -> Alignment | NoAlignment:
+    """Return where map b lies in map a; `NoAlignment` with the reason when that cannot be told.
+
+    Args:
+        map_a: N objects; its frame is the one of the answer.
+        map_b: M objects.
+        config: the defaults where it is None.
+        shape_scores: how shapes are compared; None for not at all.
+    """
+    config = AlignConfig() if config is None else config
+    refusal = _too_small(map_a, map_b, config)
+    if refusal is not None:
+        return refusal
+    evidence, scores = evidence_of(map_a, map_b, config, shape_scores)
+    judged = confronted(map_a, map_b, hypotheses_of(evidence, config), config)
+    refusal = why_refused(map_a, judged, evidence, scores.notes, config)
+    return _answered(map_a, map_b, scores, evidence, judged, config) if refusal is None else refusal
+
+
+def evidence_of(
+    map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape_scores: ShapeScores | None
+) -> tuple[Evidence, PairScores]:
+    """Return what hypotheses about two maps are judged by, and the scores of all pairs of objects."""
+    scores = _scored(map_a, map_b, shape_scores)
+    return _evidence(map_a, map_b, scores, config), scores
+
+
+# ---- the steps ------------------------------------------------------------------------------------------------------
+
+
+def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None) -> PairScores:
+    semantic = semantic_scores(map_a, map_b)
+    geometric = None if shape_scores is None else shape_scores(map_a, map_b)
+    if geometric is not None and not np.isfinite(geometric).any():
+        geometric = None
+    notes = [why_no_semantics(map_a, map_b)]
+    if geometric is None and shape_scores is not None:
+        notes.append("no two objects have shapes that can be compared: aligned without shapes")
+    ranks = fused_log_ranks((semantic, geometric), (len(map_a), len(map_b)))
+    return PairScores(
+        semantic=semantic,
+        geometric=geometric,
+        log_ranks=ranks,
+        notes=tuple(note for note in notes if note is not None),
+    )
+
+
+def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: AlignConfig) -> Evidence:
+    ranks = scores.log_ranks
+    share = min(max(int(config.affinity.candidate_share * ranks.size), 1), ranks.size) - 1
+    volume_m3 = np.sqrt(effective_volume_m3(map_a.centroids) * effective_volume_m3(map_b.centroids))
+    return Evidence(
+        centroids_a=map_a.centroids,
+        centroids_b=map_b.centroids,
+        log_ranks=ranks,
+        plausible=np.argwhere(ranks <= np.partition(ranks, share, axis=None)[share]),
+        sigma_m=float(np.sqrt(2.0) * config.affinity.centroid_m),
+        gate=config.affinity.gate + 0.5,
+        chance=Chance(
+            num_a=len(map_a),
+            num_b=len(map_b),
+            volume_m3=float(volume_m3),
+            max_tilt_rad=float(np.radians(config.acceptance.max_tilt_deg)),
+            tilt_price=10.0**config.acceptance.tilt_price,
+        ),
+    )
+
+
+def _answered(
+    map_a: ObjectMap,
+    map_b: ObjectMap,
+    scores: PairScores,
+    evidence: Evidence,
+    judged: tuple[Judged, ...],
+    config: AlignConfig,
+) -> Alignment:
+    best = judged[0].hypothesis
+    points = map_a.centroids[best.pairs[:, 0]]
+    finer = refined(
+        map_a,
+        map_b,
+        best.pairs,
+        best.a_from_b,
+        sigma_m=evidence.sigma_m,
+        tilt_sigma_rad=float(np.radians(config.affinity.level_tilt_deg)) if best.is_level else None,
+        config=config.refinement,
+    )
+    return Alignment(
+        a_from_b=best.a_from_b if finer is None else finer.a_from_b,
+        pairs=_matched_pairs(map_a, map_b, scores, best),
+        covariance=centroid_covariance(points, evidence, best, config) if finer is None else finer.covariance,
+        center_a=points.mean(axis=0),
+        log10_chance=judged[0].log10_chance,
+        margin=margin_of(judged),
+        rival=judged[1].hypothesis if len(judged) > 1 else None,
+        contradictions=judged[0].contradictions,
+        is_level=best.is_level,
+        is_refined=finer is not None,
+        notes=scores.notes,
+    )
+
+
+def _matched_pairs(
+    map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, hypothesis: Hypothesis
+) -> tuple[MatchedPair, ...]:
+    def known(values: NDArray[np.float64] | None, i: int, j: int) -> float | None:
+        return None if values is None or not np.isfinite(values[i, j]) else float(values[i, j])
+
+    return tuple(
+        MatchedPair(
+            id_a=int(map_a.ids[i]),
+            id_b=int(map_b.ids[j]),
+            semantic=known(scores.semantic, i, j),
+            geometric=known(scores.geometric, i, j),
+            rank=float(np.exp(rank)),
+            residual_m=float(residual),
+        )
+        for (i, j), rank, residual in zip(hypothesis.pairs, hypothesis.log_ranks, hypothesis.residuals_m, strict=True)
+    )
+
+
+def _too_small(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> NoAlignment | None:
+    for name, objects in (("a", map_a), ("b", map_b)):
+        if not len(objects):
+            return NoAlignment(refusal=Refusal.EMPTY, reason=f"map {name} holds no object")
+        if len(objects) < config.acceptance.min_pairs:
+            reason = f"map {name} holds {len(objects)} objects, {config.acceptance.min_pairs} pairs are needed"
+            return NoAlignment(refusal=Refusal.TOO_FEW_OBJECTS, reason=reason)
+    return None

@@ -1,0 +1,106 @@
+"""What `align` says: an `Alignment`, or a `NoAlignment` with its reason. Never the identity for "I do not know"."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.hypothesis import Hypothesis
+
+
+class Refusal(StrEnum):
+    """Why two maps were not aligned."""
+
+    EMPTY = "empty"
+    TOO_FEW_OBJECTS = "too-few-objects"
+    TOO_FEW_PAIRS = "too-few-pairs"
+    CHANCE = "chance"
+    COLLINEAR = "collinear"
+    UNCERTAIN = "uncertain"
+    RIVAL = "rival"
+    MIRRORED = "mirrored"
+    CONTRADICTED = "contradicted"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MatchedPair:
+    """One object in both maps: its ids, its scores in 0..1 (None where unknown) and what is left between the two."""
+
+    id_a: int
+    id_b: int
+    semantic: float | None
+    geometric: float | None
+    rank: float
+    residual_m: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Contradictions:
+    """The check by what should have been seen: objects of one map whose place the other map saw.
+
+    Of `num_expected` objects, `num_confirmed` are there (matched, or something solid), at `num_missing` there is free
+    space; `ids_a` and `ids_b` are those missing in the other map.
+    """
+
+    num_expected: int = 0
+    num_confirmed: int = 0
+    num_missing: int = 0
+    ids_a: tuple[int, ...] = ()
+    ids_b: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Alignment:
+    """Where map b lies in map a.
+
+    `a_from_b` (4, 4); `covariance` (6, 6) of a small turn (radians) about the pairs' centroid `center_a` (3,), then a
+    shift (metres), both in frame a; `log10_chance`: the logarithm of the number of sets of pairs as good as this one
+    that two unrelated maps would have; `margin`: by how much more (in the same logarithm) than the best distinct
+    `rival`; `notes` say what was missing or done differently.
+    """
+
+    a_from_b: NDArray[np.float64]
+    pairs: tuple[MatchedPair, ...]
+    covariance: NDArray[np.float64]
+    center_a: NDArray[np.float64]
+    log10_chance: float
+    margin: float
+    rival: Hypothesis | None
+    contradictions: Contradictions = field(default_factory=Contradictions)
+    is_level: bool = True
+    is_refined: bool = False
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self, "a_from_b", np.float64, (4, 4))
+        freeze(self, "covariance", np.float64, (6, 6))
+        freeze(self, "center_a", np.float64, (3,))
+
+    @property
+    def translation_sigma_m(self) -> float:
+        """The standard deviation of the shift, over all directions."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+    @property
+    def rotation_sigma_rad(self) -> float:
+        """The standard deviation of the turn, about all axes."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class NoAlignment:
+    """Why there is none: the reason, in a word and in a sentence, and the best hypotheses, the likeliest first."""
+
+    refusal: Refusal
+    reason: str
+    hypotheses: tuple[Hypothesis, ...] = ()
+    contradictions: Contradictions = field(default_factory=Contradictions)
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,116 @@
+"""Evidence against a transform: what one map holds and the other, which saw the place, does not.
+
+A point of an object is missed where the other map saw free space and nothing solid near by. An object most of whose
+points were looked at is expected to be there; it is missing when most of those points are missed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.alignment.answer import Contradictions
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.voxels import contains, keys_of_cells
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.object_map import ObjectMap
+    from hickory_stream.records import Submap
+
+_MAX_POINTS = 100
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ContradictionConfig:
+    """When an object counts as missing.
+
+    Attributes:
+        min_looked_at: an object is expected where at least this share of its points was looked at,
+        max_missed: and missing where more than this share of those is in free space.
+        price: each missing object makes an alignment 10^x times more easily chance.
+        max_missing: of the expected objects, at most this share may be missing,
+        min_expected: where at least so many are expected.
+    """
+
+    min_looked_at: float = 0.5
+    max_missed: float = 0.6
+    price: float = 0.5
+    max_missing: float = 0.4
+    min_expected: int = 5
+
+
+def contradictions(
+    map_a: ObjectMap, map_b: ObjectMap, a_from_b: NDArray[np.float64], config: ContradictionConfig
+) -> Contradictions:
+    """Return what speaks against a transform; all zero where a map has no observed space or no points."""
+    expected_a, missing_a = _missing(map_a, invert(a_from_b), map_b, config)
+    expected_b, missing_b = _missing(map_b, a_from_b, map_a, config)
+    num_missing = len(missing_a) + len(missing_b)
+    num_expected = expected_a + expected_b
+    return Contradictions(
+        num_expected=num_expected,
+        num_confirmed=num_expected - num_missing,
+        num_missing=num_missing,
+        ids_a=tuple(int(map_a.ids[i]) for i in missing_a),
+        ids_b=tuple(int(map_b.ids[i]) for i in missing_b),
+    )
+
+
+def _missing(
+    objects: ObjectMap, other_from_here: NDArray[np.float64], other: ObjectMap, config: ContradictionConfig
+) -> tuple[int, list[int]]:
+    """Return how many objects the other map should hold, and the indices of those that it does not."""
+    known = [(i, thinned(points)) for i, points in enumerate(objects.points) if points is not None]
+    if not known or not other.submaps:
+        return 0, []
+    owners = np.concatenate([np.full(len(points), i) for i, points in known])
+    points_other = apply(other_from_here, np.concatenate([points for _, points in known]).astype(np.float64))
+    is_free = np.zeros(len(owners), dtype=bool)
+    is_solid = np.zeros(len(owners), dtype=bool)
+    for submap in other.submaps:
+        cells = _cells(points_other, submap)
+        is_free |= contains(submap.observed_space.free, keys_of_cells(cells))
+        is_solid |= _is_near(_solid(submap, other), cells)
+    for points, box in zip(other.points, other.boxes, strict=True):
+        if points is None:
+            is_solid |= box.contains(points_other)
+    looked_at, missed = is_free | is_solid, is_free & ~is_solid
+    count = len(objects)
+    totals = np.bincount(owners, minlength=count)
+    seen, lost = np.bincount(owners[looked_at], minlength=count), np.bincount(owners[missed], minlength=count)
+    is_expected = (totals > 0) & (seen >= config.min_looked_at * totals)
+    is_missing = is_expected & (lost > config.max_missed * seen)
+    return int(is_expected.sum()), [int(i) for i in np.flatnonzero(is_missing)]
+
+
+def thinned(points: NDArray[np.float32], most: int = _MAX_POINTS) -> NDArray[np.float32]:
+    """Return at most `most` of the points, evenly taken."""
+    if len(points) <= most:
+        return points
+    return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
+
+
+def _solid(submap: Submap, objects: ObjectMap) -> NDArray[np.int64]:
+    """Return the sorted voxel keys, in a submap, of structure and objects."""
+    points = [points for points in objects.points if points is not None]
+    if not points:
+        return submap.observed_space.structure
+    return np.union1d(submap.observed_space.structure, keys_of_cells(_cells(np.concatenate(points), submap)))
+
+
+def _is_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which of (N, 3) cells are among the keys, or next to one of them."""
+    found = np.zeros(len(cells), dtype=bool)
+    for step in np.ndindex(3, 3, 3):
+        left = np.flatnonzero(~found)
+        found[left] = contains(sorted_keys, keys_of_cells(cells[left] + np.array(step) - 1))
+    return found
+
+
+def _cells(points_world: NDArray[Any], submap: Submap) -> NDArray[np.int64]:
+    local = apply(invert(submap.world_from_submap), points_world)
+    return np.floor(local / submap.observed_space.voxel_m).astype(np.int64)

@@ -1,0 +1,138 @@
+"""A transform between two maps, the pairs of objects that it explains, and how easily chance explains them, too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from hickory_stream.alignment.acceptance import log_expected_sets
+from hickory_stream.alignment.registration import registered
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import apply
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.acceptance import Chance
+
+_ROUNDS = 8
+_FAR = 1e6
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Hypothesis:
+    """One way to lay map b over map a.
+
+    `a_from_b` (4, 4); `pairs` (K, 2) indices into the maps, the surest first; `log_ranks` and `residuals_m` (K,) of
+    each; `log10_chance`: the logarithm of the number of sets of pairs that two unrelated maps would have, as good as
+    the best `num_proving` of these.
+    """
+
+    a_from_b: NDArray[np.float64]
+    pairs: NDArray[np.int64]
+    log_ranks: NDArray[np.float64]
+    residuals_m: NDArray[np.float64]
+    log10_chance: float
+    num_proving: int
+    is_level: bool
+
+    def __post_init__(self) -> None:
+        freeze(self, "a_from_b", np.float64, (4, 4))
+        freeze(self, "pairs", np.int64, (None, 2))
+        freeze(self, "log_ranks", np.float64, (len(self.pairs),))
+        freeze(self, "residuals_m", np.float64, (len(self.pairs),))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Evidence:
+    """What hypotheses are judged by: the centroids of both maps, the ranks (N, M) of all pairs, and chance.
+
+    `plausible` (P, 2) are the pairs that look alike enough to be matched; `sigma_m` is the standard deviation of a
+    residual on each axis, `gate` how many of them a residual may be.
+    """
+
+    centroids_a: NDArray[np.float64]
+    centroids_b: NDArray[np.float64]
+    log_ranks: NDArray[np.float64]
+    plausible: NDArray[np.int64]
+    sigma_m: float
+    gate: float
+    chance: Chance
+
+
+def grown(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hypothesis | None:
+    """Return the hypothesis that starts from `pairs` (K, 2): fitted, matched again and fitted until nothing changes.
+
+    None when fewer than two pairs are left.
+    """
+    for _ in range(_ROUNDS):
+        a_from_b = _fitted(evidence, pairs, is_level)
+        matched = _matched(evidence, a_from_b)
+        if len(matched) < 2:
+            return None
+        if np.array_equal(matched, pairs):
+            break
+        pairs = matched
+    a_from_b = _fitted(evidence, pairs, is_level)
+    return judged(evidence, a_from_b, pairs, is_level=is_level)
+
+
+def _fitted(evidence: Evidence, pairs: NDArray[np.int64], is_level: bool) -> NDArray[np.float64]:
+    points_a, points_b = evidence.centroids_a[pairs[:, 0]], evidence.centroids_b[pairs[:, 1]]
+    return registered(points_a, points_b, np.ones(len(pairs)), is_level=is_level)
+
+
+def _matched(evidence: Evidence, a_from_b: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the pairs (K, 2), in ascending order, that a transform explains: one-to-one, the best in all."""
+    moved = apply(a_from_b, evidence.centroids_b)
+    offsets = evidence.centroids_a[evidence.plausible[:, 0]] - moved[evidence.plausible[:, 1]]
+    squares = np.einsum("kc,kc->k", offsets, offsets) / evidence.sigma_m**2
+    fits = np.flatnonzero(squares < evidence.gate**2)
+    pairs = evidence.plausible[fits]
+    costs = squares[fits] / 2 + evidence.log_ranks[pairs[:, 0], pairs[:, 1]]
+    rows, row_of = np.unique(pairs[:, 0], return_inverse=True)
+    columns, column_of = np.unique(pairs[:, 1], return_inverse=True)
+    if len(rows) == len(columns) == len(pairs):
+        return pairs
+    # As many pairs as can be, and of those the cheapest.
+    table = np.zeros((len(rows), len(columns)))
+    table[row_of, column_of] = costs - _FAR
+    chosen_rows, chosen_columns = linear_sum_assignment(table)
+    is_pair = table[chosen_rows, chosen_columns] < 0
+    return np.stack([rows[chosen_rows[is_pair]], columns[chosen_columns[is_pair]]], axis=1)
+
+
+def judged(
+    evidence: Evidence, a_from_b: NDArray[np.float64], pairs: NDArray[np.int64], *, is_level: bool
+) -> Hypothesis:
+    """Return the hypothesis of a transform and its pairs (K, 2), K >= 1."""
+    points_a = evidence.centroids_a[pairs[:, 0]]
+    residuals = points_a - apply(a_from_b, evidence.centroids_b[pairs[:, 1]])
+    squares = (residuals**2).sum(axis=1)
+    ranks = evidence.log_ranks[pairs[:, 0], pairs[:, 1]]
+    # The surest first: pairs are judged as the best k of them, for every k.
+    order = np.lexsort((pairs[:, 0], squares / (2 * evidence.sigma_m**2) + ranks))
+    pairs, squares, ranks, points_a = pairs[order], squares[order], ranks[order], points_a[order]
+    logs = log_expected_sets(evidence.chance, ranks, np.cumsum(squares), _running_scatters(points_a), is_level=is_level)
+    best = int(np.argmin(logs))
+    return Hypothesis(
+        a_from_b=a_from_b,
+        pairs=pairs,
+        log_ranks=ranks,
+        residuals_m=np.sqrt(squares),
+        log10_chance=float(logs[best] / np.log(10.0)),
+        num_proving=best + 1,
+        is_level=is_level,
+    )
+
+
+def _running_scatters(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (K, 3, 3): of the first k points, the sum of outer products about their mean."""
+    k = np.arange(1, len(points) + 1)
+    offsets = points - points.mean(axis=0)
+    products = np.cumsum(offsets[:, :, None] * offsets[:, None], axis=0)
+    means = np.cumsum(offsets, axis=0) / k[:, None]
+    return np.asarray(products - k[:, None, None] * means[:, :, None] * means[:, None])

@@ -1,0 +1,232 @@
+"""A transform made finer: the surfaces of matched objects laid on one another.
+
+Points of each object are paired with the nearest of its partner alone, and their distances along its normals made
+small, those that are far counting for little: each map saw other sides of an object. The centroids stay in as a prior,
+gravity as well. The result is kept only where more of the surfaces meet than before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from hickory_stream.alignment.contradiction import thinned
+from hickory_stream.alignment.registration import information
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.object_map import ObjectMap
+
+
+_MAX_POINTS = 400
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RefinementConfig:
+    """How surfaces are laid on one another.
+
+    Attributes:
+        rounds: at most so many times points are paired anew.
+        first_m, last_m: a distance counts half at this length, in the first and in the last round.
+        surface_m: standard deviation of a surface that many points fixed: what no number of points makes better.
+        min_points: an object with fewer takes no part.
+        neighbors: points that a normal is made of.
+    """
+
+    rounds: int = 12
+    first_m: float = 0.08
+    last_m: float = 0.015
+    surface_m: float = 0.01
+    min_points: int = 30
+    neighbors: int = 12
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Refined:
+    """A finer transform, its covariance (6, 6) about the pairs' centroid in a, and how much better it is.
+
+    `met_before` and `met_after` are the shares of the surfaces' points that meet.
+    """
+
+    a_from_b: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    met_before: float
+    met_after: float
+
+
+def refined(
+    map_a: ObjectMap,
+    map_b: ObjectMap,
+    pairs: NDArray[np.int64],
+    a_from_b: NDArray[np.float64],
+    *,
+    sigma_m: float,
+    tilt_sigma_rad: float | None,
+    config: RefinementConfig,
+) -> Refined | None:
+    """Return the finer transform; None where too few points are there, or fewer of them meet afterwards.
+
+    Args:
+        map_a: the map that stays.
+        map_b: the map that is moved.
+        pairs: (K, 2) indices of matched objects.
+        a_from_b: where to start, the best by the centroids.
+        sigma_m: standard deviation of the centroids' distances.
+        tilt_sigma_rad: that of the tilt, where gravity is known.
+        config: how.
+    """
+    surfaces = _surfaces(map_a, map_b, pairs, config)
+    if not surfaces:
+        return None
+    center_a = map_a.centroids[pairs[:, 0]].mean(axis=0)
+    prior = _prior(map_a, pairs, center_a, sigma_m, tilt_sigma_rad)
+    start, current = a_from_b, a_from_b
+    met_before = _met(surfaces, start, config)
+    for scale_m in np.geomspace(config.first_m, config.last_m, config.rounds):
+        own, gains = _normal_equations(surfaces, current, center_a, float(scale_m), config)
+        gain = gains.sum(axis=0) - prior @ _twist(current, start, center_a)
+        current = _moved(current, np.asarray(np.linalg.solve(prior + own, gain), dtype=np.float64), center_a)
+    met_after = _met(surfaces, current, config)
+    if met_after <= met_before:
+        return None
+    own, gains = _normal_equations(surfaces, current, center_a, config.last_m, config)
+    covariance = _covariance(prior + own, gains)
+    return Refined(a_from_b=current, covariance=covariance, met_before=met_before, met_after=met_after)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Surface:
+    """One matched object: points (P, 3) and normals of it in a, points (Q, 3) and normals in b, and trees of both."""
+
+    points_a: NDArray[np.float64]
+    normals_a: NDArray[np.float64]
+    points_b: NDArray[np.float64]
+    normals_b: NDArray[np.float64]
+    tree_a: cKDTree
+    tree_b: cKDTree
+
+    def residuals(
+        self, a_from_b: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return, for the points of both in frame a: where they are, their normals' distances, normals, gaps."""
+        moved = apply(a_from_b, self.points_b)
+        gaps_b, nearest_a = self.tree_a.query(moved)
+        gaps_a, nearest_b = self.tree_b.query(apply(invert(a_from_b), self.points_a))
+        normals = np.concatenate([self.normals_a[nearest_a], self.normals_b[nearest_b] @ a_from_b[:3, :3].T])
+        offsets = np.concatenate([self.points_a[nearest_a] - moved, self.points_a - moved[nearest_b]])
+        places = np.concatenate([moved, moved[nearest_b]])
+        return places, np.einsum("nc,nc->n", offsets, normals), normals, np.concatenate([gaps_b, gaps_a])
+
+    def normal_equations(
+        self, a_from_b: NDArray[np.float64], center_a: NDArray[np.float64], scale_m: float, config: RefinementConfig
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the information (6, 6) and the gain (6,) that this gives on a turn about the centre and a shift."""
+        places, distances, normals, gaps = self.residuals(a_from_b)
+        # Geman and McClure: a gap of `scale_m` counts a quarter, one of many a nothing.
+        weights = 1.0 / (1.0 + (gaps / scale_m) ** 2) ** 2
+        rows = np.hstack([np.cross(places - center_a, normals), normals])
+        # The points of a surface err together: many of them are worth as much as a few.
+        weights = weights * min(1.0, 100.0 / len(gaps)) / (config.surface_m**2 + (scale_m / 3) ** 2)
+        return (rows * weights[:, None]).T @ rows, (rows * weights[:, None]).T @ distances
+
+
+def _normal_equations(
+    surfaces: list[_Surface],
+    a_from_b: NDArray[np.float64],
+    center_a: NDArray[np.float64],
+    scale_m: float,
+    config: RefinementConfig,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the information (6, 6) that all surfaces give together, and the gain (K, 6) of each."""
+    parts = [surface.normal_equations(a_from_b, center_a, scale_m, config) for surface in surfaces]
+    return np.sum([own for own, _ in parts], axis=0), np.array([gain for _, gain in parts])
+
+
+def _covariance(total: NDArray[np.float64], gains: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariance (6, 6) where the objects (K, 6) pull in different directions: maps drift and are not rigid.
+
+    The sandwich estimator with an object as one observation: points of one object err together.
+    """
+    bread = np.linalg.inv(total)
+    count = len(gains)
+    meat = gains.T @ gains * count / max(count - 3, 1)
+    return np.asarray(bread + bread @ meat @ bread)
+
+
+def _surfaces(map_a: ObjectMap, map_b: ObjectMap, pairs: NDArray[np.int64], config: RefinementConfig) -> list[_Surface]:
+    surfaces = []
+    for i, j in pairs:
+        points_a, points_b = map_a.points[i], map_b.points[j]
+        if points_a is None or points_b is None or min(len(points_a), len(points_b)) < config.min_points:
+            continue
+        tree_a, tree_b = cKDTree(points_a.astype(np.float64)), cKDTree(points_b.astype(np.float64))
+        thin_a, thin_b = (
+            thinned(points_a, _MAX_POINTS).astype(np.float64),
+            thinned(points_b, _MAX_POINTS).astype(np.float64),
+        )
+        surfaces.append(
+            _Surface(
+                points_a=thin_a,
+                normals_a=_normals(thin_a, tree_a, config.neighbors),
+                points_b=thin_b,
+                normals_b=_normals(thin_b, tree_b, config.neighbors),
+                tree_a=cKDTree(thin_a),
+                tree_b=cKDTree(thin_b),
+            )
+        )
+    return surfaces
+
+
+def _normals(points: NDArray[np.float64], tree: cKDTree, count: int) -> NDArray[np.float64]:
+    """Return (N, 3) unit normals at the points, of either sign, from their neighbours in the tree."""
+    _, indices = tree.query(points, k=min(count, tree.n))
+    around = tree.data[indices]
+    offsets = around - around.mean(axis=1, keepdims=True)
+    return np.asarray(np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0])
+
+
+def _prior(
+    map_a: ObjectMap,
+    pairs: NDArray[np.int64],
+    center_a: NDArray[np.float64],
+    sigma_m: float,
+    tilt_sigma_rad: float | None,
+) -> NDArray[np.float64]:
+    prior = information(map_a.centroids[pairs[:, 0]], np.full(len(pairs), sigma_m), center_a)
+    if tilt_sigma_rad is not None:
+        prior[:2, :2] += np.eye(2) / tilt_sigma_rad**2
+    return prior
+
+
+def _met(surfaces: list[_Surface], a_from_b: NDArray[np.float64], config: RefinementConfig) -> float:
+    """Return the share of points that have the partner's surface within reach, every object counting the same."""
+    shares = []
+    for surface in surfaces:
+        _, distances, _, gaps = surface.residuals(a_from_b)
+        shares.append(
+            float(np.exp(-0.5 * (distances / config.last_m) ** 2)[gaps < 2 * config.first_m].sum()) / len(gaps)
+        )
+    return float(np.mean(shares))
+
+
+def _moved(
+    a_from_b: NDArray[np.float64], step: NDArray[np.float64], center_a: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the transform after a small turn (radians) about the centre and a shift, both in frame a."""
+    turn = Rotation.from_rotvec(step[:3]).as_matrix()
+    return from_rotation_translation(turn, center_a - turn @ center_a + step[3:]) @ a_from_b
+
+
+def _twist(
+    a_from_b: NDArray[np.float64], start: NDArray[np.float64], center_a: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the turn about the centre and the shift that lead from `start` to `a_from_b`."""
+    now_from_start = a_from_b @ invert(start)
+    shift = apply(now_from_start, center_a) - center_a
+    return np.concatenate([Rotation.from_matrix(now_from_start[:3, :3]).as_rotvec(), shift])

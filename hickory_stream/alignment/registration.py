@@ -1,0 +1,72 @@
+"""The transform that carries the objects of one map onto those of the other, and how well they fix it.
+
+Level: both maps know gravity, and only a turn about the vertical is between them (4 unknowns). Tilted: any rotation
+(6 unknowns). The rotation is solved in closed form about the weighted centroids (Horn, 1987; Umeyama, 1991).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def registered(
+    points_a: NDArray[np.float64], points_b: NDArray[np.float64], weights: NDArray[np.float64], *, is_level: bool
+) -> NDArray[np.float64]:
+    """Return `a_from_b` (4, 4) of least weighted squares between (K, 3) points, K >= 1."""
+    weights = weights / weights.sum()
+    mean_a, mean_b = weights @ points_a, weights @ points_b
+    # (3, 3): sum of w a b'.
+    correlation = (points_a - mean_a).T @ ((points_b - mean_b) * weights[:, None])
+    if is_level:
+        sine, cosine = correlation[1, 0] - correlation[0, 1], correlation[0, 0] + correlation[1, 1]
+        rotation = yaw_rotation(float(np.arctan2(sine, cosine)))
+    else:
+        left, _, right = np.linalg.svd(correlation)
+        signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+        rotation = (left * signs) @ right
+    return from_rotation_translation(rotation, mean_a - rotation @ mean_b)
+
+
+def information(
+    points_a: NDArray[np.float64], sigmas_m: NDArray[np.float64], center: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the (6, 6) information on a small turn (radians) about `center`, then a shift (metres), in frame a.
+
+    Of K points (K, 3) whose distances to their counterparts have (K,) standard deviations on each axis: the inverse of
+    the Cramer-Rao bound.
+    """
+    total = np.zeros((6, 6))
+    for offset, sigma in zip(points_a - center, sigmas_m, strict=True):
+        x, y, z = offset
+        # d(turn x offset + shift).
+        jacobian = np.hstack([np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]), np.eye(3)])
+        total += jacobian.T @ jacobian / sigma**2
+    return total
+
+
+def tilt_rad(a_from_b: NDArray[np.float64]) -> float:
+    """Return the angle between the verticals of the two maps."""
+    return float(np.arctan2(np.hypot(a_from_b[0, 2], a_from_b[1, 2]), a_from_b[2, 2]))
+
+
+def differs(
+    a_from_b: NDArray[np.float64],
+    other_a_from_b: NDArray[np.float64],
+    center_b: NDArray[np.float64],
+    *,
+    distance_m: float,
+    angle_rad: float,
+) -> bool:
+    """Return whether two transforms take `center_b` more than `distance_m` apart, or turn by more than `angle_rad`."""
+    from hickory_stream.geometry.rigid import apply, rotation_angle_rad
+
+    moved_m = float(np.linalg.norm(apply(a_from_b, center_b) - apply(other_a_from_b, center_b)))
+    turned_rad = rotation_angle_rad(a_from_b[:3, :3].T @ other_a_from_b[:3, :3])
+    return moved_m > distance_m or turned_rad > angle_rad

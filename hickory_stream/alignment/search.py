@@ -1,0 +1,107 @@
+"""The distinct transforms between two maps that many pairs of objects bear out, the least easily chance first."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.alignment.affinity import build_affinity
+from hickory_stream.alignment.consensus import densest_clique
+from hickory_stream.alignment.hypothesis import Evidence, Hypothesis, grown
+from hickory_stream.alignment.registration import differs, information, tilt_rad
+from hickory_stream.geometry.rigid import apply
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.affinity import Affinity
+    from hickory_stream.alignment.align import AlignConfig
+
+# Some searches are spared where the evidence is so many times what is asked for, in decades.
+_CLEAR = 3.0
+
+
+def hypotheses_of(evidence: Evidence, config: AlignConfig) -> list[Hypothesis]:
+    """Return the distinct hypotheses: of maps that both know gravity, and where that is open, of tilted ones."""
+    found = searched(evidence, config, is_level=True)
+    if found and _shows_gravity(evidence, found[0], config):
+        return found
+    return _ordered(found + searched(evidence, config, is_level=False), evidence, config)
+
+
+def searched(evidence: Evidence, config: AlignConfig, *, is_level: bool) -> list[Hypothesis]:
+    """Return the distinct hypotheses, the least easily chance first."""
+    affinity = build_affinity(
+        evidence.centroids_a, evidence.centroids_b, evidence.log_ranks, config.affinity, is_level=is_level
+    )
+    alive = np.ones(len(affinity), dtype=bool)
+    found: list[Hypothesis] = []
+    for _ in range(config.acceptance.num_rivals):
+        if len(found) > 1 and _is_clear(found, config):
+            break
+        clique = densest_clique(affinity, alive, config.consensus)
+        if len(clique) < 3:
+            break
+        alive[clique] = False
+        hypothesis = _better(evidence, affinity.pairs[clique], is_level=is_level)
+        if hypothesis is not None:
+            found.append(hypothesis)
+            alive &= ~_explained(affinity, hypothesis, evidence)
+        found = _ordered(found, evidence, config)
+    return found
+
+
+def _better(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hypothesis | None:
+    """Return the level hypothesis of some pairs, or the tilted one where it is better; None if neither fits."""
+    tilted = grown(evidence, pairs, is_level=False)
+    if tilted is not None and tilt_rad(tilted.a_from_b) > evidence.chance.max_tilt_rad:
+        tilted = None
+    level = grown(evidence, pairs, is_level=True) if is_level else None
+    if level is None or tilted is None:
+        return level or tilted
+    return tilted if tilted.log10_chance < level.log10_chance else level
+
+
+def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
+    """Return whether no further rival can matter: the next clique is lighter than those that were found."""
+    acceptance = config.acceptance
+    best, second = found[0].log10_chance, found[1].log10_chance
+    return best < _CLEAR * acceptance.max_log10_chance and second - best > _CLEAR * acceptance.min_margin
+
+
+def _shows_gravity(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> bool:
+    """Return whether a level hypothesis would not hold if the maps were tilted: many pairs, spread to all sides."""
+    if not best.is_level or best.log10_chance > _CLEAR * config.acceptance.max_log10_chance:
+        return False
+    points = evidence.centroids_a[best.pairs[:, 0]]
+    total = information(points, np.full(len(points), evidence.sigma_m), points.mean(axis=0))
+    tilts = np.linalg.pinv(total)[:2, :2]
+    is_fixed = np.linalg.matrix_rank(total) == 6
+    return bool(is_fixed and np.degrees(np.sqrt(np.linalg.eigvalsh(tilts)[1])) < config.acceptance.max_turn_deg)
+
+
+def _explained(affinity: Affinity, hypothesis: Hypothesis, evidence: Evidence) -> NDArray[np.bool_]:
+    moved = apply(hypothesis.a_from_b, evidence.centroids_b)
+    offsets = evidence.centroids_a[affinity.pairs[:, 0]] - moved[affinity.pairs[:, 1]]
+    return np.asarray((offsets**2).sum(axis=1) < (evidence.gate * evidence.sigma_m) ** 2)
+
+
+def _ordered(found: list[Hypothesis], evidence: Evidence, config: AlignConfig) -> list[Hypothesis]:
+    """Return the hypotheses that differ from every better one."""
+    acceptance = config.acceptance
+    distinct: list[Hypothesis] = []
+    for hypothesis in sorted(found, key=lambda h: h.log10_chance):
+        center_b = evidence.centroids_b[hypothesis.pairs[:, 1]].mean(axis=0)
+        if all(
+            differs(
+                hypothesis.a_from_b,
+                better.a_from_b,
+                center_b,
+                distance_m=acceptance.distinct_m,
+                angle_rad=np.radians(acceptance.distinct_deg),
+            )
+            for better in distinct
+        ):
+            distinct.append(hypothesis)
+    return distinct

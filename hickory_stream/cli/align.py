@@ -1,0 +1,163 @@
+"""`hickory-stream align`: find where two maps overlap, or say why not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.cli.status import NO_ALIGNMENT
+from hickory_stream.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.alignment.answer import Alignment, NoAlignment
+    from hickory_stream.alignment.object_map import ObjectMap
+    from hickory_stream.cli.parser import Commands
+    from hickory_stream.engine.session import SavedMap
+
+METHODS = ("sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransac")
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    align = commands.add_parser(
+        "align", parents=[common], help="find the transform between two maps that overlap; exit status 3: they do not"
+    )
+    align.set_defaults(run=run)
+    align.add_argument("a", type=Path, metavar="A", help="the map whose frame the answer is in")
+    align.add_argument("b", type=Path, metavar="B")
+    align.add_argument("--method", choices=METHODS, default="sq", help="sq (default), or a rival for comparison")
+    align.add_argument("-o", "--out", type=Path, metavar="PNG|RRD", help="draw both maps joined by their pairs")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from hickory_stream.alignment.answer import Alignment
+    from hickory_stream.alignment.methods import align_by
+
+    if options.out is not None and options.out.suffix not in (".png", ".rrd"):
+        raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
+    map_a, map_b = load_objects(options.a), load_objects(options.b)
+    answer = align_by(options.method, map_a, map_b)
+    if options.out is not None:
+        _draw(options.out, map_a, map_b, answer)
+    print(json.dumps(answer_json(answer), indent=1) if options.json else answer_text(answer))
+    return 0 if isinstance(answer, Alignment) else NO_ALIGNMENT
+
+
+def load_objects(folder: Path) -> ObjectMap:
+    """Return the objects of a map folder; raises `MapFolderError`."""
+    from hickory_stream.engine.session import open_map
+
+    return objects_of(open_map(folder))
+
+
+def objects_of(saved: SavedMap) -> ObjectMap:
+    """Return the objects of an opened map, with the name of what made their features."""
+    from hickory_stream.alignment.object_map import object_map
+
+    return object_map(saved.snapshot, extractor_of(saved))
+
+
+def extractor_of(saved: SavedMap) -> str:
+    """Return the name of what made a map's features, as far as its manifest says."""
+    perception = saved.manifest.config.get("perception", {})
+    return str(perception.get("extractor", "")) if isinstance(perception, dict) else ""
+
+
+def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
+    """Return an answer for machines."""
+    import numpy as np
+
+    from hickory_stream.alignment.answer import Alignment
+
+    against = answer.contradictions
+    told: dict[str, Any] = {
+        "aligned": isinstance(answer, Alignment),
+        "notes": list(answer.notes),
+        "expected": against.num_expected,
+        "missing": against.num_missing,
+        "missing_in_b": list(against.ids_a),
+        "missing_in_a": list(against.ids_b),
+    }
+    if isinstance(answer, Alignment):
+        return told | {
+            "a_from_b": answer.a_from_b.tolist(),
+            "covariance": answer.covariance.tolist(),
+            "center_a": answer.center_a.tolist(),
+            "translation_sigma_m": answer.translation_sigma_m,
+            "rotation_sigma_deg": float(np.degrees(answer.rotation_sigma_rad)),
+            "log10_chance": answer.log10_chance,
+            "margin": answer.margin,
+            "is_level": answer.is_level,
+            "is_refined": answer.is_refined,
+            "pairs": [
+                {
+                    "a": pair.id_a,
+                    "b": pair.id_b,
+                    "semantic": pair.semantic,
+                    "geometric": pair.geometric,
+                    "rank": pair.rank,
+                    "residual_m": pair.residual_m,
+                }
+                for pair in answer.pairs
+            ],
+        }
+    return told | {
+        "refusal": answer.refusal.value,
+        "reason": answer.reason,
+        "hypotheses": [
+            {
+                "a_from_b": hypothesis.a_from_b.tolist(),
+                "num_pairs": len(hypothesis.pairs),
+                "log10_chance": hypothesis.log10_chance if np.isfinite(hypothesis.log10_chance) else None,
+            }
+            for hypothesis in answer.hypotheses
+        ],
+    }
+
+
+def answer_text(answer: Alignment | NoAlignment) -> str:
+    """Return an answer for people."""
+    import numpy as np
+
+    from hickory_stream.alignment.answer import Alignment
+
+    notes = [f"note: {note}" for note in answer.notes]
+    if not isinstance(answer, Alignment):
+        tried = [
+            f"  hypothesis: {len(h.pairs)} pairs, chance 10^{h.log10_chance:.1f}"
+            for h in answer.hypotheses[:3]
+            if np.isfinite(h.log10_chance)
+        ]
+        return "\n".join([f"not aligned ({answer.refusal.value}): {answer.reason}", *tried, *notes])
+    against = answer.contradictions
+    yaw_deg = np.degrees(np.arctan2(answer.a_from_b[1, 0], answer.a_from_b[0, 0]))
+    x, y, z = answer.a_from_b[:3, 3]
+    lines = [
+        f"aligned by {len(answer.pairs)} pairs: b lies at ({x:.3f}, {y:.3f}, {z:.3f}) m in a, turned by "
+        f"{yaw_deg:.2f} deg",
+        f"  uncertainty {100 * answer.translation_sigma_m:.1f} cm, {np.degrees(answer.rotation_sigma_rad):.2f} deg"
+        f"{', refined on surfaces' if answer.is_refined else ''}{'' if answer.is_level else ', maps tilted'}",
+        f"  chance 10^{answer.log10_chance:.1f}; the best distinct rival is 10^{answer.margin:.1f} times as easily "
+        "chance",
+        f"  of {against.num_expected} objects whose place the other map saw, {against.num_missing} are missing",
+    ]
+    return "\n".join([*lines, *notes])
+
+
+def _draw(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> None:
+    import cv2
+
+    from hickory_stream.evaluation.render_alignment import render_alignment
+    from hickory_stream.sinks.rerun_alignment import write_alignment
+
+    try:
+        if path.suffix == ".rrd":
+            write_alignment(path, map_a, map_b, answer)
+        else:
+            path.write_bytes(cv2.imencode(".png", render_alignment(map_a, map_b, answer)[..., ::-1])[1].tobytes())
+    except OSError as error:
+        raise InputError(f"cannot write the picture {path}: {error.strerror}") from error

@@ -1,0 +1,185 @@
+"""A merged map as a folder: pixels and meshes of all inputs under their new names, shapes made anew where needed.
+
+The manifest's `source` names every input with its digest, every pair of maps with what became of it, and of every
+object the maps and ids that it was.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.config import from_dict
+from hickory_stream.engine.atomic import disk_errors, write_atomically
+from hickory_stream.engine.crops import crop_files, read_crop
+from hickory_stream.engine.session import create_map_folder
+from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
+from hickory_stream.ports import NoShape, ShapeInputs
+from hickory_stream.records import ObjectShape
+from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from hickory_stream.engine.manifest import Manifest
+    from hickory_stream.engine.session import MapFolder, SavedMap
+    from hickory_stream.merging.merge import Merged, PairOutcome
+    from hickory_stream.merging.objects import MergedObject
+    from hickory_stream.records import TrackedObject, View
+
+_MERGED_REVISION = 1_000_000
+
+
+def write_merged_map(
+    out: Path,
+    merged: Merged,
+    inputs: Sequence[SavedMap],
+    *,
+    overwrite: bool,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Manifest:
+    """Write a merged map into the folder `out`; the inputs are only read.
+
+    Args:
+        out: where.
+        merged: what `merge_maps` made of the inputs' snapshots.
+        inputs: the maps, in the same order.
+        overwrite: replace a map that is there.
+        progress: told how many of the shapes to be made anew are done.
+
+    Raises:
+        MapFolderError: the place is taken or cannot be written, or a file of an input is damaged.
+    """
+    config = dict(inputs[0].manifest.config)
+    folder = create_map_folder(out, config=config, source=_source(merged, inputs), overwrite=overwrite)
+    shapes = from_dict(ShapeConfig, config["shapes"]) if isinstance(config.get("shapes"), dict) else ShapeConfig()
+    total = sum(one.needs_shape for one in merged.objects)
+    done, items, lost = 0, [], 0
+    for one in merged.objects:
+        _copy_views(folder, one.item, merged, inputs)
+        item = _with_mesh(folder, one.item, merged, inputs)
+        if one.needs_shape:
+            item = _reshaped(folder, one, item, shapes)
+            done += 1
+            lost += item.shape is None
+            progress(done, total)
+        items.append(item)
+    folder.save(replace(merged.snapshot, objects=tuple(items)))
+    folder.write_json("ledger.json", {"shapes": {"made_anew": done, "without": lost}})
+    folder.write_json("timings.json", {})
+    return folder.finish(finished_cleanly=True)
+
+
+def outcome_text(pair: PairOutcome) -> str:
+    """Return in a few words what became of a pair of maps."""
+    if not isinstance(pair.answer, Alignment):
+        return f"not aligned ({pair.answer.refusal.value}): {pair.answer.reason}"
+    told = f"{len(pair.answer.pairs)} pairs, chance 10^{pair.answer.log10_chance:.0f}"
+    return told if pair.is_believed else f"REJECTED, the other alignments contradict it: {told}"
+
+
+def _source(merged: Merged, inputs: Sequence[SavedMap]) -> dict[str, Any]:
+    digests = [saved.manifest.digest for saved in inputs]
+    used = [saved.folder.name for i, saved in enumerate(inputs) if i not in merged.left_out]
+    return {
+        "kind": "merge",
+        "uri": " + ".join(used),
+        "identity": "+".join(str(digest) for digest in digests),
+        "maps": [
+            {
+                "path": str(saved.folder),
+                "digest": digest,
+                "source": saved.manifest.source,
+                "world_from_map": None if pose is None else pose.tolist(),
+                "first_frame": first,
+            }
+            for saved, digest, pose, first in zip(
+                inputs, digests, merged.world_from_map, merged.first_frames, strict=True
+            )
+        ],
+        "pairs": [{"a": pair.a, "b": pair.b, "outcome": outcome_text(pair)} for pair in merged.pairs],
+        "provenance": {str(new): [list(member) for member in old] for new, old in merged.provenance.items()},
+    }
+
+
+def _origin(view: View, merged: Merged) -> int:
+    """Return the index of the map that a view came from."""
+    known = [i for i, pose in enumerate(merged.world_from_map) if pose is not None]
+    return max(i for i in known if merged.first_frames[i] <= view.frame_index)
+
+
+def _copy_views(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: Sequence[SavedMap]) -> None:
+    for view in item.views:
+        origin = _origin(view, merged)
+        old_name = replace(view, frame_index=view.frame_index - merged.first_frames[origin]).name
+        color, depth, description = crop_files(inputs[origin].views, old_name)
+        new_color, new_depth, new_description = crop_files(folder.views, view.name)
+        with disk_errors(folder.path):
+            _copied(color, new_color)
+            _copied(depth, new_depth)
+            told = json.loads(description.read_text()) | {"world_from_camera": view.world_from_camera.tolist()}
+            write_atomically(new_description, json.dumps(told).encode(), sync=False)
+
+
+def _with_mesh(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: Sequence[SavedMap]) -> TrackedObject:
+    """Return the object with its mesh in the new folder, under a name of its own."""
+    if item.shape is None:
+        return item
+    origin = next(i for i, old in merged.provenance[item.id] if _has_mesh(inputs[i], old, item.shape))
+    name = f"{item.id:06d}-{item.shape.revision:06d}.glb"
+    with disk_errors(folder.path):
+        _copied(inputs[origin].mesh_path(item.shape), folder.shapes / name)
+    return replace(item, shape=replace(item.shape, mesh_name=name))
+
+
+def _has_mesh(saved: SavedMap, object_id: int, shape: ObjectShape) -> bool:
+    own = next(tracked.shape for tracked in saved.snapshot.objects if tracked.id == object_id)
+    return own is not None and own.mesh_sha256 == shape.mesh_sha256
+
+
+def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config: ShapeConfig) -> TrackedObject:
+    """Return the object with layers 2 to 4 made of all that is known of it; with its old ones where that fails."""
+    first = [item.best_view] if item.best_view is not None else []
+    others = [view for view in item.views if not first or view.name != first[0].name]
+    floors = [float(item.points_world[:, 2].min())] if len(item.points_world) else [None]
+    inputs = ShapeInputs(
+        crops=tuple(read_crop(folder.views, view.name) for view in [*first, *others]),
+        points_world=item.points_world,
+        colors=item.colors,
+        box=item.box,
+        support_z_m=floors[0],
+    )
+    built = build_shape(inputs, make_reconstructor(config.reconstructor, config), config)
+    if isinstance(built, NoShape):
+        return item
+    old = item.shape.revision if item.shape is not None else 0
+    name = f"{item.id:06d}-{_MERGED_REVISION + old:07d}.glb"
+    path = folder.shapes / name
+    with disk_errors(folder.path):
+        write_glb(built.reconstruction.mesh, path)
+    shape = ObjectShape(
+        revision=_MERGED_REVISION + old,
+        reconstructor=config.reconstructor,
+        mesh_name=name,
+        mesh_sha256=sha256_of(read_glb(path)),
+        world_from_object=built.reconstruction.world_from_object,
+        fitted=built.fitted,
+        inflated=built.inflated,
+        seen_share=built.seen_share,
+        containment=built.containment,
+    )
+    return replace(one.item, shape=shape)
+
+
+def _copied(source: Path, target: Path) -> None:
+    """Make `target` the same file: a hard link where the disk can, since neither is ever changed in place."""
+    target.unlink(missing_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)

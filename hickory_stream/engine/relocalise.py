@@ -1,0 +1,117 @@
+"""A running log that finds itself in a stored map: mapped as it plays, and aligned again and again as it grows.
+
+A place is believed when two answers in a row agree: the first one may be chance that a few more objects would undo.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.object_map import object_map
+from hickory_stream.alignment.registration import differs
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hickory_stream.alignment.answer import NoAlignment
+    from hickory_stream.alignment.object_map import ObjectMap
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.ports import Source
+    from hickory_stream.records import MapSnapshot
+
+_AGREE_M, _AGREE_RAD = 0.3, np.radians(3.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Located:
+    """What is known at one moment: `answer` has `a_from_b`, the stored map's frame from the log's.
+
+    `is_confirmed`: the answer before said the same; `has_jumped`: it said something else.
+    """
+
+    stamp_ns: int
+    num_objects: int
+    answer: Alignment | NoAlignment
+    is_confirmed: bool
+    has_jumped: bool
+
+
+def relocalise(
+    stored: ObjectMap,
+    source: Source,
+    config: MapperConfig,
+    *,
+    rate: float | None,
+    stops_when_found: bool,
+    report: Callable[[Located], None],
+) -> Located | None:
+    """Return the last thing that was known when the log ended, None if nothing was ever mapped.
+
+    Args:
+        stored: the map to be found in.
+        source: the log; mapped into a folder that is removed afterwards.
+        config: of the mapper.
+        rate: 1.0 is real time, None as fast as can be.
+        stops_when_found: end at the first confirmed place.
+        report: told everything that is learnt, as it is learnt.
+
+    Raises:
+        HickoryError: the source or the disk failed.
+    """
+    return asyncio.run(_relocalise(stored, source, config, rate, stops_when_found, report))
+
+
+async def _relocalise(
+    stored: ObjectMap,
+    source: Source,
+    config: MapperConfig,
+    rate: float | None,
+    stops_when_found: bool,
+    report: Callable[[Located], None],
+) -> Located | None:
+    last: Located | None = None
+    known: frozenset[int] = frozenset()
+    async with Mapper(config, out=None) as mapper:
+        async for snapshot in mapper.run(source, rate=rate):
+            objects = _settled(snapshot)
+            # Nothing new to be found by: until an object comes or goes the answer would be the same.
+            if objects == known and last is not None:
+                continue
+            known = objects
+            last = await asyncio.to_thread(_located, stored, snapshot, last)
+            report(last)
+            if stops_when_found and last.is_confirmed:
+                mapper.stop()
+                break
+    return last
+
+
+def _settled(snapshot: MapSnapshot) -> frozenset[int]:
+    return frozenset(item.id for item in snapshot.objects if item.phase is not Phase.TENTATIVE)
+
+
+def _located(stored: ObjectMap, snapshot: MapSnapshot, last: Located | None) -> Located:
+    here = object_map(snapshot, stored.extractor)
+    answer = align(stored, here)
+    before = last.answer if last is not None else None
+    is_confirmed = has_jumped = False
+    if isinstance(answer, Alignment) and isinstance(before, Alignment):
+        center_b = (invert(answer.a_from_b) @ np.append(answer.center_a, 1.0))[:3]
+        has_jumped = differs(answer.a_from_b, before.a_from_b, center_b, distance_m=_AGREE_M, angle_rad=_AGREE_RAD)
+        is_confirmed = not has_jumped
+    return Located(
+        stamp_ns=snapshot.stamp_ns,
+        num_objects=len(here),
+        answer=answer,
+        is_confirmed=is_confirmed,
+        has_jumped=has_jumped,
+    )

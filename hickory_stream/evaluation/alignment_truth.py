@@ -1,0 +1,176 @@
+"""Where a map's frame truly lies: from a truth folder, or from a ground-truth trajectory in a common frame.
+
+The map knows where its camera was when it took the kept views; truth knows where the camera, or the robot's body, truly
+was. `world_from_map` and, for a body, the unknown `body_from_camera` follow from both by the closed form of Shah (2013)
+for body_i X = W camera_i. Truth of an alignment: `a_from_b` = inverse(world_from_map_a) world_from_map_b.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.geometry.rigid import (
+    from_rotation_translation,
+    interpolate,
+    is_rigid,
+    rotation_from_quaternion,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import MapSnapshot
+
+_MAX_GAP_NS = 500_000_000
+_MIN_POSES = 3
+# Below this turn between poses, where the camera sits on the body cannot be told: it is taken to be the body.
+_MIN_TURN_RAD = 0.2
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TrueTrajectory:
+    """Stamps (N,) ascending, `world_from_body` (N, 4, 4); `is_camera`: the body is the camera itself."""
+
+    stamps_ns: NDArray[np.int64]
+    world_from_body: NDArray[np.float64]
+    is_camera: bool
+
+
+def read_true_trajectory(path: Path) -> TrueTrajectory:
+    """Return the trajectory of a truth folder, a Kimera-Multi `<robot>_gt_odom.csv`, or a TUM file.
+
+    Raises:
+        RecordingError: it is none of these, or damaged.
+    """
+    if path.is_dir():
+        frames = load_truth(path).frames
+        return TrueTrajectory(
+            stamps_ns=np.array([frame.stamp_ns for frame in frames], dtype=np.int64),
+            world_from_body=np.array([frame.world_from_camera for frame in frames]).reshape(-1, 4, 4),
+            is_camera=True,
+        )
+    try:
+        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"cannot read the ground truth {path}: {error}") from error
+    rows = [line for line in lines if line and not line.startswith("#")]
+    is_csv = bool(rows) and "," in rows[0]
+    if is_csv and not rows[0].split(",")[0].lstrip("-").isdigit():
+        rows = rows[1:]
+    try:
+        poses = [_csv_row(row) if is_csv else _tum_row(row) for row in rows]
+    except ValueError as error:
+        raise RecordingError(
+            f"{path} is no trajectory ({error}); expected a truth folder, CSV rows `timestamp_ns,x,y,z,qw,qx,qy,qz`, "
+            "or TUM rows `timestamp tx ty tz qx qy qz qw`"
+        ) from error
+    if not poses:
+        raise RecordingError(f"{path} holds no pose")
+    poses.sort(key=lambda pose: pose[0])
+    return TrueTrajectory(
+        stamps_ns=np.array([stamp for stamp, _ in poses], dtype=np.int64),
+        world_from_body=np.array([pose for _, pose in poses]),
+        is_camera=False,
+    )
+
+
+def world_from_map(snapshot: MapSnapshot, truth: TrueTrajectory, name: str) -> NDArray[np.float64]:
+    """Return where the map's frame truly lies (4, 4), the best over all kept views: odometry drifts.
+
+    Raises:
+        RecordingError: truth and map have too few moments in common.
+    """
+    views = {view.stamp_ns: view.world_from_camera for item in snapshot.objects for view in item.views}
+    pairs = [(pose_at(truth, stamp), views[stamp]) for stamp in sorted(views)]
+    known = [(body, camera) for body, camera in pairs if body is not None]
+    if len(known) < _MIN_POSES:
+        raise RecordingError(
+            f"of {len(views)} views of {name}, {len(known)} were taken while the ground truth was recorded; expected "
+            f"at least {_MIN_POSES}: name the truth of the log that was played"
+        )
+    bodies = np.array([body for body, _ in known])
+    cameras = np.array([camera for _, camera in known])
+    return _common_frame(bodies, cameras) if truth.is_camera else _hand_eye(bodies, cameras)
+
+
+def pose_at(truth: TrueTrajectory, stamp_ns: int) -> NDArray[np.float64] | None:
+    """Return the true pose (4, 4) at a stamp, between two poses at most 0.5 s apart; None where there is none."""
+    after = int(np.searchsorted(truth.stamps_ns, stamp_ns))
+    if after < len(truth.stamps_ns) and truth.stamps_ns[after] == stamp_ns:
+        return truth.world_from_body[after]
+    if after in (0, len(truth.stamps_ns)):
+        return None
+    start_ns, end_ns = int(truth.stamps_ns[after - 1]), int(truth.stamps_ns[after])
+    if end_ns - start_ns > _MAX_GAP_NS:
+        return None
+    share = (stamp_ns - start_ns) / (end_ns - start_ns)
+    return interpolate(truth.world_from_body[after - 1], truth.world_from_body[after], share)
+
+
+def _common_frame(bodies: NDArray[np.float64], cameras: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return W of the least sum of squares of body_i = W camera_i: the mean rotation, the mean of what is left."""
+    rotation = Rotation.from_matrix(bodies[:, :3, :3] @ cameras[:, :3, :3].transpose(0, 2, 1)).mean().as_matrix()
+    translation = (bodies[:, :3, 3] - cameras[:, :3, 3] @ rotation.T).mean(axis=0)
+    return from_rotation_translation(rotation, translation)
+
+
+def _hand_eye(bodies: NDArray[np.float64], cameras: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return W of body_i X = W camera_i, X unknown (Shah, 2013); of what is not determined the smallest."""
+    turns = Rotation.from_matrix(cameras[0, :3, :3].T @ cameras[:, :3, :3]).magnitude()
+    if turns.max() < _MIN_TURN_RAD:
+        return _common_frame(bodies, cameras)
+    total = np.zeros((9, 9))
+    for body, camera in zip(bodies, cameras, strict=True):
+        total += np.kron(camera[:3, :3], body[:3, :3])
+    # vec(W) is the left singular vector of the largest singular value, vec(X) the right one.
+    world_from_map_rotation = _nearest_rotation(np.linalg.svd(total)[0][:, 0].reshape(3, 3, order="F"))
+    # body_R x - w = W_R camera_t - body_t, linear in x (the camera on the body) and w.
+    rows = np.concatenate([np.hstack([body[:3, :3], -np.eye(3)]) for body in bodies])
+    wanted = np.concatenate(
+        [world_from_map_rotation @ camera[:3, 3] - body[:3, 3] for body, camera in zip(bodies, cameras, strict=True)]
+    )
+    # Centred, so that the smallest solution has a small x, not a small w.
+    center = bodies[:, :3, 3].mean(axis=0) - world_from_map_rotation @ cameras[:, :3, 3].mean(axis=0)
+    shifted = wanted + np.tile(center, len(bodies))
+    solution = np.linalg.lstsq(rows, shifted, rcond=1e-3)[0]
+    return from_rotation_translation(world_from_map_rotation, solution[3:] + center)
+
+
+def _nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    matrix = matrix * np.sign(np.linalg.det(matrix))
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ right)
+
+
+def _csv_row(row: str) -> tuple[int, NDArray[np.float64]]:
+    values = next(csv.reader([row]))
+    if len(values) < 8:
+        raise ValueError(f"a row has {len(values)} columns, 8 are needed")
+    x, y, z, qw, qx, qy, qz = (float(value) for value in values[1:8])
+    return int(values[0]), _pose(x, y, z, qx, qy, qz, qw)
+
+
+def _tum_row(row: str) -> tuple[int, NDArray[np.float64]]:
+    values = row.split()
+    if len(values) != 8:
+        raise ValueError(f"a row has {len(values)} columns, 8 are needed")
+    seconds, _, fraction = values[0].partition(".")
+    stamp_ns = int(seconds) * 1_000_000_000 + int((fraction + "0" * 9)[:9])
+    x, y, z, qx, qy, qz, qw = (float(value) for value in values[1:])
+    return stamp_ns, _pose(x, y, z, qx, qy, qz, qw)
+
+
+def _pose(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> NDArray[np.float64]:
+    pose = from_rotation_translation(rotation_from_quaternion(qx, qy, qz, qw), np.array([x, y, z]))
+    if not is_rigid(pose):
+        raise ValueError(f"({x}, {y}, {z}) is no place")
+    return pose

@@ -1,0 +1,1 @@
+"""Simulated maps of objects with known transforms between them: what alignment is measured on."""

@@ -1,0 +1,109 @@
+"""One simulated alignment and how good it was: the errors where the maps overlap, and the floor that noise allows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.methods import align_by
+from hickory_stream.alignment.registration import information
+from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
+from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.methods import Method
+    from hickory_stream.evaluation.maps.simulate import SimulatedPair
+
+SUCCESS_M, SUCCESS_DEG = 0.5, 5.0
+# The median of the length of a normal vector of three dimensions, and of one, against its root mean square.
+_MEDIAN_3, _MEDIAN_1 = 0.888, 0.6745
+_SIGMA_M = 0.05 * np.sqrt(2.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AlignmentError:
+    """How far an alignment is off: at the centroid of the true common objects, at map b's origin, as an angle."""
+
+    translation_m: float
+    origin_m: float
+    rotation_deg: float
+
+    @property
+    def is_success(self) -> bool:
+        """Whether it is below 0.5 m and 5 degrees."""
+        return self.translation_m < SUCCESS_M and self.rotation_deg < SUCCESS_DEG
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trial:
+    """What came of one pair of maps: the error, or None where it was refused for `refusal`."""
+
+    error: AlignmentError | None
+    refusal: str | None
+    num_pairs: int
+    log10_chance: float | None
+    num_common: int
+
+    @property
+    def is_success(self) -> bool:
+        """Whether it was aligned, and rightly."""
+        return self.error is not None and self.error.is_success
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether it was aligned, but wrongly."""
+        return self.error is not None and not self.error.is_success
+
+
+def run_trial(config: SimulationConfig, seed: int, method: Method = "sq") -> Trial:
+    """Return what a method makes of the simulated pair of a seed."""
+    pair = simulate_pair(config, seed)
+    answer = align_by(method, pair.map_a, pair.map_b)
+    common = len(pair.common)
+    if not isinstance(answer, Alignment):
+        return Trial(error=None, refusal=answer.refusal.value, num_pairs=0, log10_chance=None, num_common=common)
+    return Trial(
+        error=error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)),
+        refusal=None,
+        num_pairs=len(answer.pairs),
+        log10_chance=answer.log10_chance,
+        num_common=common,
+    )
+
+
+def error_of(
+    a_from_b: NDArray[np.float64], true_a_from_b: NDArray[np.float64], center_b: NDArray[np.float64]
+) -> AlignmentError:
+    """Return how far a transform is from the true one; `center_b` (3,) is where the maps overlap."""
+    return AlignmentError(
+        translation_m=float(np.linalg.norm(apply(a_from_b, center_b) - apply(true_a_from_b, center_b))),
+        origin_m=float(np.linalg.norm(a_from_b[:3, 3] - true_a_from_b[:3, 3])),
+        rotation_deg=float(np.degrees(rotation_angle_rad(a_from_b[:3, :3].T @ true_a_from_b[:3, :3]))),
+    )
+
+
+def overlap_b(pair: SimulatedPair) -> NDArray[np.float64]:
+    """Return the true centroid (3,) of the common objects in map b; of all of b where there is none."""
+    if not len(pair.common):
+        return np.asarray(pair.map_b.centroids.mean(axis=0))
+    return np.asarray(apply(invert(pair.a_from_b), pair.common_centroids_a).mean(axis=0))
+
+
+def noise_floor(config: SimulationConfig, seed: int) -> tuple[float, float]:
+    """Return the median errors (metres at the overlap, degrees) of an efficient estimate that knows all true pairs.
+
+    Cramer-Rao, with gravity known where the maps are level.
+    """
+    pair = simulate_pair(config, seed)
+    points = pair.common_centroids_a
+    total = information(points, np.full(len(points), _SIGMA_M), points.mean(axis=0))
+    free = [2, 3, 4, 5] if config.tilt_deg == 0 else [0, 1, 2, 3, 4, 5]
+    covariance = np.linalg.inv(total[np.ix_(free, free)])
+    shift = np.sqrt(np.trace(covariance[-3:, -3:]))
+    turn = np.sqrt(np.trace(covariance[:-3, :-3]))
+    return float(_MEDIAN_3 * shift), float(np.degrees((_MEDIAN_1 if config.tilt_deg == 0 else _MEDIAN_3) * turn))

@@ -1,0 +1,81 @@
+"""Maps as another robot would have made them: in another frame, with drifting odometry, seen in a mirror."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
+from hickory_stream.geometry.superquadric import moved
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.object_map import ObjectMap
+
+_REACH_M = 5.0
+
+
+def random_frame(rng: np.random.Generator, reach_m: float = _REACH_M) -> NDArray[np.float64]:
+    """Return `new_from_old` (4, 4) of any yaw, and a shift of up to `reach_m` along each axis."""
+    return from_rotation_translation(yaw_rotation(rng.uniform(0, 2 * np.pi)), rng.uniform(-reach_m, reach_m, 3))
+
+
+def moved_map(objects: ObjectMap, new_from_old: NDArray[np.float64]) -> ObjectMap:
+    """Return the same map in another frame."""
+    return _placed(objects, np.broadcast_to(new_from_old, (len(objects), 4, 4)), new_from_old)
+
+
+def bent_map(objects: ObjectMap, yaw_deg_per_m: float) -> ObjectMap:
+    """Return the map as odometry would have made it whose heading drifts along x: every object stays rigid.
+
+    What lies x metres from the map's first end is turned by x times `yaw_deg_per_m` about the vertical there.
+    """
+    start = objects.centroids[:, 0].min() if len(objects) else 0.0
+    poses = np.empty((len(objects), 4, 4))
+    rate = np.radians(yaw_deg_per_m)
+    for pose, place in zip(poses, objects.centroids, strict=True):
+        x = place[0] - start
+        # The path bends to an arc: its lateral shift is rate x^2 / 2.
+        turn = yaw_rotation(rate * x)
+        shift = np.array([0.0, rate * x**2 / 2, 0.0])
+        pose[:] = from_rotation_translation(turn, place - turn @ place + shift)
+    return _placed(objects, poses, np.eye(4))
+
+
+def mirrored_map(objects: ObjectMap) -> ObjectMap:
+    """Return the map with every object at its mirrored place (x to -x), as it is: no motion leads there."""
+    poses = np.broadcast_to(np.eye(4), (len(objects), 4, 4)).copy()
+    poses[:, 0, 3] = -2 * objects.centroids[:, 0]
+    return replace(_placed(objects, poses, np.eye(4)), submaps=())
+
+
+def _placed(
+    objects: ObjectMap, new_from_old: NDArray[np.float64], submaps_new_from_old: NDArray[np.float64]
+) -> ObjectMap:
+    """Return the map with every object moved by its own of (N, 4, 4) transforms."""
+    return replace(
+        objects,
+        centroids=np.array(
+            [apply(pose, place) for pose, place in zip(new_from_old, objects.centroids, strict=True)]
+        ).reshape(-1, 3),
+        shapes=tuple(
+            None if shape is None else moved(shape, pose)
+            for shape, pose in zip(objects.shapes, new_from_old, strict=True)
+        ),
+        boxes=tuple(
+            OrientedBox(world_from_box=pose @ box.world_from_box, half_extents_m=box.half_extents_m)
+            for box, pose in zip(objects.boxes, new_from_old, strict=True)
+        ),
+        points=tuple(
+            None if points is None else apply(pose, points)
+            for points, pose in zip(objects.points, new_from_old, strict=True)
+        ),
+        submaps=tuple(
+            replace(submap, world_from_submap=submaps_new_from_old @ submap.world_from_submap)
+            for submap in objects.submaps
+        ),
+    )

@@ -1,0 +1,1 @@
+"""Maps of several sessions and robots made into one."""

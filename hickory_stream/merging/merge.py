@@ -1,0 +1,242 @@
+"""Several maps made into one: all pairs aligned, one pose graph, one object of many. Inputs are never changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.alignment.align import AlignConfig, align
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.object_map import object_map
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.merging.clusters import Pairing, clusters_of
+from hickory_stream.merging.graph import Relation, odometry, solve
+from hickory_stream.merging.objects import MergedObject, placed, united
+from hickory_stream.records import MapSnapshot, Phase, Submap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.answer import NoAlignment
+    from hickory_stream.merging.clusters import Member
+    from hickory_stream.records import TrackedObject
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MergeMapsConfig:
+    """How maps are merged.
+
+    Attributes:
+        align: how two of them are aligned.
+        same_share: objects of two maps that share this much of their surface are one, though no alignment paired them.
+        changed_share: a shape is made anew where other maps add more than this share of new surface.
+        max_views: views that a merged object keeps.
+    """
+
+    align: AlignConfig = field(default_factory=AlignConfig)
+    same_share: float = 0.6
+    changed_share: float = 0.15
+    max_views: int = 8
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PairOutcome:
+    """What became of two maps: the answer of `align`; `is_believed`: it was an alignment that the others bear out."""
+
+    a: int
+    b: int
+    answer: Alignment | NoAlignment
+    is_believed: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Merged:
+    """The merged map, in the first map's frame.
+
+    `world_from_map` of each map, None where it hangs on no other; `objects` with their `provenance`: of each new id,
+    the maps and ids that it was; `first_frames`: where each map's frames are numbered from.
+    """
+
+    snapshot: MapSnapshot
+    objects: tuple[MergedObject, ...]
+    world_from_map: tuple[NDArray[np.float64] | None, ...]
+    pairs: tuple[PairOutcome, ...]
+    provenance: Mapping[int, tuple[Member, ...]]
+    first_frames: tuple[int, ...]
+
+    @property
+    def left_out(self) -> tuple[int, ...]:
+        """The maps that could not be merged."""
+        return tuple(i for i, pose in enumerate(self.world_from_map) if pose is None)
+
+
+def merge_maps(
+    snapshots: Sequence[MapSnapshot],
+    config: MergeMapsConfig | None = None,
+    extractors: Sequence[str] = (),
+    progress: Callable[[int, int], None] = lambda a, b: None,
+) -> Merged:
+    """Return one map of several; `progress` is told which two are being aligned.
+
+    A map whose alignments are all refused or contradicted is left out.
+    """
+    config = MergeMapsConfig() if config is None else config
+    names = tuple(extractors) or ("",) * len(snapshots)
+    maps = [object_map(snapshot, name) for snapshot, name in zip(snapshots, names, strict=True)]
+    answers: dict[tuple[int, int], Alignment | NoAlignment] = {}
+    for a, b in combinations(range(len(maps)), 2):
+        progress(a, b)
+        answers[a, b] = align(maps[a], maps[b], config.align)
+    world_from_map, pairs = _laid_out(snapshots, answers)
+    members, items, first_frames = _gathered(snapshots, world_from_map)
+    pairings = [
+        Pairing(a=(pair.a, matched.id_a), b=(pair.b, matched.id_b), residual_m=matched.residual_m)
+        for pair in pairs
+        if pair.is_believed and isinstance(pair.answer, Alignment)
+        for matched in pair.answer.pairs
+    ]
+    groups = clusters_of(
+        members, pairings, {member: items[member].points_world for member in members}, config.same_share
+    )
+    objects, provenance = _united(groups, items, config)
+    snapshot = MapSnapshot(
+        revision=max((s.revision for s in snapshots), default=0),
+        stamp_ns=max((s.stamp_ns for s in snapshots), default=0),
+        submaps=_submaps(snapshots, world_from_map),
+        objects=tuple(merged.item for merged in objects),
+    )
+    return Merged(
+        snapshot=snapshot,
+        objects=objects,
+        world_from_map=world_from_map,
+        pairs=pairs,
+        provenance=provenance,
+        first_frames=first_frames,
+    )
+
+
+# ---- where the maps lie ---------------------------------------------------------------------------------------------
+
+
+def _laid_out(
+    snapshots: Sequence[MapSnapshot], answers: Mapping[tuple[int, int], Alignment | NoAlignment]
+) -> tuple[tuple[NDArray[np.float64] | None, ...], tuple[PairOutcome, ...]]:
+    """Return where every map lies in the frame of the first, and which alignments are believed.
+
+    A map's frame is that of its first submap; the others hang on it by odometry.
+    """
+    first_node, nodes = [], 0
+    odometries = []
+    for snapshot in snapshots:
+        first_node.append(nodes)
+        poses = [submap.world_from_submap for submap in snapshot.submaps] or [np.eye(4)]
+        odometries += [
+            odometry(nodes + i - 1, nodes + i, invert(poses[i - 1]) @ poses[i]) for i in range(1, len(poses))
+        ]
+        nodes += len(poses)
+    aligned = [(pair, answer) for pair, answer in answers.items() if isinstance(answer, Alignment)]
+    alignments = [
+        _relation(snapshots, pair, answer, (first_node[pair[0]], first_node[pair[1]])) for pair, answer in aligned
+    ]
+    solved = solve(nodes, odometries, alignments)
+    believed = {pair for (pair, _), holds in zip(aligned, solved.is_believed, strict=True) if holds}
+    poses_of_maps: list[NDArray[np.float64] | None] = []
+    world_from_first = _first_pose(snapshots[0])
+    for snapshot, node in zip(snapshots, first_node, strict=True):
+        pose = solved.world_from_node[node]
+        poses_of_maps.append(None if pose is None else world_from_first @ pose @ invert(_first_pose(snapshot)))
+    outcomes = tuple(
+        PairOutcome(a=a, b=b, answer=answer, is_believed=(a, b) in believed) for (a, b), answer in answers.items()
+    )
+    return tuple(poses_of_maps), outcomes
+
+
+def _relation(
+    snapshots: Sequence[MapSnapshot], pair: tuple[int, int], answer: Alignment, nodes: tuple[int, int]
+) -> Relation:
+    """Return an alignment as a relation between the first submaps of two maps."""
+    pose_a, pose_b = (_first_pose(snapshots[i]) for i in pair)
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = pose_a[:3, :3].T
+    return Relation(
+        a=nodes[0],
+        b=nodes[1],
+        a_from_b=invert(pose_a) @ answer.a_from_b @ pose_b,
+        covariance=turn @ answer.covariance @ turn.T,
+        center_a=pose_a[:3, :3].T @ (answer.center_a - pose_a[:3, 3]),
+        strength=-answer.log10_chance,
+    )
+
+
+def _first_pose(snapshot: MapSnapshot) -> NDArray[np.float64]:
+    return snapshot.submaps[0].world_from_submap if snapshot.submaps else np.eye(4)
+
+
+# ---- what is in them ------------------------------------------------------------------------------------------------
+
+
+def _gathered(
+    snapshots: Sequence[MapSnapshot], world_from_map: Sequence[NDArray[np.float64] | None]
+) -> tuple[list[Member], dict[Member, TrackedObject], tuple[int, ...]]:
+    """Return the objects of all maps that are laid out, in the merged world, and where frames are numbered from.
+
+    The first map keeps its ids; those of the others follow.
+    """
+    members: list[Member] = []
+    items: dict[Member, TrackedObject] = {}
+    first_frames = []
+    next_id, next_frame, next_submap = 0, 0, 0
+    for i, (snapshot, pose) in enumerate(zip(snapshots, world_from_map, strict=True)):
+        first_frames.append(next_frame)
+        if pose is None:
+            continue
+        offset = next_id
+        order = {submap.id: k for k, submap in enumerate(snapshot.submaps)}
+        for item in snapshot.objects:
+            if item.phase != Phase.TENTATIVE:
+                members.append((i, item.id))
+                items[i, item.id] = placed(
+                    item,
+                    pose,
+                    new_id=item.id + offset,
+                    submap_id=next_submap + order.get(item.submap_id, 0),
+                    first_frame=next_frame,
+                )
+                next_id = max(next_id, item.id + offset + 1)
+        frames = [view.frame_index for item in snapshot.objects for view in item.views]
+        next_frame += max(frames, default=-1) + 1
+        next_submap += len(snapshot.submaps)
+    return members, items, tuple(first_frames)
+
+
+def _united(
+    groups: Sequence[tuple[Member, ...]], items: Mapping[Member, TrackedObject], config: MergeMapsConfig
+) -> tuple[tuple[MergedObject, ...], dict[int, tuple[Member, ...]]]:
+    objects, provenance = [], {}
+    for group in groups:
+        merged = united(
+            [items[member] for member in group], max_views=config.max_views, changed_share=config.changed_share
+        )
+        objects.append(merged)
+        provenance[merged.item.id] = group
+    return tuple(sorted(objects, key=lambda merged: merged.item.id)), provenance
+
+
+def _submaps(
+    snapshots: Sequence[MapSnapshot], world_from_map: Sequence[NDArray[np.float64] | None]
+) -> tuple[Submap, ...]:
+    """Return the submaps of all maps that are laid out, numbered anew; their observed space is not touched."""
+    return tuple(
+        Submap(id=i, world_from_submap=pose, observed_space=submap.observed_space)
+        for i, (submap, pose) in enumerate(
+            (submap, pose @ submap.world_from_submap)
+            for snapshot, pose in zip(snapshots, world_from_map, strict=True)
+            if pose is not None
+            for submap in snapshot.submaps
+        )
+    )

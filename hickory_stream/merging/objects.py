@@ -1,0 +1,142 @@
+"""One object made of what several maps know of it: points, views, features; its shape where that still holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.superquadric import moved
+from hickory_stream.mapping.cloud import cloud_of, fuse
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import ObjectShape, TrackedObject, View
+
+_VOXEL_M = 0.01
+_NEW_M = 0.02
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MergedObject:
+    """An object of the merged map; `needs_shape`: so much was learnt of it that its shape must be made anew."""
+
+    item: TrackedObject
+    needs_shape: bool
+
+
+def placed(
+    item: TrackedObject, world_from_map: NDArray[np.float64], *, new_id: int, submap_id: int, first_frame: int
+) -> TrackedObject:
+    """Return an object in the merged world, under its new id.
+
+    Frames are numbered from `first_frame` on: the views of two maps never share a name.
+    """
+    views = tuple(_placed_view(view, world_from_map, new_id, first_frame) for view in item.views)
+    best = None if item.best_view is None else views[[v.name for v in item.views].index(item.best_view.name)]
+    return replace(
+        item,
+        id=new_id,
+        submap_id=submap_id,
+        points_world=apply(world_from_map, item.points_world),
+        box=OrientedBox(
+            world_from_box=world_from_map @ item.box.world_from_box, half_extents_m=item.box.half_extents_m
+        ),
+        views=views,
+        best_view=best,
+        shape=None if item.shape is None else _placed_shape(item.shape, world_from_map),
+    )
+
+
+def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: float) -> MergedObject:
+    """Return the object that several, all in the merged world, are; its id, phase and submap are the first one's.
+
+    Args:
+        items: at least one; a single one is returned as it is.
+        max_views: so many views are kept, the best by score, then by coverage of the object.
+        changed_share: the shape is redone where the others add more than this share of new surface.
+    """
+    first = items[0]
+    if len(items) == 1:
+        return MergedObject(item=first, needs_shape=False)
+    keeper = max(items, key=lambda item: (item.shape is not None, len(item.points_world)))
+    points, colors = _fused(items)
+    views = tuple(sorted(_best_views(items, max_views), key=lambda view: view.name))
+    scored = [view for view in views if view.score is not None]
+    shape = keeper.shape
+    item = replace(
+        first,
+        sightings=sum(item.sightings for item in items),
+        first_seen_ns=min(item.first_seen_ns for item in items),
+        last_seen_ns=max(item.last_seen_ns for item in items),
+        points_world=points,
+        colors=colors,
+        box=gravity_aligned_box(points, _VOXEL_M / 2) if len(points) else first.box,
+        feature=_mean_feature(items),
+        views=tuple(replace(view, object_id=first.id) for view in views),
+        best_view=replace(max(scored, key=lambda view: view.score or 0.0), object_id=first.id) if scored else None,
+        shape=shape,
+    )
+    # Without views there is nothing to make a shape of but what made none before.
+    needs_shape = bool(views) and (shape is None or _new_share(keeper.points_world, points) > changed_share)
+    return MergedObject(item=item, needs_shape=needs_shape)
+
+
+def _placed_view(view: View, world_from_map: NDArray[np.float64], new_id: int, first_frame: int) -> View:
+    return replace(
+        view,
+        object_id=new_id,
+        frame_index=view.frame_index + first_frame,
+        world_from_camera=world_from_map @ view.world_from_camera,
+    )
+
+
+def _placed_shape(shape: ObjectShape, world_from_map: NDArray[np.float64]) -> ObjectShape:
+    return replace(
+        shape,
+        world_from_object=world_from_map @ shape.world_from_object,
+        fitted=moved(shape.fitted, world_from_map),
+        inflated=moved(shape.inflated, world_from_map),
+    )
+
+
+def _fused(items: Sequence[TrackedObject]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return the points and colours of all, one for each voxel of the merged world."""
+    cloud = cloud_of(items[0].points_world, items[0].colors, _VOXEL_M)
+    for item in items[1:]:
+        cloud = fuse(cloud, cloud_of(item.points_world, item.colors, _VOXEL_M))
+    return cloud.points, np.clip(np.rint(cloud.colors), 0, 255).astype(np.uint8)
+
+
+def _best_views(items: Sequence[TrackedObject], most: int) -> list[View]:
+    """Return the best view of each map, then the others of all maps in turn, best score first."""
+    ranked = [sorted(item.views, key=lambda view: (-(view.score or 0.0), view.name)) for item in items]
+    longest = max((len(views) for views in ranked), default=0)
+    turns = [views[turn] for turn in range(longest) for views in ranked if turn < len(views)]
+    return turns[:most]
+
+
+def _mean_feature(items: Sequence[TrackedObject]) -> NDArray[np.float32] | None:
+    """Return the mean feature, every map weighing as its views, of unit norm; None where the lengths differ."""
+    known = [(item.feature, max(len(item.views), 1)) for item in items if item.feature is not None]
+    if not known:
+        return None
+    if len({len(feature) for feature, _ in known}) > 1:
+        return known[0][0]
+    total = np.sum([weight * feature.astype(np.float64) for feature, weight in known], axis=0)
+    return (total / max(float(np.linalg.norm(total)), 1e-12)).astype(np.float32)
+
+
+def _new_share(old: NDArray[np.float32], points: NDArray[np.float32]) -> float:
+    """Return the share of points further than 2 cm from the old ones."""
+    if not len(old) or not len(points):
+        return 1.0 if len(points) else 0.0
+    distances, _ = cKDTree(old.astype(np.float64)).query(points[::4].astype(np.float64))
+    return float((distances > _NEW_M).mean())

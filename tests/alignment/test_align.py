@@ -1,0 +1,223 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
+from hickory_stream.alignment.methods import METHODS, Method, align_by
+from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
+from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
+from hickory_stream.evaluation.maps.trial import error_of, overlap_b
+from hickory_stream.evaluation.maps.variants import bent_map, mirrored_map, moved_map, random_frame
+from hickory_stream.geometry.rigid import apply, invert
+from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+
+pytestmark = pytest.mark.timeout(150)
+
+
+def aligned(answer: Alignment | NoAlignment) -> Alignment:
+    assert isinstance(answer, Alignment), answer
+    return answer
+
+
+def refused(answer: Alignment | NoAlignment) -> NoAlignment:
+    assert isinstance(answer, NoAlignment), answer
+    return answer
+
+
+# ---- simulated maps -------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=8)
+@given(seed=st.integers(0, 10_000), difficulty=st.sampled_from(["easy", "hard"]))
+def test_three_quarters_of_outliers_do_not_hide_the_overlap(seed: int, difficulty: str) -> None:
+    pair = simulate_pair(SimulationConfig(difficulty="easy" if difficulty == "easy" else "hard"), seed)
+    answer = aligned(align(pair.map_a, pair.map_b))
+    assert error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)).is_success
+    # One-to-one, and mostly the true pairs.
+    assert len({p.id_a for p in answer.pairs}) == len({p.id_b for p in answer.pairs}) == len(answer.pairs)
+    true = {(int(i), int(j)) for i, j in pair.common}
+    assert len(true & {(p.id_a, p.id_b) for p in answer.pairs}) >= 0.7 * len(answer.pairs)
+
+
+def test_covariances_say_how_far_off_the_answers_are() -> None:
+    ratios = []
+    for seed in range(40):
+        pair = simulate_pair(SimulationConfig(outliers=0.6), seed)
+        answer = aligned(align(pair.map_a, pair.map_b))
+        error = apply(answer.a_from_b @ invert(pair.a_from_b), answer.center_a) - answer.center_a
+        ratios.append(error @ np.linalg.solve(answer.covariance[3:, 3:], error) / 3)
+    assert 0.5 < np.mean(ratios) < 2.0
+
+
+@settings(max_examples=6)
+@given(seed=st.integers(0, 1000))
+def test_frames_do_not_matter_and_swapping_the_maps_inverts_the_answer(seed: int) -> None:
+    pair = simulate_pair(SimulationConfig(num_objects=24, outliers=0.5), seed)
+    new_from_b = random_frame(np.random.default_rng(seed))
+    here = aligned(align(pair.map_a, pair.map_b))
+    there = aligned(align(pair.map_a, moved_map(pair.map_b, new_from_b)))
+    back = aligned(align(pair.map_b, pair.map_a))
+    assert np.allclose(there.a_from_b @ new_from_b, here.a_from_b, atol=1e-6)
+    assert np.allclose(invert(back.a_from_b), here.a_from_b, atol=1e-6)
+
+
+def test_the_same_maps_give_the_same_answer_to_the_byte() -> None:
+    pair = simulate_pair(SimulationConfig(), 3)
+    one, two = (aligned(align(pair.map_a, pair.map_b)) for _ in range(2))
+    assert one.a_from_b.tobytes() == two.a_from_b.tobytes()
+    assert one.pairs == two.pairs
+
+
+@pytest.mark.parametrize("tilt_deg", [5.0, 15.0])
+def test_maps_that_disagree_about_gravity_are_aligned_all_the_same(tilt_deg: float) -> None:
+    for seed in range(4):
+        pair = simulate_pair(SimulationConfig(outliers=0.5, tilt_deg=tilt_deg), seed)
+        answer = aligned(align(pair.map_a, pair.map_b))
+        assert error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)).is_success
+        assert not answer.is_level
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10_000), count=st.sampled_from([6, 20, 40]), is_hard=st.booleans())
+def test_unrelated_maps_are_refused(seed: int, count: int, is_hard: bool) -> None:
+    pair = simulate_unrelated(SimulationConfig(num_objects=count, difficulty="hard" if is_hard else "easy"), seed)
+    answer = refused(align(pair.map_a, pair.map_b))
+    assert answer.reason
+    assert answer.refusal in (Refusal.CHANCE, Refusal.TOO_FEW_PAIRS, Refusal.COLLINEAR, Refusal.UNCERTAIN)
+
+
+def test_a_map_and_itself_are_the_same_place() -> None:
+    pair = simulate_pair(SimulationConfig(num_objects=15), 1)
+    answer = aligned(align(pair.map_a, pair.map_a))
+    assert np.allclose(answer.a_from_b, np.eye(4), atol=1e-9)
+    assert [(p.id_a, p.id_b) for p in answer.pairs if p.id_a != p.id_b] == []
+
+
+def test_a_mirror_image_is_refused() -> None:
+    # Of these seeds some have so many objects near the mirror that they would do for an alignment.
+    kinds = set()
+    for seed in (4, 10, 25):
+        pair = simulate_pair(SimulationConfig(outliers=0.0, difficulty="hard" if seed % 2 else "easy"), seed)
+        kinds.add(refused(align(pair.map_a, mirrored_map(pair.map_b))).refusal)
+    assert Refusal.MIRRORED in kinds
+
+
+# ---- layouts --------------------------------------------------------------------------------------------------------
+
+
+def alike(places: np.ndarray) -> ObjectMap:
+    """Return a map of objects that all look the same."""
+    single = simulate_pair(SimulationConfig(num_objects=4), 0).map_a
+    one = taken(single, np.zeros(len(places), dtype=np.int64))
+    return replace(one, ids=np.arange(len(places)), centroids=places)
+
+
+def test_a_symmetric_layout_has_a_rival_as_good() -> None:
+    rng = np.random.default_rng(0)
+    half = rng.uniform(0.5, 5, (9, 3)) * (1, 1, 0.2)
+    answer = refused(
+        align(alike(np.concatenate([half, half * (-1, -1, 1)])), alike(np.concatenate([half, half * (-1, -1, 1)])))
+    )
+    assert answer.refusal is Refusal.RIVAL
+    assert len(answer.hypotheses) >= 2
+    assert len(answer.hypotheses[0].pairs) == 18
+
+
+def test_objects_in_a_line_are_refused() -> None:
+    pair = simulate_pair(SimulationConfig(num_objects=10, outliers=0.0), 0)
+    line = np.column_stack([np.arange(10) ** 1.3, np.zeros(10), np.zeros(10)])
+    flat_a = replace(pair.map_a, centroids=line)
+    order = np.empty(10, dtype=np.int64)
+    order[pair.common[:, 0]] = pair.common[:, 1]
+    flat_b = replace(taken(pair.map_b, order), centroids=line)
+    assert refused(align(flat_a, flat_b)).refusal is Refusal.COLLINEAR
+
+
+@pytest.mark.parametrize("counts", [(0, 5), (5, 0), (0, 0)])
+def test_an_empty_map_is_said_to_be_empty(counts: tuple[int, int]) -> None:
+    a, b = (taken(simulate_pair(SimulationConfig(num_objects=6), 0).map_a, np.arange(n)) for n in counts)
+    assert refused(align(a, b)).refusal is Refusal.EMPTY
+
+
+def test_one_object_is_too_few() -> None:
+    pair = simulate_pair(SimulationConfig(num_objects=6, outliers=0.0), 0)
+    answer = refused(align(taken(pair.map_a, np.arange(1)), pair.map_b))
+    assert answer.refusal is Refusal.TOO_FEW_OBJECTS
+    assert "1 objects" in answer.reason
+
+
+def test_without_features_shapes_do_and_without_both_places_do() -> None:
+    pair = simulate_pair(SimulationConfig(outliers=0.25), 2)
+    blind = replace(pair.map_b, features=None)
+    answer = aligned(align(pair.map_a, blind))
+    assert any("no features" in note for note in answer.notes)
+    bare = replace(blind, shapes=(None,) * len(blind))
+    answer = aligned(align(pair.map_a, bare))
+    assert any("without shapes" in note for note in answer.notes)
+    assert error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)).is_success
+    assert all(p.semantic is None and p.geometric is None for p in answer.pairs)
+
+
+# ---- maps with surfaces and observed space --------------------------------------------------------------------------
+
+
+def test_surfaces_make_the_answer_finer() -> None:
+    items = furniture(10, 1)
+    b_from_world = frame(40, 1.0, -2.0)
+    map_a, map_b = object_map(snapshot_of(items, np.eye(4), 1)), object_map(snapshot_of(items, b_from_world, 2))
+    # What each saw of the objects differs, and so do the centroids.
+    points = tuple(p[p[:, 0] < np.quantile(p[:, 0], 0.7)] for p in map_b.points if p is not None)
+    cut = replace(map_b, points=points, centroids=np.array([p.mean(axis=0) for p in points]))
+    answer = aligned(align(map_a, cut))
+    coarse = aligned(align(map_a, replace(cut, points=(None,) * len(cut))))
+    errors = [
+        error_of(one.a_from_b, invert(b_from_world), apply(b_from_world, one.center_a)).translation_m
+        for one in (answer, coarse)
+    ]
+    assert answer.is_refined
+    assert not coarse.is_refined
+    assert errors[0] < 0.01 < errors[1]
+    assert answer.translation_sigma_m < coarse.translation_sigma_m
+
+
+def test_what_should_have_been_seen_and_was_not_speaks_against_an_alignment() -> None:
+    items = furniture(14, 3)
+    others = furniture(14, 4)
+    both = items[:5]
+    map_a = object_map(snapshot_of(items, np.eye(4)))
+    same = aligned(align(map_a, object_map(snapshot_of(items[:12], frame(30, 1, 1)))))
+    assert same.contradictions.num_expected > 15
+    assert set(same.contradictions.ids_a) == {13, 14}
+    # Five objects stand alike, but the rest of either map is not in the other, which saw the place.
+    answer = refused(align(map_a, object_map(snapshot_of([*both, *others[5:]], frame(30, 1, 1)))))
+    assert answer.refusal is Refusal.CONTRADICTED
+    assert answer.contradictions.num_missing > 6
+
+
+def test_a_map_that_drifted_is_still_found() -> None:
+    items = furniture(16, 5)
+    map_a = object_map(snapshot_of(items, np.eye(4)))
+    answer = aligned(align(map_a, bent_map(map_a, 0.5)))
+    assert error_of(answer.a_from_b, np.eye(4), answer.center_a).translation_m < 0.1
+
+
+# ---- the paper's methods --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_finds_an_easy_overlap(method: Method) -> None:
+    pair = simulate_pair(SimulationConfig(num_objects=16, outliers=0.25), 0)
+    answer = aligned(align_by(method, pair.map_a, pair.map_b))
+    assert error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)).is_success
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_method_answers_for_an_empty_map(method: Method) -> None:
+    pair = simulate_pair(SimulationConfig(num_objects=6), 0)
+    assert isinstance(align_by(method, pair.map_a, taken(pair.map_b, np.arange(0))), NoAlignment)

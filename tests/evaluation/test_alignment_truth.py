@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.object_map import object_map
+from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.alignment_table import format_table, row_of, table_json
+from hickory_stream.evaluation.alignment_truth import TrueTrajectory, pose_at, read_true_trajectory, world_from_map
+from hickory_stream.evaluation.render_alignment import render_alignment
+from hickory_stream.geometry.rigid import from_rotation_translation, invert, quaternion_from_rotation
+from hickory_stream.records import MapSnapshot, View
+from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.timeout(150)
+
+START_NS = 1_700_000_000_000_000_000
+STEP_NS = 100_000_000
+BODY_FROM_CAMERA = from_rotation_translation(
+    Rotation.from_euler("xyz", [-90, 5, -85], degrees=True).as_matrix(), np.array([0.3, -0.05, 0.4])
+)
+
+
+def body_poses(count: int = 40) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    poses = []
+    for i in range(count):
+        turn = Rotation.from_euler("zyx", [0.15 * i, 0.2 * np.sin(i), 0.1 * rng.normal()]).as_matrix()
+        poses.append(from_rotation_translation(turn, np.array([0.2 * i, np.sin(0.3 * i), 0.1 * rng.normal()])))
+    return np.array(poses)
+
+
+def map_with_views(cameras: np.ndarray) -> MapSnapshot:
+    snapshot = snapshot_of(furniture(4, 0), np.eye(4))
+    views = tuple(
+        View(
+            object_id=1,
+            frame_index=i,
+            stamp_ns=START_NS + i * STEP_NS,
+            box_px=(0, 0, 4, 4),
+            world_from_camera=camera,
+            r_area=0.5,
+            r_depth=0.5,
+            box_volume_m3=0.1,
+            score=None,
+            variance=None,
+            feature=None,
+        )
+        for i, camera in enumerate(cameras)
+    )
+    first, *others = snapshot.objects
+    return replace(snapshot, objects=(replace(first, views=views), *others))
+
+
+def write_csv(path: Path, poses: np.ndarray) -> Path:
+    rows = ["#timestamp_kf,x,y,z,qw,qx,qy,qz"]
+    for i, pose in enumerate(poses):
+        x, y, z, w = quaternion_from_rotation(pose[:3, :3])
+        rows.append(",".join(map(str, [START_NS + i * STEP_NS, *pose[:3, 3], w, x, y, z])))
+    path.write_text("\n".join(rows))
+    return path
+
+
+def write_tum(path: Path, poses: np.ndarray) -> Path:
+    rows = ["# timestamp tx ty tz qx qy qz qw"]
+    for i, pose in enumerate(poses):
+        stamp = START_NS + i * STEP_NS
+        seconds = f"{stamp // 10**9}.{stamp % 10**9:09d}"
+        rows.append(" ".join([seconds, *map(str, [*pose[:3, 3], *quaternion_from_rotation(pose[:3, :3])])]))
+    path.write_text("\n".join(rows))
+    return path
+
+
+@pytest.mark.parametrize("write", [write_csv, write_tum])
+def test_a_bodys_trajectory_tells_where_the_map_lies_wherever_the_camera_sits(write, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    bodies = body_poses()
+    true = frame(50, 3, -2, 0.5)
+    snapshot = map_with_views(np.array([invert(true) @ body @ BODY_FROM_CAMERA for body in bodies]))
+    truth = read_true_trajectory(write(tmp_path / "gt", bodies))
+    assert truth.stamps_ns.tolist() == [START_NS + i * STEP_NS for i in range(40)]
+    assert np.allclose(world_from_map(snapshot, truth, "m"), true, atol=1e-5)
+
+
+def test_a_cameras_trajectory_is_taken_as_it_is_and_the_mean_of_what_drifts() -> None:
+    cameras = body_poses()
+    true = frame(-20, 1, 1)
+    truth = TrueTrajectory(stamps_ns=START_NS + STEP_NS * np.arange(40), world_from_body=cameras, is_camera=True)
+    drifting = np.array([invert(true) @ camera for camera in cameras])
+    drifting[:, 0, 3] += np.linspace(-0.1, 0.1, 40)
+    found = world_from_map(map_with_views(drifting), truth, "m")
+    assert np.allclose(found, true, atol=0.02)
+
+
+def test_between_two_poses_truth_is_interpolated_and_never_over_a_gap() -> None:
+    poses = body_poses(3)
+    truth = TrueTrajectory(stamps_ns=np.array([0, 100_000_000, 2_000_000_000]), world_from_body=poses, is_camera=True)
+    middle = pose_at(truth, 50_000_000)
+    assert middle is not None
+    assert np.allclose(middle[:3, 3], poses[:2, :3, 3].mean(axis=0))
+    assert pose_at(truth, 1_000_000_000) is None
+    assert pose_at(truth, -1) is None
+    assert pose_at(truth, 2_000_000_001) is None
+
+
+@pytest.mark.parametrize(
+    "content", ["", "# only a comment\n", "1 2 3\n", "5,1,2\n", "a b c d e f g h\n", "1 0 0 0 0 0 0 0\n"]
+)
+def test_what_is_no_trajectory_is_refused_with_what_was_expected(content: str, tmp_path: Path) -> None:
+    path = tmp_path / "gt.txt"
+    path.write_text(content)
+    with pytest.raises(RecordingError, match=r"gt\.txt"):
+        read_true_trajectory(path)
+
+
+def test_a_missing_file_and_the_truth_of_another_log_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot read"):
+        read_true_trajectory(tmp_path / "nothing.csv")
+    other = TrueTrajectory(stamps_ns=np.arange(5), world_from_body=body_poses(5), is_camera=True)
+    with pytest.raises(RecordingError, match="of the log that was played"):
+        world_from_map(map_with_views(body_poses()), other, "m")
+
+
+# ---- the table and the picture --------------------------------------------------------------------------------------
+
+
+def test_the_table_has_a_line_for_each_scene_and_the_means() -> None:
+    items, b_from_world = furniture(9, 2), frame(30, 1, 0)
+    map_a, map_b = object_map(snapshot_of(items, np.eye(4))), object_map(snapshot_of(items, b_from_world, 1))
+    good = row_of("one", "sq", align(map_a, map_b), invert(b_from_world))
+    bad = row_of("two", "sq", align(map_a, object_map(snapshot_of([], np.eye(4)))), np.eye(4))
+    text = format_table([good, bad])
+    assert "success" in text
+    assert "empty" in text
+    assert "1 of 2" in text
+    told = table_json([good, bad, row_of("three", "sq", align(map_a, map_b), None)])
+    assert [row["success"] for row in told] == [True, False, None]
+    assert told[0]["num_pairs"] == 9
+    assert told[0]["translation_m"] < 0.02
+
+
+def test_the_picture_shows_both_maps_and_what_was_said_of_them() -> None:
+    items = furniture(8, 2)
+    map_a, map_b = object_map(snapshot_of(items, np.eye(4))), object_map(snapshot_of(items, frame(30, 1, 0), 1))
+    joined = render_alignment(map_a, map_b, align(map_a, map_b), (640, 320))
+    apart = render_alignment(map_a, map_b, align(map_a, object_map(snapshot_of([], np.eye(4)))), (640, 320))
+    for image in (joined, apart):
+        assert image.shape == (320, 640, 3)
+        pixels = image[50:].reshape(-1, 3).astype(int)
+        assert ((pixels[:, 2] - pixels[:, 0]) > 60).sum() > 300
+        assert ((pixels[:, 0] - pixels[:, 2]) > 60).sum() > 300
+    assert not np.array_equal(joined, apart)
+    with pytest.raises(ValueError, match="at least"):
+        render_alignment(map_a, map_b, align(map_a, map_b), (100, 100))
