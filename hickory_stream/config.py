@@ -7,6 +7,7 @@ any of them. A key that nobody declared is refused with the nearest one that som
 from __future__ import annotations
 
 import dataclasses
+import json
 import difflib
 import tomllib
 import types
@@ -162,7 +163,8 @@ def _toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        # TOML knows the escapes of JSON, and wants one for DEL, too.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, tuple | list):
         return "[" + ", ".join(_toml_value(v) for v in value) + "]"
     return repr(value)
