@@ -7,8 +7,8 @@ any of them. A key that nobody declared is refused with the nearest one that som
 from __future__ import annotations
 
 import dataclasses
-import json
 import difflib
+import json
 import tomllib
 import types
 from dataclasses import dataclass, field

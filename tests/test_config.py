@@ -86,7 +86,7 @@ def test_the_defaults_written_out_are_the_defaults(file: Path) -> None:
 
 
 @given(written=settings())
-@example(written=from_dict(Settings, {"mapper": {"run": {"worker_python": "tab\t, quote\", \x1f and \x7f"}}}))
+@example(written=from_dict(Settings, {"mapper": {"run": {"worker_python": 'tab\t, quote", \x1f and \x7f'}}}))
 def test_what_is_written_is_read_back(tmp_path_factory: pytest.TempPathFactory, written: Settings) -> None:
     file = tmp_path_factory.getbasetemp() / "written.toml"
     file.write_text(to_toml(written), encoding="utf-8")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.mapping.cloud import is_near
@@ -22,6 +23,9 @@ _LEG_BESIDE_M = 0.08
 _THIN_LEG = 0.04
 _MIN_POINTS = 10
 _TOUCH_SHARE = 0.03
+_SAMPLE = 600
+_PANEL_M = (0.1, 0.2, 0.4)
+_PANEL_GAP_M = 0.035
 _FOOT_CELL_M = 0.02
 _RING_M = 0.04
 _RISE_M = 0.025
@@ -89,7 +93,8 @@ def is_inner_part(
     """Return whether a piece belongs to the larger thing around it: inside its box, touching it, not standing on it.
 
     The panel of a desk, the board of a shelf, the foot of a chair. What stands in a shelf has a board under it, and
-    what stands under a desk does not touch it. `was_one`: their points were of one track, so that they did touch.
+    what stands under a desk does not touch it. `was_one`: their points were of one track, so that they did touch. A
+    panel's edges are seen less well than its face: it touches across a wider gap.
     """
     box = large.box.grown(0.02)
     if small.box.volume_m3 > max_volume * large.box.volume_m3:
@@ -97,10 +102,30 @@ def is_inner_part(
     if intersection_volume_m3(small.box, box) < inside * small.box.volume_m3:
         return False
     if not was_one:
-        keys = small.solid.keys
-        if float(is_near(keys[:: max(1, len(keys) // 600)], large.solid).mean()) < _TOUCH_SHARE:
+        touching = _touches_across(small, large, _PANEL_GAP_M) if is_panel(small) else _touches(small, large)
+        if not touching:
             return False
     return not _stands_on(small, large)
+
+
+def is_panel(track: Track) -> bool:
+    """Return whether a thing is a thin board of some size: a side, a back or a front of furniture, but no book."""
+    thin, width, length = sorted(2 * track.box.half_extents_m)
+    return bool(thin < _PANEL_M[0] and width > _PANEL_M[1] and length > _PANEL_M[2])
+
+
+def _touches(small: Track, large: Track) -> bool:
+    keys = small.solid.keys[:: max(1, len(small.solid.keys) // _SAMPLE)]
+    return float(is_near(keys, large.solid).mean()) >= _TOUCH_SHARE
+
+
+def _touches_across(small: Track, large: Track, gap_m: float) -> bool:
+    points = small.solid.points[:: max(1, len(small.solid.points) // _SAMPLE)]
+    around = large.solid.points[small.box.grown(gap_m).contains(large.solid.points)]
+    if len(around) == 0:
+        return False
+    distances_m, _ = cKDTree(around).query(points, distance_upper_bound=gap_m)
+    return float(np.isfinite(distances_m).mean()) >= _TOUCH_SHARE
 
 
 def _stands_on(small: Track, large: Track) -> bool:

@@ -33,6 +33,7 @@ from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
 from hickory_stream.mapping.carried import is_inner_part
 from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
+from hickory_stream.mapping.floating import FloatConfig, stem_of
 from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
 from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge, why_one
 from hickory_stream.mapping.observed_space import (
@@ -41,6 +42,7 @@ from hickory_stream.mapping.observed_space import (
     add_structure,
     as_record,
     empty_space,
+    is_edge,
     is_flush,
     known_no_object,
     share_in,
@@ -80,9 +82,11 @@ class MappingConfig:
     views: ViewConfig = field(default_factory=ViewConfig)
     requests: RequestConfig = field(default_factory=RequestConfig)
     flush: FlushConfig = field(default_factory=FlushConfig)
+    floating: FloatConfig = field(default_factory=FloatConfig)
     space_voxel_m: float = 0.05
 
 
+_FLOATS = "it would float but for this one"
 # Given, or made anew from the rest.
 _NOT_STATE = frozenset({"_config", "_shown"})
 
@@ -381,16 +385,19 @@ class MapperCore:
         effects: list[Effect] = []
         while (pair := find_pair(self._tracks, changed, self._votes, self._config.merge)) is not None:
             kept_id, gone_id, reason = pair
-            kept, gone = self._tracks[kept_id], self._tracks.pop(gone_id)
-            self._tracks[kept_id] = merge(kept, gone, self._config.track, self._config.views)
-            self._votes = self._votes.merged(kept_id, gone_id)
-            self._parts = moved_to(self._parts, kept_id, gone_id)
-            self._shown.pop(gone_id, None)
+            effects += self._unite(kept_id, gone_id, reason)
             changed = (changed - {gone_id}) | {kept_id}
-            if gone.shape_state.open_ticket is not None:
-                effects.append(CancelShape(ticket=gone.shape_state.open_ticket))
-            self._decide("merge", kept_id, f"#{gone_id} is the same: {reason}")
         return effects
+
+    def _unite(self, kept_id: int, gone_id: int, reason: str) -> list[Effect]:
+        kept, gone = self._tracks[kept_id], self._tracks.pop(gone_id)
+        self._tracks[kept_id] = merge(kept, gone, self._config.track, self._config.views)
+        self._votes = self._votes.merged(kept_id, gone_id)
+        self._parts = moved_to(self._parts, kept_id, gone_id)
+        self._shown.pop(gone_id, None)
+        self._decide("merge", kept_id, f"#{gone_id} is the same: {reason}")
+        open_ticket = gone.shape_state.open_ticket
+        return [] if open_ticket is None else [CancelShape(ticket=open_ticket)]
 
     def _age(self, event: FrameObserved) -> list[Effect]:
         effects: list[Effect] = []
@@ -405,7 +412,7 @@ class MapperCore:
             if self._is_more_wall(track):
                 self._space = add_structure(self._space, track.solid.points)
                 no_object = known_no_object(self._space)
-                effects += self._drop_track(track, "flat, and the wall goes on around it")
+                effects += self._drop_track(track, "flat or an edge, and the wall goes on around it")
                 continue
             if share_in(no_object, track.solid.points, self._space.voxel_m) > self._config.lifecycle.structure_share:
                 effects += self._drop_track(track, "a piece of what was found to be structure")
@@ -417,11 +424,18 @@ class MapperCore:
                 effects += self._drop_track(track, "looked through" if track.seen_through else "never confirmed")
                 continue
             if phase is Phase.DORMANT and track.phase is Phase.ACTIVE:
+                if (stem := self._stem_of(track)) is not None:
+                    effects += self._unite(stem.id, track_id, _FLOATS)
+                    continue
                 track = self._without_wall(track)
             if phase is not track.phase:
                 self._decide("phase", track_id, f"{track.phase} -> {phase} after {track.sightings} sightings")
             self._tracks[track_id] = aged(track, phase)
         return effects
+
+    def _stem_of(self, track: Track) -> Track | None:
+        others = (other for other in self._tracks.values() if other.phase is not Phase.TENTATIVE)
+        return stem_of(track, others, self._space, self._config.floating)
 
     def _without_wall(self, track: Track) -> Track:
         """Return a track without what of it lies in structure, if that is more than a seam at a wall."""
@@ -434,10 +448,13 @@ class MapperCore:
         return with_cloud(track, without(track.cloud, in_wall), track.sightings, self._config.track)
 
     def _is_more_wall(self, track: Track) -> bool:
-        """Return whether a track is flush with structure; asked where it settles or rests."""
+        """Return whether a track is flush with structure, or an edge of it; asked where it settles or rests."""
         is_settling = track.phase is Phase.TENTATIVE and track.sightings >= self._config.lifecycle.confirm_sightings
         is_resting = track.phase is Phase.ACTIVE and self._clock_ns - track.seen_clock_ns > 1e9
-        return (is_settling or is_resting) and is_flush(self._space, track.box, self._config.flush)
+        if not (is_settling or is_resting):
+            return False
+        config = self._config.flush
+        return is_flush(self._space, track.box, config) or is_edge(self._space, track.box, config)
 
     def _is_seen_through(self, track: Track, event: FrameObserved) -> bool:
         keys = keys_of_points(track.cloud.points[:: max(1, len(track.cloud.points) // 200)], self._config.space_voxel_m)
@@ -563,9 +580,13 @@ class MapperCore:
     def _source_ended(self) -> list[Effect]:
         effects: list[Effect] = []
         for track_id in sorted(self._tracks):
-            self._tracks[track_id] = self._without_wall(self._tracks[track_id])
-            if self._tracks[track_id].phase is Phase.TENTATIVE:
-                effects += self._drop_track(self._tracks[track_id], "never confirmed")
+            track = self._tracks[track_id]
+            if track.phase is Phase.TENTATIVE:
+                effects += self._drop_track(track, "never confirmed")
+            elif (stem := self._stem_of(track)) is not None:
+                effects += self._unite(stem.id, track_id, _FLOATS)
+            else:
+                self._tracks[track_id] = self._without_wall(track)
         effects += [*self._request_shapes(is_final=True), *self._drop_views()]
         decisions, self._decisions = tuple(self._decisions), []
         return [*effects, Publish(snapshot=self.snapshot(), decisions=decisions, metrics=self._metrics())]

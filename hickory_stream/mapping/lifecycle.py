@@ -38,6 +38,8 @@ class LifecycleConfig:
         wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab that begins at most this high above
             the floor, ends at least that high, is at least so tall and thinner, is a piece of a wall; so is one longer
             than `structure_m`, wherever it begins.
+        lintel_foot_m, lintel_top_m: a slab that begins and ends at least that high above the floor is what a wall has
+            over a door.
         wall_share, wall_hits: of a track that comes to rest with more of its points than this in voxels that so many
             keyframes saw as structure, these points are taken away: a frame took the wall behind it for a piece of it.
         phantom_share: share of a track's voxels that must be seen free for a keyframe to count as looking through.
@@ -55,6 +57,8 @@ class LifecycleConfig:
     wall_top_m: float = 1.25
     wall_height_m: float = 0.75
     wall_thickness_m: float = 0.22
+    lintel_foot_m: float = 1.4
+    lintel_top_m: float = 2.1
     structure_share: float = 0.5
     wall_share: float = 0.15
     wall_hits: int = 4
@@ -90,6 +94,8 @@ def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleCo
     if thickness > config.wall_thickness_m or floor_z_m is None or high < floor_z_m + config.wall_top_m:
         return False
     if width > config.structure_m:
+        return True
+    if low > floor_z_m + config.lintel_foot_m and high > floor_z_m + config.lintel_top_m:
         return True
     is_tall = size[2] > config.wall_height_m
     return low < floor_z_m + config.wall_foot_m and is_tall and width > 2 * thickness

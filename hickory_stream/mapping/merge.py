@@ -13,7 +13,7 @@ import numpy as np
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
-from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, stands_in
+from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, is_panel, stands_in
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.track import Track, TrackConfig, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
@@ -48,7 +48,7 @@ class MergeConfig:
     covers_share: float = 0.3
     min_votes: int = 3
     sure_votes: int = 6
-    sure_ratio: float = 0.4
+    sure_ratio: float = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +177,6 @@ def why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | No
             return "the smaller stands under the larger like a leg"
         if not less.is_promoted and stands_in(more, less):
             return "the larger stands in the smaller"
-        if not less.is_promoted and is_inner_part(less, more):
+        if (not less.is_promoted or is_panel(less)) and is_inner_part(less, more):
             return "the smaller is a part inside the larger"
     return None

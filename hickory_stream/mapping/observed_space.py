@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import centers_of_keys, contains, difference, keys_of_cells, keys_of_points
@@ -30,7 +31,9 @@ class FlushConfig:
 
     Structure counts from half of `reach_m` to `reach_m` beyond the border (a wall that meets the thing at an edge is
     not in its plane, and ends before), in the thing's own plane: its middle may lie off the thing's by `max_offset` of
-    half the thickness. Nothing counts up to `foot_m` above the floor, on which everything stands.
+    half the thickness. Nothing counts up to `foot_m` above the floor, on which everything stands. An upright strip that
+    is thinner than `edge_width_m`, taller than `edge_height_m` and has structure within `edge_reach_m` along most of
+    its height is the edge of a wall or the frame of a door.
     """
 
     thickness_m: float = 0.12
@@ -39,6 +42,10 @@ class FlushConfig:
     border_share: float = 0.25
     max_offset: float = 0.8
     foot_m: float = 0.1
+    edge_width_m: float = 0.1
+    edge_height_m: float = 0.38
+    edge_reach_m: float = 0.1
+    edge_share: float = 0.8
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -110,9 +117,7 @@ def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
     wide = np.delete(half, thin)
     if 2 * half[thin] > config.thickness_m or 2 * wide.min() < config.min_size_m:
         return False
-    # What frames saw as structure: a track that was dropped for one reason is no reason to drop its neighbour.
-    sure = state.structure[(state.hits >= _SURE_HITS) & (state.hits < _NO_OBJECT)]
-    centers = centers_of_keys(_near(sure, box, state.voxel_m, config.reach_m), state.voxel_m)
+    centers = _structure_around(state, box, config.reach_m)
     if state.floor_z_m is not None:
         centers = centers[centers[:, 2] > state.floor_z_m + config.foot_m]
     local = apply(invert(box.world_from_box), centers)
@@ -126,6 +131,36 @@ def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
     # Cells of the border itself, each once, however deep the structure is behind it.
     border = np.unique(np.floor(np.clip(in_plane[around], -wide, wide) / state.voxel_m), axis=0)
     return len(border) * state.voxel_m > config.border_share * 4 * float(wide.sum())
+
+
+def is_edge(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
+    """Return whether a thing is a slender upright strip along structure: the edge of a wall, the frame of a door."""
+    *widths, height = 2 * box.half_extents_m
+    if max(widths) > config.edge_width_m or height < config.edge_height_m:
+        return False
+    steps = np.linspace(-height / 2, height / 2, int(height / state.voxel_m) + 1)
+    axis = box.center + steps[:, None] * np.array([0.0, 0.0, 1.0])
+    centers = _structure_around(state, box, config.edge_reach_m)
+    distances_m = np.linalg.norm(axis[:, None] - centers[None], axis=2).min(axis=1, initial=np.inf)
+    return float((distances_m < config.edge_reach_m).mean()) > config.edge_share
+
+
+def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float32], reach_m: float) -> bool:
+    """Return whether structure lies within `reach_m` of a tenth of a thing's (N, 3) points."""
+    centers = _structure_around(state, box, reach_m)
+    if len(centers) == 0:
+        return False
+    distances_m, _ = cKDTree(centers).query(points[:: max(1, len(points) // 400)], distance_upper_bound=reach_m)
+    return float(np.isfinite(distances_m).mean()) > 0.1
+
+
+def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> NDArray[np.float32]:
+    """Return the (N, 3) centres of structure voxels around a box.
+
+    Only what frames saw as structure: a track that was dropped for one reason is no reason to drop its neighbour.
+    """
+    sure = state.structure[(state.hits >= _SURE_HITS) & (state.hits < _NO_OBJECT)]
+    return centers_of_keys(_near(sure, box, state.voxel_m, reach_m), state.voxel_m)
 
 
 def _near(keys: NDArray[np.int64], box: OrientedBox, voxel_m: float, reach_m: float) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ from hickory_stream.mapping.carried import is_inner_part, is_on_foot
 from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore, MappingConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig, is_structure
-from hickory_stream.mapping.observed_space import FlushConfig, add, add_structure, empty_space, is_flush
+from hickory_stream.mapping.observed_space import FlushConfig, add, add_structure, empty_space, is_edge, is_flush
 from hickory_stream.mapping.parts import PartConfig, moved_to, with_keyframe
 from hickory_stream.mapping.track import TrackConfig
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
@@ -96,6 +96,15 @@ def test_a_panel_between_the_legs_of_a_desk_is_a_part_of_it_and_a_bin_under_it_i
     assert not is_inner_part(bin_, desk)
 
 
+def test_a_front_is_a_part_across_the_gap_that_its_edges_leave_and_a_book_is_not() -> None:
+    boards = [box_surface((0.0, 0.0, z), (0.6, 1.4, 0.02)) for z in (0.02, 0.88)]
+    counter = track(1, np.concatenate([*boards, box_surface((-0.29, 0.0, 0.45), (0.02, 1.4, 0.9))]))
+    front = track(2, box_surface((0.26, 0.0, 0.69), (0.02, 1.2, 0.3)))
+    book = track(3, box_surface((0.26, 0.0, 0.74), (0.02, 0.16, 0.2)))
+    assert is_inner_part(front, counter)
+    assert not is_inner_part(book, counter)
+
+
 def test_what_stands_on_a_board_of_a_shelf_is_no_part_of_it() -> None:
     boards = [box_surface((0.0, 0.0, z), (0.3, 0.8, 0.02)) for z in (0.05, 0.45, 0.85)]
     sides = [box_surface((0.0, y, 0.45), (0.3, 0.02, 0.9)) for y in (-0.4, 0.4)]
@@ -137,8 +146,10 @@ def test_a_settled_track_is_not_made_twice_as_large_by_one_observation() -> None
         ((0, 0, 0.8), (1.2, 0.4, 1.5), False),
         ((0, 0, 1.2), (0.9, 0.06, 0.5), False),
         ((0, 0, 0.3), (1.2, 0.1, 0.6), False),
+        ((0, 0, 1.9), (0.8, 0.14, 0.5), True),
+        ((0, 0, 1.7), (0.8, 0.04, 0.5), False),
     ],
-    ids=["a wall between two doors", "a wardrobe", "a television", "a bench"],
+    ids=["a wall between two doors", "a wardrobe", "a television", "a bench", "the wall over a door", "a picture"],
 )
 def test_an_upright_slab_from_the_floor_to_above_the_waist_is_a_piece_of_wall(
     center: tuple[float, float, float], size: tuple[float, float, float], verdict: bool
@@ -146,6 +157,18 @@ def test_an_upright_slab_from_the_floor_to_above_the_waist_is_a_piece_of_wall(
     slab = track(1, box_surface(center, size), sightings=6)
     assert is_structure(slab, 0.0, LifecycleConfig()) is verdict
     assert not is_structure(slab, None, LifecycleConfig())
+
+
+def test_a_slender_strip_along_a_wall_is_its_edge_and_a_lamp_in_the_room_is_not() -> None:
+    config = FlushConfig()
+    y, z = (grid.ravel() for grid in np.meshgrid(np.arange(0, 2, 0.02), np.arange(0, 2.5, 0.02)))
+    keys = np.unique(keys_of_points(np.stack([np.full(len(y), 1.0), y, z], axis=1).astype(np.float32), 0.05))
+    state = empty_space(0.05)
+    for _ in range(2):
+        state = add(state, space(structure=keys))
+    assert is_edge(state, track(1, box_surface((1.0, -0.03, 1.2), (0.06, 0.05, 0.8))).box, config)
+    assert not is_edge(state, track(2, box_surface((0.6, 0.5, 0.8), (0.05, 0.05, 1.4))).box, config)
+    assert not is_edge(state, track(3, box_surface((0.96, 0.5, 1.0), (0.08, 0.08, 0.3))).box, config)  # a bottle
 
 
 def test_a_flat_thing_is_more_wall_only_where_the_wall_goes_on_around_it() -> None:

@@ -1,0 +1,84 @@
+"""Things do not float: what hangs in the air away from every wall is a piece of what it grows out of.
+
+The branches of a plant, the shade of a lamp: a thin stem joins them to the rest, and is not seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.mapping.observed_space import sees_structure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.mapping.observed_space import SpaceState
+    from hickory_stream.mapping.track import Track
+
+_FOOT_M = 0.05
+_BELOW_M = (0.08, 0.13, 0.18)
+_LOWEST_PCT = 2
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FloatConfig:
+    """When a thing floats, and what it then belongs to.
+
+    Attributes:
+        min_height_m: of its lowest points above the floor; the feet of what is lower may be thin.
+        free_share: share of the space under its lowest points that was seen free.
+        support_m, support_share: no more of its lowest points than this share lies so near another thing.
+        wall_m: no structure this near: it may hang there.
+        stem_m: the nearest other thing within this is what it belongs to.
+    """
+
+    min_height_m: float = 0.25
+    free_share: float = 0.9
+    support_m: float = 0.06
+    support_share: float = 0.1
+    wall_m: float = 0.1
+    stem_m: float = 0.15
+
+
+def stem_of(track: Track, others: Iterable[Track], space: SpaceState, config: FloatConfig) -> Track | None:
+    """Return what a floating thing is a piece of; None where it does not float, or has nothing near it."""
+    points = track.solid.points
+    if space.floor_z_m is None or len(points) == 0:
+        return None
+    low = float(np.percentile(points[:, 2], _LOWEST_PCT))
+    if low < space.floor_z_m + config.min_height_m:
+        return None
+    foot = points[points[:, 2] < low + _FOOT_M]
+    if not _is_free_below(foot, points, space, config) or sees_structure(space, track.box, points, config.wall_m):
+        return None
+    near = [other for other in others if other.id != track.id and _meet(track, other, config.stem_m)]
+    clouds = [cKDTree(other.solid.points) for other in near]
+    for cloud in clouds:
+        distances_m, _ = cloud.query(foot, distance_upper_bound=config.support_m)
+        if float(np.isfinite(distances_m).mean()) >= config.support_share:
+            return None
+    gaps_m = [float(cloud.query(points, distance_upper_bound=config.stem_m)[0].min()) for cloud in clouds]
+    closest = min(range(len(near)), key=lambda i: (gaps_m[i], near[i].id), default=None)
+    return None if closest is None or not np.isfinite(gaps_m[closest]) else near[closest]
+
+
+def _is_free_below(
+    foot: NDArray[np.float32], points: NDArray[np.float32], space: SpaceState, config: FloatConfig
+) -> bool:
+    own = np.unique(keys_of_points(points, space.voxel_m))
+    below = np.concatenate([foot - np.array([0.0, 0.0, depth_m], np.float32) for depth_m in _BELOW_M])
+    keys = keys_of_points(below, space.voxel_m)
+    keys = keys[~contains(own, keys)]
+    return len(keys) > 0 and float(contains(space.free, keys).mean()) >= config.free_share
+
+
+def _meet(a: Track, b: Track, slack_m: float) -> bool:
+    (a_low, a_high), (b_low, b_high) = a.bounds, b.bounds
+    return bool((a_low <= b_high + slack_m).all() and (b_low <= a_high + slack_m).all())
