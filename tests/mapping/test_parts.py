@@ -99,8 +99,10 @@ def test_a_panel_between_the_legs_of_a_desk_is_a_part_of_it_and_a_bin_under_it_i
 def test_a_front_is_a_part_across_the_gap_that_its_edges_leave_and_a_book_is_not() -> None:
     boards = [box_surface((0.0, 0.0, z), (0.6, 1.4, 0.02)) for z in (0.02, 0.88)]
     counter = track(1, np.concatenate([*boards, box_surface((-0.29, 0.0, 0.45), (0.02, 1.4, 0.9))]))
-    front = track(2, box_surface((0.26, 0.0, 0.7), (0.02, 1.2, 0.3)))
-    book = track(3, box_surface((0.26, 0.0, 0.75), (0.02, 0.16, 0.2)))
+    front, book = (box_surface((0.26, 0.0, 0.5), size) for size in ((0.02, 1.2, 0.3), (0.02, 0.16, 0.2)))
+    for points in (front, book):
+        points[:, 2] += boards[1][:, 2].min() - 0.04 - points[:, 2].max()
+    front, book = track(2, front), track(3, book)
     assert is_inner_part(front, counter)
     assert not is_inner_part(book, counter)
 
