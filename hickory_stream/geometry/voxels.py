@@ -49,21 +49,41 @@ def contains(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDAr
 
 
 def difference(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sorted keys of `a` that are not in `b`, both sorted: one walk along both."""
-    return np.asarray(_difference(a, b))
+    """Return the sorted keys of `a` that are not in `b`, both sorted; quick where few of `b` are in `a`."""
+    return np.asarray(_without_places(a, np.searchsorted(a, b[contains(a, b)])))
+
+
+def union(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the sorted keys of `a` and `b`, both sorted and each key once; quick where `b` brings few new ones."""
+    fresh = b[~contains(a, b)]
+    return np.asarray(_with_inserted(a, np.searchsorted(a, fresh), fresh)) if len(fresh) else a
 
 
 @numba.njit(cache=True, nogil=True)
-def _difference(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
-    out = np.empty(len(a), dtype=np.int64)
-    n, j = 0, 0
-    for i in range(len(a)):
-        while j < len(b) and b[j] < a[i]:
-            j += 1
-        if j == len(b) or b[j] != a[i]:
-            out[n] = a[i]
-            n += 1
-    return out[:n].copy()
+def _without_places(a, places):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty(len(a) - len(places), dtype=np.int64)
+    start, n = 0, 0
+    for place in places:
+        out[n : n + place - start] = a[start:place]
+        n += place - start
+        start = place + 1
+    out[n:] = a[start:]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _with_inserted(a, places, values):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty(len(a) + len(values), dtype=np.int64)
+    start, n = 0, 0
+    for i in range(len(places)):
+        place = places[i]
+        out[n : n + place - start] = a[start:place]
+        n += place - start
+        out[n] = values[i]
+        n += 1
+        start = place
+    out[n:] = a[start:]
+    return out
 
 
 def dilate(keys: NDArray[np.int64]) -> NDArray[np.int64]:

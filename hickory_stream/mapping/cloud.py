@@ -32,22 +32,20 @@ def cloud_of(points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: fl
     """Return the cloud of one frame's points."""
     keys = keys_of_points(points, voxel_m)
     order = np.argsort(keys, kind="stable")
-    return _averaged(
-        keys[order], points[order], colors[order].astype(np.float32), np.ones(len(keys), dtype=np.int32), frames=1
+    unique, starts = np.unique(keys[order], return_index=True)
+    counts = np.diff(np.append(starts, len(keys)))[:, None]
+    return Cloud(
+        keys=unique,
+        points=(np.add.reduceat(points[order].astype(np.float64), starts) / counts).astype(np.float32),
+        colors=(np.add.reduceat(colors[order].astype(np.float64), starts) / counts).astype(np.float32),
+        hits=np.ones(len(unique), dtype=np.int32),
     )
 
 
 def fuse(a: Cloud, b: Cloud) -> Cloud:
     """Return the union of two clouds: means weighted by hits."""
-    keys = np.concatenate([a.keys, b.keys])
-    order = np.argsort(keys, kind="stable")
-    return _averaged(
-        keys[order],
-        np.concatenate([a.points, b.points])[order],
-        np.concatenate([a.colors, b.colors])[order],
-        np.concatenate([a.hits, b.hits])[order],
-        frames=None,
-    )
+    keys, points, colors, hits = _fused(a.keys, a.points, a.colors, a.hits, b.keys, b.points, b.colors, b.hits)
+    return Cloud(keys=keys, points=points, colors=colors, hits=hits)
 
 
 def without(cloud: Cloud, drop: NDArray[np.bool_]) -> Cloud:
@@ -79,28 +77,35 @@ def share_near(keys: NDArray[np.int64], cloud: Cloud, sample: int = 400) -> floa
     return float(is_near(keys[:: max(1, len(keys) // sample)], cloud).mean())
 
 
-def _averaged(
-    keys: NDArray[np.int64],
-    points: NDArray[np.float32],
-    colors: NDArray[np.float32],
-    hits: NDArray[np.int32],
-    frames: int | None,
-) -> Cloud:
-    """Average rows of equal key (sorted); `frames` replaces the summed hits where all rows are of one frame."""
-    unique, starts = np.unique(keys, return_index=True)
-    if len(unique) == len(keys):
-        return Cloud(keys=keys, points=points, colors=colors, hits=hits)
-    weights = hits.astype(np.float64)
-    total = np.add.reduceat(weights, starts)
-    mean = np.add.reduceat(points * weights[:, None], starts) / total[:, None]
-    color = np.add.reduceat(colors * weights[:, None], starts) / total[:, None]
-    summed = np.full(len(unique), frames) if frames is not None else total
-    return Cloud(
-        keys=unique,
-        points=mean.astype(np.float32),
-        colors=color.astype(np.float32),
-        hits=summed.astype(np.int32),
-    )
+@numba.njit(cache=True, nogil=True)
+def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hits):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Merge two sorted clouds in one walk along both."""
+    size = len(a_keys) + len(b_keys)
+    keys = np.empty(size, dtype=np.int64)
+    points = np.empty((size, 3), dtype=np.float32)
+    colors = np.empty((size, 3), dtype=np.float32)
+    hits = np.empty(size, dtype=np.int32)
+    i, j, n = 0, 0, 0
+    while i < len(a_keys) or j < len(b_keys):
+        takes_a = j == len(b_keys) or (i < len(a_keys) and a_keys[i] <= b_keys[j])
+        takes_b = i == len(a_keys) or (j < len(b_keys) and b_keys[j] <= a_keys[i])
+        if takes_a and takes_b:
+            total = np.float64(a_hits[i]) + np.float64(b_hits[j])
+            for k in range(3):
+                point = np.float64(a_points[i, k]) * a_hits[i] + np.float64(b_points[j, k]) * b_hits[j]
+                color = np.float64(a_colors[i, k]) * a_hits[i] + np.float64(b_colors[j, k]) * b_hits[j]
+                points[n, k], colors[n, k] = point / total, color / total
+            keys[n], hits[n] = a_keys[i], a_hits[i] + b_hits[j]
+        elif takes_a:
+            keys[n], hits[n] = a_keys[i], a_hits[i]
+            points[n], colors[n] = a_points[i], a_colors[i]
+        else:
+            keys[n], hits[n] = b_keys[j], b_hits[j]
+            points[n], colors[n] = b_points[j], b_colors[j]
+        i += takes_a
+        j += takes_b
+        n += 1
+    return keys[:n].copy(), points[:n].copy(), colors[:n].copy(), hits[:n].copy()
 
 
 @numba.njit(cache=True, nogil=True)

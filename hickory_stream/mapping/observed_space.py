@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import centers_of_keys, contains, difference, keys_of_cells, keys_of_points
+from hickory_stream.geometry.voxels import centers_of_keys, contains, difference, keys_of_cells, keys_of_points, union
 from hickory_stream.records import ObservedSpace
 
 if TYPE_CHECKING:
@@ -50,7 +50,10 @@ class FlushConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceState:
-    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, 255 where a track was."""
+    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, 255 where a track was.
+
+    What was seen as structure twice is not in `free`.
+    """
 
     voxel_m: float
     free: NDArray[np.int64]
@@ -67,20 +70,20 @@ def empty_space(voxel_m: float) -> SpaceState:
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     """Return the space after one more keyframe. The floor follows slowly, and goes down at once."""
-    fresh = ~contains(state.free, seen.free_keys)
-    free = _merged(state.free, seen.free_keys[fresh])
     known = contains(state.structure, seen.structure_keys)
+    again = seen.structure_keys[known]
     hits = state.hits.copy()
-    at = np.searchsorted(state.structure, seen.structure_keys[known])
-    hits[at] = np.maximum(hits[at], np.minimum(hits[at].astype(np.int64) + 1, _MOST_HITS))
-    keys = np.concatenate([state.structure, seen.structure_keys[~known]])
-    hits = np.concatenate([hits, np.ones(int((~known).sum()), dtype=np.uint8)])
-    order = np.argsort(keys, kind="stable")
+    at = np.searchsorted(state.structure, again)
+    before = hits[at]
+    hits[at] = np.maximum(before, np.minimum(before.astype(np.int64) + 1, _MOST_HITS))
+    structure, hits = _with_structure(state.structure, hits, seen.structure_keys[~known], 1)
+    # What has just become sure is free no more, and what is sure is not made free by rays that graze it.
+    free = difference(state.free, again[(before < _SURE_HITS) & (_hits_of(structure, hits, again) >= _SURE_HITS)])
     return SpaceState(
         voxel_m=state.voxel_m,
-        free=free,
-        structure=keys[order],
-        hits=hits[order],
+        free=union(free, seen.free_keys[_hits_of(structure, hits, seen.free_keys) < _SURE_HITS]),
+        structure=structure,
+        hits=hits,
         floor_z_m=_floor(state.floor_z_m, seen.floor_z_m),
     )
 
@@ -89,10 +92,24 @@ def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
     """Return the space in which the voxels of (N, 3) points surely are structure: what was an object, and is none."""
     keys = np.unique(keys_of_points(points, state.voxel_m))
     old = ~contains(keys, state.structure)
-    all_keys = np.concatenate([state.structure[old], keys])
-    hits = np.concatenate([state.hits[old], np.full(len(keys), _NO_OBJECT, dtype=np.uint8)])
-    order = np.argsort(all_keys, kind="stable")
-    return replace(state, structure=all_keys[order], hits=hits[order])
+    structure, hits = _with_structure(state.structure[old], state.hits[old], keys, _NO_OBJECT)
+    return replace(state, free=difference(state.free, keys), structure=structure, hits=hits)
+
+
+def _hits_of(structure: NDArray[np.int64], hits: NDArray[np.uint8], keys: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return how often each of (N,) voxels was seen as structure."""
+    if len(structure) == 0:
+        return np.zeros(len(keys), dtype=np.uint8)
+    at = np.minimum(np.searchsorted(structure, keys), len(structure) - 1)
+    return np.where(structure[at] == keys, hits[at], np.uint8(0))
+
+
+def _with_structure(
+    structure: NDArray[np.int64], hits: NDArray[np.uint8], new: NDArray[np.int64], new_hits: int
+) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    keys = np.concatenate([structure, new])
+    order = np.argsort(keys, kind="stable")
+    return keys[order], np.concatenate([hits, np.full(len(new), new_hits, dtype=np.uint8)])[order]
 
 
 def known_no_object(state: SpaceState) -> NDArray[np.int64]:
@@ -174,18 +191,12 @@ def _near(keys: NDArray[np.int64], box: OrientedBox, voxel_m: float, reach_m: fl
 
 def as_record(state: SpaceState) -> ObservedSpace:
     """Return the public record: structure that was seen twice, and free space that is not structure."""
-    structure = state.structure[state.hits >= _SURE_HITS]
     return ObservedSpace(
         voxel_m=state.voxel_m,
-        free=difference(state.free, structure),
-        structure=structure,
+        free=state.free,
+        structure=state.structure[state.hits >= _SURE_HITS],
         floor_z_m=state.floor_z_m,
     )
-
-
-def _merged(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    # A stable sort of two sorted runs is a merge.
-    return np.sort(np.concatenate([a, b]), kind="stable") if len(b) else a
 
 
 def _floor(known_m: float | None, seen_m: float | None) -> float | None:
