@@ -321,12 +321,13 @@ def test_the_end_drops_what_is_tentative_and_asks_for_every_shape_that_is_missin
 
 def test_a_jump_of_the_odometry_is_a_decision_that_names_its_size() -> None:
     core = MapperCore(MappingConfig())
+    drive(core, [frame(0, *both())])
     jump = np.eye(4)
     jump[0, 3] = 0.4
     assert core.handle(PoseJumped(stamp_ns=SECOND_NS, after_from_before=jump)) == []
     published = [effect for effect in core.handle(SourceEnded(stamp_ns=SECOND_NS)) if isinstance(effect, Publish)]
     texts = [decision.text for effect in published for decision in effect.decisions]
-    assert "the odometry jumped by 0.40 m" in texts
+    assert "the odometry jumped by 0.40 m: submap 1 begins" in texts
 
 
 def test_a_jump_of_the_stamps_keeps_the_map_and_the_clock_runs_on_from_where_it_was() -> None:
