@@ -46,7 +46,16 @@ from hickory_stream.mapping.observed_space import (
     sure_structure,
 )
 from hickory_stream.mapping.parts import Part, PartConfig, Parts, moved_to, with_keyframe
-from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
+from hickory_stream.mapping.requests import (
+    RequestConfig,
+    best_score,
+    gain_of,
+    increase_in_score,
+    next_replacements,
+    next_requests,
+    predicted_s,
+    support_height_m,
+)
 from hickory_stream.mapping.submaps import (
     SubmapConfig,
     SubmapState,
@@ -594,8 +603,13 @@ class MapperCore:
         config = self._config.requests
         num_open = sum(track.shape_state.open_ticket is not None for track in self._tracks.values())
         effects: list[Effect] = []
-        for track_id in next_requests(self._tracks, num_open, self._clock_ns, is_final=is_final, config=config):
+        replaced = [] if is_final else next_replacements(self._tracks, self._clock_ns, config)
+        wanted = next_requests(self._tracks, num_open, self._clock_ns, is_final=is_final, config=config)
+        for track_id in (*replaced, *wanted):
             track = self._tracks[track_id]
+            if (gone := track.shape_state.open_ticket) is not None:
+                effects.append(CancelShape(ticket=gone))
+                self._decide("shape", track_id, f"job {gone} is replaced: S grew by {increase_in_score(track):.3f}")
             core = track.solid
             views = sorted(track.views, key=lambda view: (view is not track.best_view, view.frame_index, view.box_px))
             ticket = self._next_ticket
@@ -612,12 +626,19 @@ class MapperCore:
                     due_ns=(self._stamp_ns or 0) + int(config.latency_s * 1e9),
                 )
             )
-            self._decide("shape", track_id, f"job {ticket} asked for: gain {gain_of(track):.2f}, {len(views)} views")
+            self._decide(
+                "shape",
+                track_id,
+                f"job {ticket} asked for: S {increase_in_score(track):+.3f} in {predicted_s(track, config):.1f} s, "
+                f"new {gain_of(track):.2f}, {len(views)} views",
+            )
             state = ShapeState(
                 open_ticket=ticket,
                 asked_clock_ns=self._clock_ns,
                 asked_points=len(core.keys),
                 asked_views=tuple(view.name for view in track.views),
+                asked_score=best_score(track),
+                is_replacement=gone is not None,
                 failures=track.shape_state.failures,
             )
             self._tracks[track_id] = replace(track, shape_state=state)

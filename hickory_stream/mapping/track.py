@@ -36,12 +36,17 @@ class TrackConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShapeState:
-    """Where the shape of a track stands: the open ticket, and what was known when the last one was asked for."""
+    """Where the shape of a track stands: the open ticket, and what was known when the last one was asked for.
+
+    `is_replacement`: that one took the place of one that was open.
+    """
 
     open_ticket: int | None = None
     asked_clock_ns: int = 0
     asked_points: int = 0
     asked_views: tuple[str, ...] = ()
+    asked_score: float = 0.0
+    is_replacement: bool = False
     failures: int = 0
 
 

@@ -50,7 +50,7 @@ CONFIG = MappingConfig(
     track=TrackConfig(voxel_m=VOXEL_M),
     lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=4),
     merge=MergeConfig(min_votes=3),
-    requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5),
+    requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5, kilopoint_s=0.0),
 )
 # Off the border between two of the eight sectors.
 ANGLE_RAD = 0.3
@@ -200,6 +200,21 @@ def test_a_single_frame_that_covers_two_tracks_does_not_weld_them() -> None:
     assert list(after) == [1, 2]
     for i in (1, 2):
         assert after[i].box.volume_m3 < 1.3 * before[i].box.volume_m3
+
+
+def test_a_much_better_view_replaces_the_open_job_once() -> None:
+    core = MapperCore(CONFIG)
+    first = requests(drive(core, [frame(i, observation(0, A, r_area=0.002)) for i in range(3)]))
+    assert [request.ticket for request in first] == [1]
+    better = told(drive(core, [frame(3, observation(0, A, r_area=0.05))]))
+    assert [effect for effect in better if effect[0] in ("cancel", "request")] == [("cancel", 1), ("request", 2, 1)]
+    best = told(drive(core, [frame(4, observation(0, A, r_area=1.0))]))
+    assert not [effect for effect in best if effect[0] in ("cancel", "request")]
+    # What the first job made comes too late.
+    assert core.handle(shape_ready(1, 1)) == []
+    assert core.snapshot().objects[0].shape is None
+    core.handle(shape_ready(2, 1))
+    assert core.snapshot().objects[0].shape is not None
 
 
 def test_halves_that_are_seen_as_one_often_enough_become_one_and_the_open_job_of_the_gone_one_is_cancelled() -> None:
