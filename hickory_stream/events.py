@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import is_rigid
 
 if TYPE_CHECKING:
     import numpy as np
@@ -90,7 +91,8 @@ class TimeJumped:
 class PoseJumped:
     """The odometry jumped before the frame of `stamp_ns`: a loop closure of its own, or a lost track.
 
-    `after_from_before` (4, 4) takes what was in its old world into its new one.
+    `after_from_before` (4, 4) takes what was in its old world into its new one. The poses of the frames do not jump:
+    they go on in the old world, as right as the jump can be known.
     """
 
     stamp_ns: int
@@ -100,6 +102,29 @@ class PoseJumped:
         freeze(self, "after_from_before", float, (4, 4))
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PosesCorrected:
+    """Somebody, e.g. a pose graph, knows better where submaps lie: `world_from_submap` (N, 4, 4) of `submap_ids`.
+
+    Where a submap lies is said anew, not by how much it moves: the identity undoes all corrections. The others stay.
+
+    Raises:
+        ValueError: a submap is named twice, or a transform is not rigid.
+    """
+
+    stamp_ns: int
+    submap_ids: tuple[int, ...]
+    world_from_submap: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_submap", float, (len(self.submap_ids), 4, 4))
+        if len(set(self.submap_ids)) < len(self.submap_ids):
+            raise ValueError(f"submaps {self.submap_ids}: one is named twice")
+        for submap_id, pose in zip(self.submap_ids, self.world_from_submap, strict=True):
+            if not is_rigid(pose):
+                raise ValueError(f"world_from_submap of submap {submap_id} is no rigid transform: {pose.tolist()}")
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceEnded:
     """No frame will follow; the core asks for what is still worth building."""
@@ -107,7 +132,9 @@ class SourceEnded:
     stamp_ns: int
 
 
-Event = FrameObserved | FeaturesReady | ShapeReady | ShapeFailed | TimeJumped | PoseJumped | SourceEnded
+Event = (
+    FrameObserved | FeaturesReady | ShapeReady | ShapeFailed | TimeJumped | PoseJumped | PosesCorrected | SourceEnded
+)
 
 # ---- effects --------------------------------------------------------------------------------------------------------
 

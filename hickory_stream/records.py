@@ -55,7 +55,8 @@ class RawFrame:
 
     `decode()` returns the `Frame`, or raises `RecordingError` where an image is torn. `color_bytes` are the log's own
     compressed colour (JPEG or PNG), for the viewer; None when the log had none. `after_from_before` (4, 4) where the
-    odometry jumped since the frame before: it takes the old world into the new one.
+    odometry jumped since the frame before: it takes the old world into the new one. The pose itself does not jump: a
+    source that knows of a jump takes it out, so that all its poses are in the first world.
     """
 
     index: int
@@ -293,7 +294,7 @@ class TrackedObject:
 class ObservedSpace:
     """A sparse grid of what was seen: sorted voxel keys `free` and `structure`; everything else is unknown.
 
-    `floor_z_m` is the floor's height, None while no floor was seen.
+    `floor_z_m` is the floor's height, None while no floor was seen. All in the frame of the submap.
     """
 
     voxel_m: float
@@ -308,7 +309,11 @@ class ObservedSpace:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Submap:
-    """A piece of the map with one rigid place in the world: `world_from_submap` (4, 4), and the space seen in it."""
+    """A piece of the map with one rigid place in the world: `world_from_submap` (4, 4), and the space seen in it.
+
+    Its frame, in which the observed space is, is the world of the raw odometry: `world_from_submap` is the identity
+    until it is corrected. Each voxel, like each object, is in the submap in which it was first seen.
+    """
 
     id: int
     world_from_submap: NDArray[np.float64]

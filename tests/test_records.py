@@ -123,6 +123,7 @@ VALID: dict[type, dict[str, Any]] = {
         "space": records.SpaceObservation(free_keys=_KEYS, structure_keys=_KEYS, floor_z_m=None),
     },
     events.PoseJumped: {"stamp_ns": 1, "after_from_before": _POSE},
+    events.PosesCorrected: {"stamp_ns": 1, "submap_ids": (0,), "world_from_submap": _POSE[None]},
     events.RequestShape: {
         "ticket": 1,
         "object_id": 1,

@@ -47,7 +47,17 @@ JOURNAL = "journal.mcap"
 _PROFILE = "hickory-stream/1"
 _STEP, _CHECKPOINT, _COLOR = 1, 2, 3
 _TOPICS = {_STEP: "step", _CHECKPOINT: "checkpoint", _COLOR: "color"}
-_EVENTS = ("FrameObserved", "FeaturesReady", "ShapeReady", "ShapeFailed", "TimeJumped", "SourceEnded", "PoseJumped")
+# A place in this list is part of the format: what is new comes last.
+_EVENTS = (
+    "FrameObserved",
+    "FeaturesReady",
+    "ShapeReady",
+    "ShapeFailed",
+    "TimeJumped",
+    "SourceEnded",
+    "PoseJumped",
+    "PosesCorrected",
+)
 _CHANNELS = {name: 16 + i for i, name in enumerate(_EVENTS)}
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07

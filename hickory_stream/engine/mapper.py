@@ -20,7 +20,7 @@ from hickory_stream.engine.session import create_map_folder
 from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
 from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
-from hickory_stream.errors import MapFolderError, RecordingError
+from hickory_stream.errors import InputError, MapFolderError, RecordingError
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.geometric import GeometricSegmenter
@@ -28,6 +28,9 @@ from hickory_stream.perception.geometric import GeometricSegmenter
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
     from types import TracebackType
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
@@ -111,6 +114,20 @@ class Mapper:
         """End the run after the frame at hand, and save: what the first Ctrl-C does."""
         if self._run is not None:
             self._run.stop()
+
+    def correct_poses(self, world_from_submap: Mapping[int, NDArray[np.float64]]) -> None:
+        """Place submaps anew, e.g. as a pose graph has them: ids (of `snapshot.submaps`) and rigid (4, 4) transforms.
+
+        It takes effect before the next frame, at the latest before the map is finished, and is kept in the journal. All
+        that belongs to a submap moves with it, nothing is computed anew; identities undo it to the last byte. The map
+        then is not reproducible from the log alone.
+
+        Raises:
+            InputError: there is no such submap, a transform is not rigid, or nothing is being mapped; nothing is moved.
+        """
+        if self._run is None:
+            raise InputError("there are no poses to correct: `run` has not begun")
+        self._run.correct_poses(world_from_submap)
 
     async def run(
         self,

@@ -11,6 +11,7 @@ import numpy as np
 
 from hickory_stream.engine.history import Replay
 from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.placing import where_it_lies
 from hickory_stream.engine.resume import recorded_config
 from hickory_stream.engine.step import StepKind
 from hickory_stream.events import FrameObserved
@@ -40,28 +41,29 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
             again = Replay(journal, config.mapping)
             last: FramePose | None = None
             camera: Camera | None = None
+            newest: MapSnapshot | None = None
             for replayed in again.steps(len(journal)):
                 step = replayed.entry.step
                 camera = step.camera
                 last = step.frames[-1] if step.frames else last
                 for sink in sinks:
                     for report in _reports(replayed, journal, num_keyframes):
-                        sink.show(report)
+                        sink.show(where_it_lies(report, report.snapshot or newest))
+                newest = replayed.published.snapshot if replayed.published is not None else newest
                 num_keyframes = step.num_keyframes
             snapshot = again.core.snapshot()
             if last is not None and camera is not None:
                 for sink in sinks:
-                    sink.show(
-                        FrameReport(
-                            index=last.index + 1,
-                            stamp_ns=last.stamp_ns,
-                            keyframe_index=num_keyframes,
-                            camera=camera,
-                            world_from_camera=last.world_from_camera,
-                            color_bytes=None,
-                            snapshot=snapshot,
-                        )
+                    final = FrameReport(
+                        index=last.index + 1,
+                        stamp_ns=last.stamp_ns,
+                        keyframe_index=num_keyframes,
+                        camera=camera,
+                        world_from_camera=last.world_from_camera,
+                        color_bytes=None,
+                        snapshot=snapshot,
                     )
+                    sink.show(where_it_lies(final, snapshot))
     finally:
         for sink in sinks:
             sink.close()

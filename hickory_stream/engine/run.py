@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, assert_never
@@ -28,13 +28,14 @@ from hickory_stream.engine.channel import ChannelClosed
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.message_ledger import message_ledger
+from hickory_stream.engine.placing import where_it_lies
 from hickory_stream.engine.pump import Pump
 from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel
 from hickory_stream.engine.recorder import Recorder, Unwritten
 from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
 from hickory_stream.engine.shape_queue import ShapeQueue
 from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
-from hickory_stream.errors import RecordingError
+from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -45,6 +46,7 @@ from hickory_stream.events import (
     FrameObserved,
     KeepView,
     PoseJumped,
+    PosesCorrected,
     Publish,
     RequestShape,
     ShapeFailed,
@@ -52,6 +54,7 @@ from hickory_stream.events import (
     SourceEnded,
     TimeJumped,
 )
+from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.perceive import Perceived, features_of, perceive
 from hickory_stream.ports import Crop
@@ -59,6 +62,8 @@ from hickory_stream.records import Frame, FrameReport, MapSnapshot, RawFrame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from hickory_stream.config import JournalConfig, MapperConfig
     from hickory_stream.engine.journal import JournalWriter
@@ -134,6 +139,7 @@ class Run:
         self._shapes = ShapeQueue(folder, workers, config.shapes, cache)
         self._recorder = Recorder(folder, journal)
         self._unwritten = Unwritten()
+        self._corrections: deque[dict[int, NDArray[np.float64]]] = deque()
         self._channel = live_channel() if mode == "live" else playback_channel()
         # One thread reads ahead, one perceives and decides: what must come in order stays in order.
         self._reading = ThreadPoolExecutor(1, "read")
@@ -188,8 +194,9 @@ class Run:
 
     @property
     def is_reproducible(self) -> bool:
-        """Whether nothing but the log and the configuration decided what the map is: no limit, and nobody's keys."""
-        return self._mode == "playback" and self._num_limits() == 0 and not self._fates().get("seeks", 0)
+        """Whether nothing but the log and the configuration decided what the map is: no limit, and nobody's hand."""
+        by_hand = self._fates().get("seeks", 0) + self.counts["pose_corrections"]
+        return self._mode == "playback" and self._num_limits() == 0 and not by_hand
 
     def ledger(self, source: Source) -> dict[str, dict[str, Any]]:
         """Return what became of every message, frame and job."""
@@ -221,6 +228,25 @@ class Run:
         if not self._stopped.is_set():
             self._stopped_s = time.monotonic()
             self._stopped.set()
+
+    def correct_poses(self, world_from_submap: Mapping[int, NDArray[np.float64]]) -> None:
+        """Have submaps placed anew before the next frame; once all frames are mapped, before the map is finished.
+
+        Raises:
+            InputError: there is no such submap, or a transform is not rigid; nothing is moved then.
+        """
+        known = [submap.id for submap in self._snapshot.submaps] if self._snapshot is not None else []
+        for submap_id, pose in world_from_submap.items():
+            if submap_id not in known:
+                there = (
+                    f"the map has {known[0]} to {known[-1]}" if known else "the map has none before its first keyframe"
+                )
+                raise InputError(f"there is no submap {submap_id}: {there}")
+            if np.shape(pose) != (4, 4) or not is_rigid(np.asarray(pose)):
+                raise InputError(
+                    f"world_from_submap of submap {submap_id} must be a rigid (4, 4) transform, found {pose}"
+                )
+        self._corrections.append({i: np.array(pose, dtype=np.float64) for i, pose in world_from_submap.items()})
 
     async def run(self, source: Source, *, rate: float | None, loops: int) -> None:
         """Play a source `loops` times.
@@ -311,6 +337,7 @@ class Run:
     async def _arrive(self, read: Read) -> None:
         """Note a frame, and tell the core where its stamp or the odometry has jumped."""
         raw = read.raw
+        await self._correct(raw.stamp_ns)
         self.counts.update(read.counts)
         self.counts["between_keyframes"] -= read.counts.get("frames_undecodable", 0)
         jump = self._jump(read)
@@ -328,6 +355,19 @@ class Run:
         self._first_ns = raw.stamp_ns if self._first_ns is None else self._first_ns
         self._last = FramePose(index=raw.index, stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
         self._unwritten.frames.append(self._last)
+
+    async def _correct(self, stamp_ns: int) -> None:
+        """Place submaps where they were said to lie since the last frame."""
+        while self._corrections:
+            places = self._corrections.popleft()
+            self.counts["pose_corrections"] += 1
+            await self._handle(
+                PosesCorrected(
+                    stamp_ns=stamp_ns,
+                    submap_ids=tuple(places),
+                    world_from_submap=np.array(list(places.values())).reshape(-1, 4, 4),
+                )
+            )
 
     def _jump(self, read: Read) -> TimeJumped | None:
         """Return the jump of time before a frame, None where its stamp follows that of the frame before."""
@@ -359,10 +399,7 @@ class Run:
         started = time.perf_counter()
         await self._commit_due(frame.stamp_ns)
         waited = time.perf_counter()
-        prior = self._snapshot.submaps[-1].observed_space if self._snapshot is not None else None
-        perceived = await self._in(
-            self._thinker, perceive, frame, prior, prepared, self._segmenter, self._config.perception
-        )
+        perceived = await self._in(self._thinker, self._perceived, frame, prepared)
         if not np.isfinite(frame.depth_m).any():
             self.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
@@ -384,6 +421,9 @@ class Run:
         await self._commit(StepKind.KEYFRAME, frame.stamp_ns, metrics, lambda: _color_of(read.raw, frame, config))
         if published is not None:
             await self._show(self._report(read.raw, frame, perceived, published, metrics))
+
+    def _perceived(self, frame: Frame, prepared: object) -> Perceived:
+        return perceive(frame, self._core.observed_space(), prepared, self._segmenter, self._config.perception)
 
     async def _commit(
         self,
@@ -538,11 +578,15 @@ class Run:
         decisions: tuple[Decision, ...] = ()
         self.counts.update(self._reader.lost)
         kind = StepKind.ENDED if self.is_complete else StepKind.CLOSING
+        await self._correct(last.stamp_ns)
         if self.is_complete and not self._is_source_over:
             published = await self._handle(SourceEnded(stamp_ns=last.stamp_ns))
             decisions = published.decisions if published is not None else ()
         await self._commit(kind, last.stamp_ns)
         await self._commit_last(kind, last.stamp_ns)
+        if self._corrections:
+            await self._correct(last.stamp_ns)
+            await self._commit(kind, last.stamp_ns)
         await self._recorder.written()
         self._snapshot = await self._in(self._thinker, self._core.snapshot)
         self._publish(self._snapshot)
@@ -564,6 +608,7 @@ class Run:
     # ---- what others are told ----------------------------------------------------------------------------------------
 
     async def _show(self, report: FrameReport) -> None:
+        report = where_it_lies(report, self._snapshot)
         for sink in self._sinks:
             await sink.show(report, waits=self._mode == "playback")
 

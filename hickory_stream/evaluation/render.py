@@ -107,8 +107,12 @@ def _floor_of(saved: SavedMap, objects: list[TrackedObject]) -> Floor:
     import cv2
 
     corners = _corners(objects)
-    heights = [submap.observed_space.floor_z_m for submap in saved.snapshot.submaps]
-    z_m = next((height for height in heights if height is not None), float(corners[:, 2].min()))
+    heights = [
+        submap.world_from_submap[2, 2] * submap.observed_space.floor_z_m + submap.world_from_submap[2, 3]
+        for submap in saved.snapshot.submaps
+        if submap.observed_space.floor_z_m is not None
+    ]
+    z_m = float(next(iter(heights), corners[:, 2].min()))
     seen = [floor_cells(submap, z_m) for submap in saved.snapshot.submaps]
     places = np.concatenate([np.empty((0, 2)), *seen])
     margin_m = 0.5

@@ -70,7 +70,7 @@ def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint) -> Surf
     """Return the walls: from above as a floor plan, else their insides that face the eye."""
     space = submap.observed_space
     cells = cells_of_keys(space.structure)
-    height_m = (cells[:, 2] + 0.5) * space.voxel_m - floor_z_m
+    height_m = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)[:, 2] - floor_z_m
     cells = cells[(height_m > _FLOOR_REACH_M) & (height_m < _CUT_M)]
     if viewpoint.is_orthographic:
         return _floor_plan(cells, submap)
@@ -83,9 +83,8 @@ def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint) -> Surf
 def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
     """Return the (N, 2) places in the world where structure was seen at the height of the floor."""
     space = submap.observed_space
-    centers = (cells_of_keys(space.structure) + 0.5) * space.voxel_m
-    is_floor = np.abs(centers[:, 2] - floor_z_m) <= _FLOOR_REACH_M
-    return np.asarray(apply(submap.world_from_submap, centers[is_floor])[:, :2])
+    centers = apply(submap.world_from_submap, (cells_of_keys(space.structure) + 0.5) * space.voxel_m)
+    return np.asarray(centers[np.abs(centers[:, 2] - floor_z_m) <= _FLOOR_REACH_M, :2])
 
 
 def _facing(

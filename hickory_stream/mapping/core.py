@@ -22,6 +22,7 @@ from hickory_stream.events import (
     FrameObserved,
     KeepView,
     PoseJumped,
+    PosesCorrected,
     Publish,
     RequestShape,
     ShapeFailed,
@@ -36,12 +37,10 @@ from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, s
 from hickory_stream.mapping.floating import FloatConfig, stem_of
 from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
 from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge, why_one
+from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import (
     FlushConfig,
-    add,
-    add_structure,
     as_record,
-    empty_space,
     is_edge,
     is_flush,
     known_no_object,
@@ -49,7 +48,28 @@ from hickory_stream.mapping.observed_space import (
     sure_structure,
 )
 from hickory_stream.mapping.parts import Part, PartConfig, Parts, moved_to, with_keyframe
-from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
+from hickory_stream.mapping.requests import (
+    RequestConfig,
+    best_score,
+    gain_of,
+    increase_in_score,
+    next_replacements,
+    next_requests,
+    predicted_s,
+    support_height_m,
+)
+from hickory_stream.mapping.submaps import (
+    SubmapConfig,
+    SubmapState,
+    first_submap,
+    interrupted,
+    placed_at,
+    record_of,
+    torn,
+    travelled,
+    with_seen,
+    with_structure,
+)
 from hickory_stream.mapping.track import (
     ShapeState,
     Track,
@@ -67,7 +87,9 @@ from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from hickory_stream.records import MaskFeature, Observation, TrackedObject
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import MaskFeature, Observation, ObservedSpace, TrackedObject
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,12 +105,13 @@ class MappingConfig:
     requests: RequestConfig = field(default_factory=RequestConfig)
     flush: FlushConfig = field(default_factory=FlushConfig)
     floating: FloatConfig = field(default_factory=FloatConfig)
+    submaps: SubmapConfig = field(default_factory=SubmapConfig)
     space_voxel_m: float = 0.05
 
 
 _FLOATS = "it would float but for this one"
 # Given, or made anew from the rest.
-_NOT_STATE = frozenset({"_config", "_shown"})
+_NOT_STATE = frozenset({"_config", "_shown", "_shown_submaps"})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -108,7 +131,7 @@ class MapperCore:
         self._tracks: dict[int, Track] = {}
         self._votes = VoteBook()
         self._parts: Parts = {}
-        self._space = empty_space(config.space_voxel_m)
+        self._submaps = first_submap(config.space_voxel_m)
         self._clock_ns = 0
         self._stamp_ns: int | None = None
         self._revision = 0
@@ -117,7 +140,8 @@ class MapperCore:
         self._pending: _Pending | None = None
         self._kept_views: set[str] = set()
         self._decisions: list[Decision] = []
-        self._shown: dict[int, tuple[Track, TrackedObject]] = {}
+        self._shown: dict[int, tuple[Track, NDArray[np.float64], TrackedObject]] = {}
+        self._shown_submaps: dict[int, tuple[SubmapState, Submap]] = {}
         self._num_masks = 0
         self._num_features = 0
 
@@ -136,12 +160,13 @@ class MapperCore:
                 return self._shape_ended(event)
             case TimeJumped():
                 self._stamp_ns = None
+                self._submaps = interrupted(self._submaps)
                 self._decide("drop", None, f"{event.kind}: stamps jumped from {event.from_ns} to {event.to_ns}")
                 return []
             case PoseJumped():
-                distance_m = float(np.linalg.norm(event.after_from_before[:3, 3]))
-                self._decide("drop", None, f"the odometry jumped by {distance_m:.2f} m")
-                return []
+                return self._pose_jumped(event)
+            case PosesCorrected():
+                return self._poses_corrected(event)
             case SourceEnded():
                 return self._source_ended()
             case _:
@@ -172,18 +197,66 @@ class MapperCore:
         objects = []
         for track_id in sorted(self._tracks):
             track = self._tracks[track_id]
+            place = self._submaps.world_from(track.submap_id)
             cached = self._shown.get(track_id)
-            if cached is None or cached[0] is not track:
-                cached = (track, as_object(track))
+            if cached is None or cached[0] is not track or cached[1] is not place:
+                cached = (track, place, _in_world(as_object(track), place))
                 self._shown[track_id] = cached
-            objects.append(cached[1])
-        space = as_record(self._space)
+            objects.append(cached[2])
         return MapSnapshot(
             revision=self._revision,
             stamp_ns=self._stamp_ns or 0,
-            submaps=(Submap(id=0, world_from_submap=np.eye(4), observed_space=space),),
+            submaps=tuple(self._submap(state) for state in self._submaps.states),
             objects=tuple(objects),
         )
+
+    def observed_space(self) -> ObservedSpace | None:
+        """Return the space that was seen since the odometry last jumped, as the odometry has it; None: no keyframe.
+
+        What perception knows beforehand, whatever was corrected and wherever submaps ended.
+        """
+        if self._revision == 0:
+            return None
+        is_one = self._submaps.first == self._submaps.open_id
+        return self._submap(self._submaps.states[-1]).observed_space if is_one else as_record(self._submaps.space)
+
+    def _submap(self, state: SubmapState) -> Submap:
+        cached = self._shown_submaps.get(state.id)
+        if cached is None or cached[0] is not state:
+            cached = self._shown_submaps[state.id] = (state, record_of(state))
+        return cached[1]
+
+    # ---- where things lie --------------------------------------------------------------------------------------------
+
+    def _pose_jumped(self, event: PoseJumped) -> list[Effect]:
+        """Close the submap. Poses go on in its world, so that what was seen in it is known again when it is seen.
+
+        The space is judged anew, and until an object is seen again it is judged by nothing: a few centimetres, by
+        which the jump may be wrong, are enough to look through an object, or to put it in a wall.
+        """
+        distance_m = float(np.linalg.norm(event.after_from_before[:3, 3]))
+        self._settle()
+        self._submaps = torn(self._submaps)
+        self._parts = {}
+        self._decide("drop", None, f"the odometry jumped by {distance_m:.2f} m: submap {self._submaps.open_id} begins")
+        return []
+
+    def _poses_corrected(self, event: PosesCorrected) -> list[Effect]:
+        """Place submaps anew: everything is kept as the odometry had it, and handed out where it lies."""
+        self._submaps = placed_at(self._submaps, dict(zip(event.submap_ids, event.world_from_submap, strict=True)))
+        self._decide("split", None, f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew")
+        # Decisions are told with the next keyframe, to which they led.
+        return [Publish(snapshot=self.snapshot(), decisions=())]
+
+    def _settle(self) -> None:
+        """Take off the tracks what of them lies in structure, while it is known where that is."""
+        for track_id in sorted(self._tracks):
+            if self._is_judged(self._tracks[track_id]):
+                self._tracks[track_id] = self._without_wall(self._tracks[track_id])
+
+    def _is_judged(self, track: Track) -> bool:
+        """Return whether a track was seen since the odometry last jumped, so that the space tells something of it."""
+        return track.seen_in >= self._submaps.first
 
     # ---- one keyframe ------------------------------------------------------------------------------------------------
 
@@ -194,6 +267,7 @@ class MapperCore:
             )
         self._revision += 1
         self._advance_clock(event.stamp_ns)
+        self._submaps = travelled(self._submaps, event.world_from_camera[:3, 3], self._config.submaps)
         self._decisions += [
             Decision(kind="reject", object_id=None, text=f"mask {r.box_px}: {r.reason}") for r in event.rejected
         ]
@@ -208,7 +282,7 @@ class MapperCore:
         promoted = self._promote_parts(event, set(homes))
         matches, homes = self._moved_out(matches, homes, clouds, promoted)
         effects = [*self._merge_tracks({*homes, *promoted, *promoted.values()}), *self._age(event)]
-        self._space = add(self._space, event.space)
+        self._submaps = with_seen(self._submaps, event.space)
 
         candidates, keeps = self._propose_views(event, matches, homes)
         object_ids = tuple(self._final_id(home) for home in homes)
@@ -268,7 +342,13 @@ class MapperCore:
         part = " as a part" if match.is_part else ""
         self._decide("associate", track.id, f"mask {observation.box_px}{part}: {how}; candidates by IoU: {others}")
         foreign, covered = foreign_points(seen, track, self._neighbors(track, observation), self._config.merge)
-        track = replace(track, last_seen_ns=event.stamp_ns, seen_clock_ns=self._clock_ns, seen_through=0)
+        track = replace(
+            track,
+            last_seen_ns=event.stamp_ns,
+            seen_clock_ns=self._clock_ns,
+            seen_through=0,
+            seen_in=self._submaps.open_id,
+        )
         if foreign.mean() < 0.9:
             track = grown(track, without(seen, foreign), track.sightings + (not match.is_part), self._config.track)
         self._tracks[track.id] = track
@@ -286,6 +366,8 @@ class MapperCore:
             solid=cloud,
             box=box_of(cloud.points, self._config.track),
             bounds=bounds_of(cloud.points),
+            submap_id=self._submaps.open_id,
+            seen_in=self._submaps.open_id,
         )
 
     def _note_parts(
@@ -340,7 +422,9 @@ class MapperCore:
             return None
         self._next_id += 1
         self._votes = votes
-        self._tracks[host_id], self._tracks[new.id] = left, replace(new, is_promoted=True)
+        # Its points are the host's: they lie in the same submap.
+        self._tracks[host_id] = left
+        self._tracks[new.id] = replace(new, is_promoted=True, submap_id=host.submap_id)
         self._decide(
             "split", new.id, f"seen apart from #{host_id} in {len(part.frames)} keyframes, as one in {part.together}"
         )
@@ -401,29 +485,26 @@ class MapperCore:
 
     def _age(self, event: FrameObserved) -> list[Effect]:
         effects: list[Effect] = []
-        no_object = known_no_object(self._space)
+        no_object = known_no_object(self._submaps.space)
         for track_id in sorted(self._tracks):
             track = self._tracks[track_id]
-            if is_structure(track, self._space.floor_z_m, self._config.lifecycle):
-                self._space = add_structure(self._space, track.solid.points)
-                no_object = known_no_object(self._space)
-                effects += self._drop_track(track, f"{np.round(2 * track.box.half_extents_m, 1)} m: structure")
+            is_judged = self._is_judged(track)
+            if is_judged and (reason := self._why_structure(track)) is not None:
+                self._submaps = with_structure(self._submaps, track.solid.points)
+                no_object = known_no_object(self._submaps.space)
+                effects += self._drop_track(track, reason)
                 continue
-            if self._is_more_wall(track):
-                self._space = add_structure(self._space, track.solid.points)
-                no_object = known_no_object(self._space)
-                effects += self._drop_track(track, "flat or an edge, and the wall goes on around it")
-                continue
-            if share_in(no_object, track.solid.points, self._space.voxel_m) > self._config.lifecycle.structure_share:
+            lies_in = share_in(no_object, track.solid.points, self._submaps.space.voxel_m) if is_judged else 0.0
+            if lies_in > self._config.lifecycle.structure_share:
                 effects += self._drop_track(track, "a piece of what was found to be structure")
                 continue
-            if track.seen_clock_ns != self._clock_ns and self._is_seen_through(track, event):
+            if is_judged and track.seen_clock_ns != self._clock_ns and self._is_seen_through(track, event):
                 track = replace(track, seen_through=track.seen_through + 1)
             phase = next_phase(track, self._clock_ns, self._config.lifecycle)
             if phase is None:
                 effects += self._drop_track(track, "looked through" if track.seen_through else "never confirmed")
                 continue
-            if phase is Phase.DORMANT and track.phase is Phase.ACTIVE:
+            if is_judged and phase is Phase.DORMANT and track.phase is Phase.ACTIVE:
                 if (stem := self._stem_of(track)) is not None:
                     effects += self._unite(stem.id, track_id, _FLOATS)
                     continue
@@ -433,15 +514,23 @@ class MapperCore:
             self._tracks[track_id] = aged(track, phase)
         return effects
 
+    def _why_structure(self, track: Track) -> str | None:
+        """Return why a track is no object but structure, None where it may be one."""
+        if is_structure(track, self._submaps.space.floor_z_m, self._config.lifecycle):
+            return f"{np.round(2 * track.box.half_extents_m, 1)} m: structure"
+        return "flat or an edge, and the wall goes on around it" if self._is_more_wall(track) else None
+
     def _stem_of(self, track: Track) -> Track | None:
-        others = (other for other in self._tracks.values() if other.phase is not Phase.TENTATIVE)
-        return stem_of(track, others, self._space, self._config.floating)
+        """Return what a track is a piece of that would float without it, None where it stands or hangs by itself."""
+        others = (o for o in self._tracks.values() if o.phase is not Phase.TENTATIVE and self._is_judged(o))
+        return stem_of(track, others, self._submaps.space, self._config.floating)
 
     def _without_wall(self, track: Track) -> Track:
         """Return a track without what of it lies in structure, if that is more than a seam at a wall."""
         config = self._config.lifecycle
-        wall = sure_structure(self._space, config.wall_hits)
-        in_wall = contains(wall, keys_of_points(track.cloud.points, self._space.voxel_m))
+        space = self._submaps.space
+        wall = sure_structure(space, config.wall_hits)
+        in_wall = contains(wall, keys_of_points(track.cloud.points, space.voxel_m))
         if not config.wall_share < float(in_wall.mean()) < 0.9:
             return track
         self._decide("split", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
@@ -453,8 +542,8 @@ class MapperCore:
         is_resting = track.phase is Phase.ACTIVE and self._clock_ns - track.seen_clock_ns > 1e9
         if not (is_settling or is_resting):
             return False
-        config = self._config.flush
-        return is_flush(self._space, track.box, config) or is_edge(self._space, track.box, config)
+        space, config = self._submaps.space, self._config.flush
+        return is_flush(space, track.box, config) or is_edge(space, track.box, config)
 
     def _is_seen_through(self, track: Track, event: FrameObserved) -> bool:
         keys = keys_of_points(track.cloud.points[:: max(1, len(track.cloud.points) // 200)], self._config.space_voxel_m)
@@ -532,8 +621,13 @@ class MapperCore:
         config = self._config.requests
         num_open = sum(track.shape_state.open_ticket is not None for track in self._tracks.values())
         effects: list[Effect] = []
-        for track_id in next_requests(self._tracks, num_open, self._clock_ns, is_final=is_final, config=config):
+        replaced = [] if is_final else next_replacements(self._tracks, self._clock_ns, config)
+        wanted = next_requests(self._tracks, num_open, self._clock_ns, is_final=is_final, config=config)
+        for track_id in (*replaced, *wanted):
             track = self._tracks[track_id]
+            if (gone := track.shape_state.open_ticket) is not None:
+                effects.append(CancelShape(ticket=gone))
+                self._decide("shape", track_id, f"job {gone} is replaced: S grew by {increase_in_score(track):.3f}")
             core = track.solid
             views = sorted(track.views, key=lambda view: (view is not track.best_view, view.frame_index, view.box_px))
             ticket = self._next_ticket
@@ -546,16 +640,23 @@ class MapperCore:
                     points_world=core.points,
                     colors=np.round(core.colors).astype(np.uint8),
                     box=track.box,
-                    support_z_m=support_height_m(track, self._tracks.values(), self._space.floor_z_m),
+                    support_z_m=support_height_m(track, self._tracks.values(), self._submaps.space.floor_z_m),
                     due_ns=(self._stamp_ns or 0) + int(config.latency_s * 1e9),
                 )
             )
-            self._decide("shape", track_id, f"job {ticket} asked for: gain {gain_of(track):.2f}, {len(views)} views")
+            self._decide(
+                "shape",
+                track_id,
+                f"job {ticket} asked for: S {increase_in_score(track):+.3f} in {predicted_s(track, config):.1f} s, "
+                f"new {gain_of(track):.2f}, {len(views)} views",
+            )
             state = ShapeState(
                 open_ticket=ticket,
                 asked_clock_ns=self._clock_ns,
                 asked_points=len(core.keys),
                 asked_views=tuple(view.name for view in track.views),
+                asked_score=best_score(track),
+                is_replacement=gone is not None,
                 failures=track.shape_state.failures,
             )
             self._tracks[track_id] = replace(track, shape_state=state)
@@ -579,14 +680,13 @@ class MapperCore:
 
     def _source_ended(self) -> list[Effect]:
         effects: list[Effect] = []
+        self._settle()
         for track_id in sorted(self._tracks):
             track = self._tracks[track_id]
             if track.phase is Phase.TENTATIVE:
                 effects += self._drop_track(track, "never confirmed")
-            elif (stem := self._stem_of(track)) is not None:
+            elif self._is_judged(track) and (stem := self._stem_of(track)) is not None:
                 effects += self._unite(stem.id, track_id, _FLOATS)
-            else:
-                self._tracks[track_id] = self._without_wall(track)
         effects += [*self._request_shapes(is_final=True), *self._drop_views()]
         decisions, self._decisions = tuple(self._decisions), []
         return [*effects, Publish(snapshot=self.snapshot(), decisions=decisions, metrics=self._metrics())]
@@ -609,6 +709,11 @@ class MapperCore:
         ]
         saved = 1.0 - self._num_features / self._num_masks if self._num_masks else 0.0
         return (*counts, ("core/features_saved", saved), *scores)
+
+
+def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:
+    """Return an object where its submap lies: itself, to the byte, where that was not corrected."""
+    return item if np.array_equal(world_from_submap, np.eye(4)) else moved_object(item, world_from_submap)
 
 
 def _pair(a: int, b: int) -> tuple[int, int]:

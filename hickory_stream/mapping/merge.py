@@ -148,6 +148,7 @@ def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: View
         shape=kept.shape or gone.shape,
         merged_ids=tuple(sorted({*kept.merged_ids, *gone.merged_ids, gone.id})),
         seen_through=min(kept.seen_through, gone.seen_through),
+        seen_in=max(kept.seen_in, gone.seen_in),
     )
 
 

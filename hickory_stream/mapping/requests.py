@@ -1,4 +1,8 @@
-"""Which shapes to ask for: new objects first, then those that would gain most, a few at a time."""
+"""Which shapes to ask for, a few at a time: new objects first, then by expected gain per predicted second.
+
+The gain is the increase in S since the last request, from 0 for a new object. Seconds are predicted from the
+configuration, never measured: how fast a machine is must not decide what the map becomes.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +38,10 @@ class RequestConfig:
         final_gain: the same when the source has ended.
         interval_s: not sooner after the last request for the same object.
         max_failures: after so many failures the object is set aside.
+        job_s, view_s, kilopoint_s: what a job of the chosen reconstructor is predicted to take: for itself, for each
+            view, and for each thousand points of layer 1; as `fused` took on the demo log. Only their ratios matter.
+        replace_by: a waiting or running job is replaced, once, when S has grown by this share, and by more than the
+            share of `latency_s` that has passed since: later, what was begun is worth more than what would be won.
     """
 
     max_in_flight: int = 4
@@ -43,25 +51,52 @@ class RequestConfig:
     final_gain: float = 0.5
     interval_s: float = 8.0
     max_failures: int = 2
+    job_s: float = 2.2
+    view_s: float = 0.18
+    kilopoint_s: float = 0.03
+    replace_by: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not self.job_s > 0:
+            raise ValueError(f"job_s must be above 0, found {self.job_s}")
+        for name in ("view_s", "kilopoint_s", "replace_by"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must not be negative, found {getattr(self, name)}")
 
 
 def next_requests(
     tracks: Mapping[int, Track], num_open: int, clock_ns: int, *, is_final: bool, config: RequestConfig
 ) -> list[int]:
     """Return the ids of the objects to ask shapes for now, most urgent first; all of them when the source ended."""
-    urgency = [
-        (-gain, track.id)
-        for track in tracks.values()
-        if (gain := _urgency(track, clock_ns, is_final=is_final, config=config)) is not None
-    ]
-    free = len(urgency) if is_final else max(0, config.max_in_flight - num_open)
-    return [track_id for _, track_id in sorted(urgency)[:free]]
+    wanted = [t for t in tracks.values() if _is_wanted(t, clock_ns, is_final=is_final, config=config)]
+    free = len(wanted) if is_final else max(0, config.max_in_flight - num_open)
+    return [track.id for track in sorted(wanted, key=lambda track: _rank(track, config))[:free]]
+
+
+def next_replacements(tracks: Mapping[int, Track], clock_ns: int, config: RequestConfig) -> list[int]:
+    """Return the ids of the objects whose open job is not worth waiting for any more: there is a much better view."""
+    return [i for i in sorted(tracks) if _is_outdated(tracks[i], clock_ns, config)]
+
+
+def increase_in_score(track: Track) -> float:
+    """Return by how much the score of the best view has grown since a shape was last asked for; from 0 at first."""
+    return max(0.0, best_score(track) - track.shape_state.asked_score)
+
+
+def best_score(track: Track) -> float:
+    """Return the score of the best view, 0 where there is none."""
+    return track.best_view.score or 0.0 if track.best_view is not None else 0.0
+
+
+def predicted_s(track: Track, config: RequestConfig) -> float:
+    """Return what the job for a shape is predicted to take, in seconds."""
+    return config.job_s + config.view_s * len(track.views) + config.kilopoint_s * len(track.solid.keys) / 1000
 
 
 def gain_of(track: Track) -> float:
     """Return what a new shape would know more: the share of new views and of new surface; 10 for a first one."""
     state = track.shape_state
-    if track.shape is None and not state.asked_views:
+    if _is_new(track):
         return 10.0
     names = {view.name for view in track.views}
     new_views = len(names - set(state.asked_views)) / max(len(names), 1)
@@ -94,18 +129,35 @@ def _surrounds(points: NDArray[np.float32], box: OrientedBox) -> bool:
     return int((np.bincount(sectors, minlength=8) > 0).sum()) >= _SUPPORT_SECTORS
 
 
-def _urgency(track: Track, clock_ns: int, *, is_final: bool, config: RequestConfig) -> float | None:
+def _is_new(track: Track) -> bool:
+    return track.shape is None and not track.shape_state.asked_views
+
+
+def _rank(track: Track, config: RequestConfig) -> tuple[bool, float, float, int]:
+    """Return what requests are ordered by; where S tells nothing, what is new in views and surface does."""
+    return not _is_new(track), -increase_in_score(track) / predicted_s(track, config), -gain_of(track), track.id
+
+
+def _is_wanted(track: Track, clock_ns: int, *, is_final: bool, config: RequestConfig) -> bool:
     state = track.shape_state
     if track.phase is Phase.TENTATIVE or not track.views or state.open_ticket is not None:
-        return None
+        return False
     if state.failures >= config.max_failures:
-        return None
+        return False
     gain = gain_of(track)
     if is_final:
-        return gain if track.shape is None or gain >= config.final_gain else None
+        return track.shape is None or gain >= config.final_gain
     if state.asked_views and (clock_ns - state.asked_clock_ns) / 1e9 < config.interval_s:
-        return None
+        return False
     is_in_view = track.phase is Phase.ACTIVE
     if track.shape is None and is_in_view and track.sightings < config.first_sightings:
-        return None
-    return gain if gain >= config.min_gain else None
+        return False
+    return gain >= config.min_gain
+
+
+def _is_outdated(track: Track, clock_ns: int, config: RequestConfig) -> bool:
+    state = track.shape_state
+    if state.open_ticket is None or state.is_replacement or state.asked_score <= 0:
+        return False
+    passed = (clock_ns - state.asked_clock_ns) / 1e9 / max(config.latency_s, 1e-9)
+    return increase_in_score(track) / state.asked_score >= max(config.replace_by, passed)

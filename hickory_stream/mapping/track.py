@@ -36,12 +36,17 @@ class TrackConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShapeState:
-    """Where the shape of a track stands: the open ticket, and what was known when the last one was asked for."""
+    """Where the shape of a track stands: the open ticket, and what was known when the last one was asked for.
+
+    `is_replacement`: that one took the place of one that was open.
+    """
 
     open_ticket: int | None = None
     asked_clock_ns: int = 0
     asked_points: int = 0
     asked_views: tuple[str, ...] = ()
+    asked_score: float = 0.0
+    is_replacement: bool = False
     failures: int = 0
 
 
@@ -54,6 +59,7 @@ class Track:
     of the cloud, for a first look at whether two things can touch. `coverage` holds kept views by the sector they look
     from. `seen_through` counts keyframes that looked through the place where the object should be, `doubts` those in
     a row that saw it and more beside it as one. `is_promoted`: it was a part of another track, and is known to be none.
+    `submap_id` is the submap it was born in; `seen_in` the one in which it was last seen.
     """
 
     id: int
@@ -74,6 +80,8 @@ class Track:
     seen_through: int = 0
     doubts: int = 0
     is_promoted: bool = False
+    submap_id: int = 0
+    seen_in: int = 0
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -130,7 +138,7 @@ def as_object(track: Track) -> TrackedObject:
     return TrackedObject(
         id=track.id,
         phase=track.phase,
-        submap_id=0,
+        submap_id=track.submap_id,
         sightings=track.sightings,
         first_seen_ns=track.first_seen_ns,
         last_seen_ns=track.last_seen_ns,

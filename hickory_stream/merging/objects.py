@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
-from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.superquadric import moved
+from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.mapping.cloud import cloud_of, fuse
+from hickory_stream.mapping.moved import moved_object
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.records import ObjectShape, TrackedObject, View
+    from hickory_stream.records import TrackedObject, View
 
 _VOXEL_M = 0.01
 _NEW_M = 0.02
@@ -39,20 +38,10 @@ def placed(
 
     Frames are numbered from `first_frame` on: the views of two maps never share a name.
     """
-    views = tuple(_placed_view(view, world_from_map, new_id, first_frame) for view in item.views)
+    there = moved_object(item, world_from_map)
+    views = tuple(replace(view, object_id=new_id, frame_index=view.frame_index + first_frame) for view in there.views)
     best = None if item.best_view is None else views[[v.name for v in item.views].index(item.best_view.name)]
-    return replace(
-        item,
-        id=new_id,
-        submap_id=submap_id,
-        points_world=apply(world_from_map, item.points_world),
-        box=OrientedBox(
-            world_from_box=world_from_map @ item.box.world_from_box, half_extents_m=item.box.half_extents_m
-        ),
-        views=views,
-        best_view=best,
-        shape=None if item.shape is None else _placed_shape(item.shape, world_from_map),
-    )
+    return replace(there, id=new_id, submap_id=submap_id, views=views, best_view=best)
 
 
 def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: float) -> MergedObject:
@@ -87,24 +76,6 @@ def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: flo
     # Without views there is nothing to make a shape of but what made none before.
     needs_shape = bool(views) and (shape is None or _new_share(keeper.points_world, points) > changed_share)
     return MergedObject(item=item, needs_shape=needs_shape)
-
-
-def _placed_view(view: View, world_from_map: NDArray[np.float64], new_id: int, first_frame: int) -> View:
-    return replace(
-        view,
-        object_id=new_id,
-        frame_index=view.frame_index + first_frame,
-        world_from_camera=world_from_map @ view.world_from_camera,
-    )
-
-
-def _placed_shape(shape: ObjectShape, world_from_map: NDArray[np.float64]) -> ObjectShape:
-    return replace(
-        shape,
-        world_from_object=world_from_map @ shape.world_from_object,
-        fitted=moved(shape.fitted, world_from_map),
-        inflated=moved(shape.inflated, world_from_map),
-    )
 
 
 def _fused(items: Sequence[TrackedObject]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -65,9 +65,7 @@ class ObjectLayers:
             items += self._changed_cloud(seen, shown, stamp_ns)
             if shown is None or not _same_box(seen, shown.object):
                 items.append(_box_item(seen))
-            if seen.shape is not None and (
-                shown is None or shown.object.shape is None or shown.object.shape.revision != seen.shape.revision
-            ):
+            if seen.shape is not None and (shown is None or not _same_shape(seen.shape, shown.object.shape)):
                 items += self._shape_items(seen.id, seen.shape)
             self._shown[seen.id] = replace(self._shown[seen.id], object=seen)
         return items
@@ -194,6 +192,11 @@ def _same_box(a: TrackedObject, b: TrackedObject) -> bool:
         and _same(a.box.world_from_box, b.box.world_from_box)
         and _same(a.box.half_extents_m, b.box.half_extents_m)
     )
+
+
+def _same_shape(a: ObjectShape, b: ObjectShape | None) -> bool:
+    """Return whether it is the same shape at the same place: a corrected submap takes its shapes along."""
+    return b is not None and a.revision == b.revision and _same(a.world_from_object, b.world_from_object)
 
 
 def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:

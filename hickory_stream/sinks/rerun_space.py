@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
 
@@ -27,6 +28,7 @@ def structure_items(snapshot: MapSnapshot) -> list[LogItem]:
         is_floor = np.zeros(len(centers), dtype=bool)
         if space.floor_z_m is not None:
             is_floor = np.abs(centers[:, 2] - space.floor_z_m) <= _FLOOR_BAND_M
+        centers = apply(submap.world_from_submap, centers)
         floor.append(centers[is_floor])
         walls.append(centers[~is_floor])
     items = []

@@ -50,7 +50,7 @@ CONFIG = MappingConfig(
     track=TrackConfig(voxel_m=VOXEL_M),
     lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=4),
     merge=MergeConfig(min_votes=3),
-    requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5),
+    requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5, kilopoint_s=0.0),
 )
 # Off the border between two of the eight sectors.
 ANGLE_RAD = 0.3
@@ -202,6 +202,21 @@ def test_a_single_frame_that_covers_two_tracks_does_not_weld_them() -> None:
         assert after[i].box.volume_m3 < 1.3 * before[i].box.volume_m3
 
 
+def test_a_much_better_view_replaces_the_open_job_once() -> None:
+    core = MapperCore(CONFIG)
+    first = requests(drive(core, [frame(i, observation(0, A, r_area=0.002)) for i in range(3)]))
+    assert [request.ticket for request in first] == [1]
+    better = told(drive(core, [frame(3, observation(0, A, r_area=0.05))]))
+    assert [effect for effect in better if effect[0] in ("cancel", "request")] == [("cancel", 1), ("request", 2, 1)]
+    best = told(drive(core, [frame(4, observation(0, A, r_area=1.0))]))
+    assert not [effect for effect in best if effect[0] in ("cancel", "request")]
+    # What the first job made comes too late.
+    assert core.handle(shape_ready(1, 1)) == []
+    assert core.snapshot().objects[0].shape is None
+    core.handle(shape_ready(2, 1))
+    assert core.snapshot().objects[0].shape is not None
+
+
 def test_halves_that_are_seen_as_one_often_enough_become_one_and_the_open_job_of_the_gone_one_is_cancelled() -> None:
     core = MapperCore(CONFIG)
     tickets = {request.object_id: request.ticket for request in requests(halves(core))}
@@ -321,12 +336,13 @@ def test_the_end_drops_what_is_tentative_and_asks_for_every_shape_that_is_missin
 
 def test_a_jump_of_the_odometry_is_a_decision_that_names_its_size() -> None:
     core = MapperCore(MappingConfig())
+    drive(core, [frame(0, *both())])
     jump = np.eye(4)
     jump[0, 3] = 0.4
     assert core.handle(PoseJumped(stamp_ns=SECOND_NS, after_from_before=jump)) == []
     published = [effect for effect in core.handle(SourceEnded(stamp_ns=SECOND_NS)) if isinstance(effect, Publish)]
     texts = [decision.text for effect in published for decision in effect.decisions]
-    assert "the odometry jumped by 0.40 m" in texts
+    assert "the odometry jumped by 0.40 m: submap 1 begins" in texts
 
 
 def test_a_jump_of_the_stamps_keeps_the_map_and_the_clock_runs_on_from_where_it_was() -> None:

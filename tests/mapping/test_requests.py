@@ -1,11 +1,19 @@
 """Which shapes are asked for, and what an object stands on."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hickory_stream.mapping.requests import RequestConfig, gain_of, next_requests, support_height_m
+from hickory_stream.mapping.requests import (
+    RequestConfig,
+    gain_of,
+    next_replacements,
+    next_requests,
+    predicted_s,
+    support_height_m,
+)
 from hickory_stream.mapping.track import ShapeState, Track
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, box_surface, shape, track, view
@@ -46,6 +54,58 @@ def asked(*tracks: Track, num_open: int = 0, clock_s: float = 100, is_final: boo
 def test_first_shapes_come_before_renewals_and_lower_ids_before_higher() -> None:
     assert asked(built(1, new_views=30), seen(4), seen(2)) == [2, 4]
     assert asked(built(1, new_views=30), seen(4)) == [4, 1]
+
+
+def scored(bare: Track, score: float, asked_score: float = 0.0, **state: Any) -> Track:
+    """The track with a best view of a score, whose shape was last asked for at another one."""
+    best = replace(bare.views[0], score=score)
+    coverage = ((0, best), *bare.coverage[1:])
+    shape_state = replace(bare.shape_state, asked_score=asked_score, **state)
+    return replace(bare, best_view=best, coverage=coverage, shape_state=shape_state)
+
+
+def test_among_new_objects_the_one_with_the_best_view_comes_first() -> None:
+    assert asked(scored(seen(1), 0.1), scored(seen(2), 0.3)) == [2, 1]
+
+
+def test_among_renewals_the_one_whose_score_grew_most_comes_first_however_good_the_others_are() -> None:
+    much, little = scored(built(1, new_views=30), 0.30, 0.29), scored(built(2, new_views=30), 0.2, 0.1)
+    assert asked(much, little) == [2, 1]
+    # It cannot be negative: of two that have not grown, what is new in views decides.
+    assert asked(scored(built(1, new_views=20), 0.1, 0.3), scored(built(2, new_views=30), 0.1, 0.1)) == [2, 1]
+
+
+def test_a_gain_counts_for_more_where_it_is_predicted_to_cost_less() -> None:
+    few, many = scored(seen(1, num_views=8), 0.30), scored(seen(2, num_views=2), 0.29)
+    costly = replace(CONFIG, job_s=0.1, view_s=1.0, kilopoint_s=0.0)
+    assert predicted_s(few, costly) == pytest.approx(8.1)
+    assert next_requests({1: few, 2: many}, 0, 0, is_final=True, config=costly) == [2, 1]
+    assert next_requests({1: few, 2: many}, 0, 0, is_final=True, config=replace(costly, view_s=0.0)) == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("score", "passed_s", "is_replaced"),
+    [(0.151, 0.0, True), (0.149, 0.0, False), (0.16, 2.0, True), (0.16, 3.0, False), (0.2, 4.0, True)],
+)
+def test_an_open_job_is_replaced_when_the_view_is_so_much_better_that_it_pays(
+    score: float, passed_s: float, is_replaced: bool
+) -> None:
+    config = replace(CONFIG, replace_by=0.5, latency_s=4.0)
+    waiting = scored(seen(1), score, 0.1, open_ticket=7, asked_clock_ns=0)
+    clock_ns = round(passed_s * SECOND_NS)
+    assert next_replacements({1: waiting}, clock_ns, config) == ([1] if is_replaced else [])
+    again = replace(waiting, shape_state=replace(waiting.shape_state, is_replacement=True))
+    assert next_replacements({1: again}, clock_ns, config) == []
+    ended = replace(waiting, shape_state=replace(waiting.shape_state, open_ticket=None))
+    assert next_replacements({1: ended}, clock_ns, config) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("job_s", 0.0), ("view_s", -1.0), ("kilopoint_s", -1.0), ("replace_by", -0.1)]
+)
+def test_costs_that_no_job_has_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        RequestConfig(**{name: value})
 
 
 def test_no_more_jobs_are_open_than_allowed() -> None:

@@ -1,0 +1,23 @@
+"""What is shown of a frame, where the map has it: the odometry's world moved as the open submap was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hickory_stream.records import FrameReport, MapSnapshot
+
+
+def where_it_lies(report: FrameReport, snapshot: MapSnapshot | None) -> FrameReport:
+    """Return a report with the camera where the open submap of the map as it then was puts it."""
+    if snapshot is None or not snapshot.submaps:
+        return report
+    world_from_submap = snapshot.submaps[-1].world_from_submap
+    if np.array_equal(world_from_submap, np.eye(4)):
+        return report
+    world_from_camera = world_from_submap @ report.world_from_camera
+    frame = None if report.frame is None else replace(report.frame, world_from_camera=world_from_camera)
+    return replace(report, world_from_camera=world_from_camera, frame=frame)

@@ -1,0 +1,227 @@
+"""Submaps: pieces of the map that can be moved rigidly, and what of the observed space is whose.
+
+An object, like a voxel, belongs to the submap in which it was first seen. Everything is kept where the odometry had
+it: a correction is only a place for each submap, applied where the map is handed out. So no shape is ever recomputed,
+and the identity brings back every byte.
+
+A submap ends after a stretch of way, or where the odometry jumped. The way changes nothing but whose things are: what
+is judged by the observed space is judged by all that was seen since the last jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.mapping.observed_space import SpaceState, add, add_structure, as_record, empty_space
+from hickory_stream.records import SpaceObservation, Submap
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SubmapConfig:
+    """When a submap ends beside where the odometry jumps: after `travel_m` of the camera's way."""
+
+    travel_m: float = 15.0
+
+    def __post_init__(self) -> None:
+        if not self.travel_m > 0:
+            raise ValueError(f"travel_m must be above 0, found {self.travel_m}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SubmapState:
+    """A submap: `space` is what of the observed space is its own; `world_from_submap` is the identity until corrected.
+
+    The frame of a submap is the world of the odometry.
+    """
+
+    id: int
+    world_from_submap: NDArray[np.float64]
+    space: SpaceState
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_submap", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Submaps:
+    """All submaps, the last of which is open, and the `space` seen since the odometry last jumped, which judges.
+
+    `first` is the number of the first submap since that jump. `owned` (N,) are the sorted keys of the voxels of those
+    that are closed, `owners` (N,) the number of the submap of each. `way_m` is how far the camera has come in the open
+    one, to the place `last_world` (3,), which is None before a first keyframe and after a jump.
+    """
+
+    states: tuple[SubmapState, ...]
+    space: SpaceState
+    first: int = 0
+    owned: NDArray[np.int64]
+    owners: NDArray[np.int32]
+    way_m: float = 0.0
+    last_world: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "owned", np.int64, (None,))
+        freeze(self, "owners", np.int32, (len(self.owned),))
+        if self.last_world is not None:
+            freeze(self, "last_world", np.float64, (3,))
+
+    @property
+    def open_id(self) -> int:
+        """The submap in which new things are put."""
+        return len(self.states) - 1
+
+    def world_from(self, submap_id: int) -> NDArray[np.float64]:
+        """Return where a submap lies: world_from_submap (4, 4)."""
+        return self.states[submap_id].world_from_submap
+
+
+def first_submap(voxel_m: float) -> Submaps:
+    """Return one open submap in which nothing was seen."""
+    space = empty_space(voxel_m)
+    state = SubmapState(id=0, world_from_submap=np.eye(4), space=space)
+    return Submaps(states=(state,), space=space, owned=np.empty(0, np.int64), owners=np.empty(0, np.int32))
+
+
+def travelled(submaps: Submaps, place_world: NDArray[np.float64], config: SubmapConfig) -> Submaps:
+    """Return the submaps after the camera has come to a place (3,): with a new one where the way has become long."""
+    step_m = 0.0 if submaps.last_world is None else float(np.linalg.norm(place_world - submaps.last_world))
+    way_m = submaps.way_m + step_m
+    if way_m < config.travel_m:
+        return replace(submaps, way_m=way_m, last_world=place_world)
+    return replace(_opened(_closed(submaps)), way_m=0.0, last_world=place_world)
+
+
+def interrupted(submaps: Submaps) -> Submaps:
+    """Return the submaps after the stamps have jumped: wherever the camera is next, it did not go there."""
+    return replace(submaps, last_world=None)
+
+
+def torn(submaps: Submaps) -> Submaps:
+    """Return the submaps after the odometry has jumped: a new one, and nothing known of the space around it.
+
+    One in which no keyframe has come yet goes on being the open one.
+    """
+    if submaps.last_world is None and submaps.way_m == 0.0 and not _has_space(submaps.states[-1].space):
+        return submaps
+    empty = empty_space(submaps.space.voxel_m)
+    alone = replace(
+        submaps,
+        space=empty,
+        first=submaps.open_id + 1,
+        owned=np.empty(0, np.int64),
+        owners=np.empty(0, np.int32),
+        way_m=0.0,
+        last_world=None,
+    )
+    return _opened(alone)
+
+
+def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
+    """Return the submaps after one more keyframe."""
+    if submaps.first == submaps.open_id:
+        return _alone(submaps, add(submaps.space, seen))
+    space = add(submaps.space, seen)
+    free, structure = _by_owner(submaps, seen.free_keys), _by_owner(submaps, seen.structure_keys)
+    none = np.empty(0, np.int64)
+    changed = {
+        i: add(
+            submaps.states[i].space,
+            SpaceObservation(free_keys=free.get(i, none), structure_keys=structure.get(i, none), floor_z_m=None),
+        )
+        for i in sorted(free.keys() | structure.keys())
+    }
+    return _with_spaces(submaps, space, changed)
+
+
+def with_structure(submaps: Submaps, points: NDArray[np.float32]) -> Submaps:
+    """Return the submaps where the voxels of (N, 3) points are structure: what was an object, and is none."""
+    space = add_structure(submaps.space, points)
+    if submaps.first == submaps.open_id:
+        return _alone(submaps, space)
+    owners = _owners(submaps, keys_of_points(points, space.voxel_m))
+    changed = {int(i): add_structure(submaps.states[i].space, points[owners == i]) for i in np.unique(owners)}
+    return _with_spaces(submaps, space, changed)
+
+
+def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float64]]) -> Submaps:
+    """Return the submaps with some of them at other places.
+
+    Raises:
+        ValueError: there is no such submap.
+    """
+    unknown = sorted(world_from_submap.keys() - {state.id for state in submaps.states})
+    if unknown:
+        raise ValueError(f"there is no submap {unknown[0]}; the map has 0 to {submaps.open_id}")
+    states = tuple(
+        replace(state, world_from_submap=world_from_submap[state.id]) if state.id in world_from_submap else state
+        for state in submaps.states
+    )
+    return replace(submaps, states=states)
+
+
+def record_of(state: SubmapState) -> Submap:
+    """Return the public record of a submap."""
+    return Submap(id=state.id, world_from_submap=state.world_from_submap, observed_space=as_record(state.space))
+
+
+# ---- the steps ------------------------------------------------------------------------------------------------------
+
+
+def _closed(submaps: Submaps) -> Submaps:
+    """Return the submaps with everything in the open one its own for good."""
+    space = submaps.states[-1].space
+    keys = np.union1d(space.free, space.structure)
+    owned = np.concatenate([submaps.owned, keys])
+    owners = np.concatenate([submaps.owners, np.full(len(keys), submaps.open_id, dtype=np.int32)])
+    order = np.argsort(owned, kind="stable")
+    return replace(submaps, owned=owned[order], owners=owners[order])
+
+
+def _opened(submaps: Submaps) -> Submaps:
+    """Return the submaps with one more, which goes on where the last one lies."""
+    last = submaps.states[-1]
+    space = replace(empty_space(submaps.space.voxel_m), floor_z_m=submaps.space.floor_z_m)
+    state = SubmapState(id=last.id + 1, world_from_submap=last.world_from_submap, space=space)
+    return replace(submaps, states=(*submaps.states, state))
+
+
+def _alone(submaps: Submaps, space: SpaceState) -> Submaps:
+    """Return the submaps where the open one is all that was seen since the last jump: it and the judge are one."""
+    return replace(submaps, space=space, states=(*submaps.states[:-1], replace(submaps.states[-1], space=space)))
+
+
+def _with_spaces(submaps: Submaps, space: SpaceState, changed: Mapping[int, SpaceState]) -> Submaps:
+    states = list(submaps.states)
+    for i, own in changed.items():
+        states[i] = replace(states[i], space=own)
+    # The floor follows the eye: what was closed keeps the one that was seen there.
+    last = states[-1]
+    states[-1] = replace(last, space=replace(last.space, floor_z_m=space.floor_z_m))
+    return replace(submaps, space=space, states=tuple(states))
+
+
+def _has_space(space: SpaceState) -> bool:
+    return len(space.free) + len(space.structure) > 0
+
+
+def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Return the submap of each voxel; the open one has those that are new."""
+    owners = np.full(len(keys), submaps.open_id, dtype=np.int32)
+    is_owned = contains(submaps.owned, keys)
+    owners[is_owned] = submaps.owners[np.searchsorted(submaps.owned, keys[is_owned])]
+    return owners
+
+
+def _by_owner(submaps: Submaps, keys: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
+    owners = _owners(submaps, keys)
+    return {int(i): keys[owners == i] for i in np.unique(owners)}

@@ -1,0 +1,312 @@
+"""Submaps: whose things are, what a jump of the odometry ends, and corrections that can be taken back."""
+
+from dataclasses import replace
+from functools import reduce
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.map_codec import encode_snapshot
+from hickory_stream.engine.record_codec import decode, encode
+from hickory_stream.events import FrameObserved, PoseJumped, PosesCorrected, Publish, RequestShape, SourceEnded
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.lifecycle import LifecycleConfig
+from hickory_stream.mapping.observed_space import add, as_record
+from hickory_stream.mapping.requests import RequestConfig
+from hickory_stream.mapping.submaps import (
+    SubmapConfig,
+    Submaps,
+    first_submap,
+    interrupted,
+    record_of,
+    torn,
+    travelled,
+    with_seen,
+    with_structure,
+)
+from hickory_stream.mapping.track import TrackConfig
+from hickory_stream.records import MapSnapshot, SpaceObservation
+from tests.mapping.mapping_fixtures import (
+    SECOND_NS,
+    VOXEL_M,
+    box_surface,
+    drive,
+    observation,
+    shape_ready,
+    space,
+)
+
+CONFIG = MappingConfig(
+    track=TrackConfig(voxel_m=VOXEL_M),
+    lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=2),
+    requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5),
+    submaps=SubmapConfig(travel_m=1.5),
+)
+A, B, C = (box_surface((x, 0, 0.1)) for x in (0.0, 1.5, 3.0))
+JUMP = from_rotation_translation(np.eye(3), np.array([0.3, 0.0, 0.0]))
+MOVE = from_rotation_translation(yaw_rotation(0.4), np.array([1.0, -2.0, 0.1]))
+
+
+def at(
+    frame_index: int, x_m: float, *seen: NDArray[np.float32], space_seen: SpaceObservation | None = None
+) -> FrameObserved:
+    """A keyframe from (x_m, -2, 0.5) that shows these things."""
+    return FrameObserved(
+        frame_index=frame_index,
+        stamp_ns=frame_index * SECOND_NS,
+        world_from_camera=from_rotation_translation(np.eye(3), np.array([x_m, -2.0, 0.5])),
+        observations=tuple(observation(i, points) for i, points in enumerate(seen)),
+        space=space_seen or space(structure=keys_of_points(np.float32([[x_m, 1.0, 0.0]]), 0.05), floor_z_m=0.0),
+    )
+
+
+def walk(config: MappingConfig = CONFIG) -> MapperCore:
+    """A core after a walk of 4 m past three boxes, the second of which is seen from two submaps."""
+    core = MapperCore(config)
+    seen = [(A,), (A, B), (A, B), (B,), (B, C), (B, C), (C,), (C,), (C,)]
+    drive(core, [at(i, 0.5 * i, *things) for i, things in enumerate(seen)])
+    return core
+
+
+def corrected(*places: tuple[int, NDArray[np.float64]]) -> PosesCorrected:
+    ids, poses = tuple(i for i, _ in places), np.array([pose for _, pose in places]).reshape(-1, 4, 4)
+    return PosesCorrected(stamp_ns=9 * SECOND_NS, submap_ids=ids, world_from_submap=poses)
+
+
+def whose(snapshot: MapSnapshot) -> list[tuple[int, int]]:
+    return [(item.id, item.submap_id) for item in snapshot.objects]
+
+
+# ---- the way ---------------------------------------------------------------------------------------------------------
+
+
+def test_an_object_belongs_to_the_submap_it_was_born_in_and_is_known_again_in_the_next() -> None:
+    snapshot = walk().snapshot()
+    assert [submap.id for submap in snapshot.submaps] == [0, 1, 2]
+    assert whose(snapshot) == [(1, 0), (2, 0), (3, 1)]
+    assert [item.sightings for item in snapshot.objects] == [3, 5, 5]
+
+
+def test_submaps_change_nothing_of_a_map_but_whose_things_are() -> None:
+    split, whole = walk().snapshot(), walk(replace(CONFIG, submaps=SubmapConfig())).snapshot()
+    assert len(whole.submaps) == 1
+    same = replace(split, objects=tuple(replace(item, submap_id=0) for item in split.objects))
+    assert map_digest(same) == map_digest(whole)
+    for name in ("free", "structure"):
+        parts = [getattr(submap.observed_space, name) for submap in split.submaps]
+        assert np.array_equal(np.sort(np.concatenate(parts)), getattr(whole.submaps[0].observed_space, name))
+
+
+def test_what_perception_knows_beforehand_does_not_end_with_a_submap() -> None:
+    split, whole = walk().observed_space(), walk(replace(CONFIG, submaps=SubmapConfig())).observed_space()
+    assert split is not None
+    assert whole is not None
+    assert np.array_equal(split.structure, whole.structure)
+    assert np.array_equal(split.free, whole.free)
+    assert split.floor_z_m == whole.floor_z_m
+    assert MapperCore(CONFIG).observed_space() is None
+
+
+def test_a_way_of_no_length_is_refused() -> None:
+    with pytest.raises(ValueError, match="travel_m must be above 0"):
+        SubmapConfig(travel_m=0.0)
+
+
+_KEYS = st.lists(st.integers(0, 30), max_size=12).map(lambda keys: np.unique(np.int64(keys)))
+
+
+@given(st.lists(st.tuples(st.sampled_from(["seen", "went", "structure"]), _KEYS, _KEYS), max_size=25))
+@settings(deadline=None)
+def test_every_voxel_is_in_one_submap_and_all_together_are_what_was_seen(
+    steps: list[tuple[str, NDArray[np.int64], NDArray[np.int64]]],
+) -> None:
+    submaps, place = first_submap(0.05), 0.0
+    for kind, free, structure in steps:
+        if kind == "seen":
+            submaps = with_seen(submaps, SpaceObservation(free_keys=free, structure_keys=structure, floor_z_m=0.1))
+        elif kind == "went":
+            place += 1.0
+            submaps = travelled(submaps, np.array([place, 0.0, 0.0]), SubmapConfig(travel_m=1.5))
+        elif len(free):
+            submaps = with_structure(submaps, np.float32([[0.05 * key, 0.0, 0.0] for key in free]))
+    judge, parts = as_record(submaps.space), [record_of(state).observed_space for state in submaps.states]
+    for name in ("free", "structure"):
+        together = np.concatenate([getattr(part, name) for part in parts])
+        assert np.array_equal(np.sort(together), getattr(judge, name))
+    owned = [np.union1d(state.space.free, state.space.structure) for state in submaps.states]
+    assert len(np.unique(np.concatenate(owned))) == sum(map(len, owned))
+
+
+def test_the_way_is_not_measured_across_a_jump_of_the_stamps() -> None:
+    def went(submaps: Submaps, x_m: float) -> Submaps:
+        return travelled(submaps, np.array([x_m, 0.0, 0.0]), SubmapConfig(travel_m=15.0))
+
+    there = reduce(went, [0.0, 7.0, 14.0], first_submap(0.05))
+    assert len(went(interrupted(there), 0.0).states) == 1
+    assert len(went(there, 0.0).states) == 2
+
+
+# ---- a jump of the odometry ------------------------------------------------------------------------------------------
+
+
+def test_a_jump_closes_the_submap_and_what_is_seen_again_stays_the_object_that_it_was() -> None:
+    core = MapperCore(replace(CONFIG, submaps=SubmapConfig()))
+    drive(core, [at(i, 0.0, A) for i in range(4)])
+    drive(core, [PoseJumped(stamp_ns=4 * SECOND_NS, after_from_before=JUMP), *(at(4 + i, 0.0, A, B) for i in range(3))])
+    snapshot = core.snapshot()
+    assert [submap.id for submap in snapshot.submaps] == [0, 1]
+    assert whose(snapshot) == [(1, 0), (2, 1)]
+    assert snapshot.objects[0].sightings == 7
+
+
+def test_a_jump_before_any_keyframe_leaves_no_empty_submap() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [PoseJumped(stamp_ns=0, after_from_before=JUMP), at(0, 0.0, A)])
+    assert [submap.id for submap in core.snapshot().submaps] == [0]
+
+
+def test_after_a_jump_an_object_is_not_looked_through_until_it_is_seen_again() -> None:
+    inside = space(free=np.unique(keys_of_points(A, 0.05)))
+    through = [at(4 + i, 0.0, space_seen=inside) for i in range(4)]
+
+    def ids(*events: FrameObserved | PoseJumped) -> list[int]:
+        core = MapperCore(CONFIG)
+        drive(core, [*(at(i, 0.0, A) for i in range(4)), *events])
+        return [item.id for item in core.snapshot().objects]
+
+    jump = PoseJumped(stamp_ns=4 * SECOND_NS, after_from_before=JUMP)
+    assert ids(*through) == []
+    assert ids(jump, *through) == [1]
+    assert ids(jump, at(4, 0.0, A), *(replace(f, frame_index=f.frame_index + 1) for f in through)) == []
+
+
+def test_the_space_of_before_a_jump_does_not_judge_what_is_seen_after_it() -> None:
+    """A wall of 4 m that was dropped as structure: a box in its voxels is a piece of it, but not after a jump."""
+    wall = box_surface((0.0, 1.0, 1.2), (4.0, 0.2, 2.4))
+    piece = box_surface((0.5, 1.0, 0.5), (0.8, 0.2, 0.8))
+
+    def ids(*between: PoseJumped) -> list[int]:
+        core = MapperCore(replace(CONFIG, submaps=SubmapConfig()))
+        drive(core, [*(at(i, 0.0, wall) for i in range(4)), *between, *(at(4 + i, 0.0, piece) for i in range(4))])
+        return [item.submap_id for item in core.snapshot().objects]
+
+    assert ids() == []
+    assert ids(PoseJumped(stamp_ns=4 * SECOND_NS, after_from_before=JUMP)) == [1]
+
+
+def test_the_space_of_a_submap_that_a_jump_closed_stays_as_it_was() -> None:
+    core = MapperCore(replace(CONFIG, submaps=SubmapConfig()))
+    drive(core, [at(i, 0.0, A) for i in range(3)])
+    before = core.snapshot().submaps[0].observed_space
+    drive(core, [PoseJumped(stamp_ns=3 * SECOND_NS, after_from_before=JUMP), *(at(3 + i, 0.0, A) for i in range(3))])
+    old, new = (submap.observed_space for submap in core.snapshot().submaps)
+    assert old is before
+    assert np.array_equal(new.structure, before.structure)
+
+
+# ---- corrections -----------------------------------------------------------------------------------------------------
+
+
+def with_shapes(core: MapperCore) -> MapperCore:
+    """The core after the shapes that it had asked for, and asks for at the end, have come."""
+    asked = drive(core, [SourceEnded(stamp_ns=9 * SECOND_NS)])
+    open_tickets = {(e.ticket, e.object_id) for e in asked if isinstance(e, RequestShape)}
+    tracks: Any = core.state()["_tracks"]
+    open_tickets |= {(t.shape_state.open_ticket, t.id) for t in tracks.values() if t.shape_state.open_ticket}
+    drive(core, [shape_ready(ticket, object_id) for ticket, object_id in sorted(open_tickets)])
+    return core
+
+
+def test_a_correction_moves_all_that_belongs_to_a_submap_and_nothing_else() -> None:
+    core = with_shapes(walk())
+    before = core.snapshot()
+    (published,) = core.handle(corrected((0, MOVE)))
+    assert isinstance(published, Publish)
+    after = core.snapshot()
+    assert [submap.id for submap in after.submaps if np.array_equal(submap.world_from_submap, MOVE)] == [0]
+    for old, new in zip(before.objects, after.objects, strict=True):
+        if old.submap_id != 0:
+            assert new is old
+            continue
+        assert old.shape is not None
+        assert new.shape is not None
+        assert np.allclose(new.points_world, apply(MOVE, old.points_world), atol=1e-6)
+        assert np.allclose(new.box.world_from_box, MOVE @ old.box.world_from_box)
+        assert np.allclose(new.shape.world_from_object, MOVE @ old.shape.world_from_object)
+        for name in ("fitted", "inflated"):
+            theirs, ours = getattr(old.shape, name), getattr(new.shape, name)
+            assert np.allclose(ours.world_from_local, MOVE @ theirs.world_from_local)
+            assert np.array_equal(ours.semi_axes_m, theirs.semi_axes_m)
+        assert new.shape.mesh_sha256 == old.shape.mesh_sha256
+        assert new.shape.revision == old.shape.revision
+        assert [v.name for v in new.views] == [v.name for v in old.views]
+        assert new.best_view in new.views
+        for theirs, ours in zip(old.views, new.views, strict=True):
+            assert np.allclose(ours.world_from_camera, MOVE @ theirs.world_from_camera)
+    for was, now in zip(before.submaps, after.submaps, strict=True):
+        assert np.array_equal(was.observed_space.structure, now.observed_space.structure)
+
+
+def test_the_identity_undoes_corrections_to_the_last_byte() -> None:
+    core = with_shapes(walk())
+    before = encode_snapshot(core.snapshot())
+    core.handle(corrected((0, MOVE), (2, MOVE)))
+    core.handle(corrected((1, MOVE), (0, MOVE @ MOVE)))
+    assert encode_snapshot(core.snapshot()) != before
+    core.handle(corrected(*((i, np.eye(4)) for i in range(3))))
+    assert encode_snapshot(core.snapshot()) == before
+
+
+def test_after_a_correction_the_frames_go_on_in_the_world_of_the_odometry() -> None:
+    plain, moved = walk(), walk()
+    moved.handle(corrected((0, MOVE), (1, MOVE), (2, MOVE)))
+    more = [at(9 + i, 4.0 - 0.5 * i, B, C) for i in range(3)]
+    drive(plain, more)
+    drive(moved, more)
+    # The fourth began with the way back: it lies as the one that it goes on from.
+    assert all(np.array_equal(s.world_from_submap, MOVE) for s in moved.snapshot().submaps)
+    moved.handle(corrected(*((i, np.eye(4)) for i in range(len(moved.snapshot().submaps)))))
+    assert encode_snapshot(moved.snapshot()) == encode_snapshot(plain.snapshot())
+
+
+def test_a_core_goes_on_from_its_state_with_its_submaps_and_their_places() -> None:
+    core = walk()
+    core.handle(corrected((1, MOVE)))
+    again = MapperCore.from_state(CONFIG, decode(encode(core.state())))
+    assert encode_snapshot(again.snapshot()) == encode_snapshot(core.snapshot())
+    more = [at(9 + i, 4.0 - 0.5 * i, B, C) for i in range(3)]
+    drive(core, more)
+    drive(again, more)
+    assert encode_snapshot(again.snapshot()) == encode_snapshot(core.snapshot())
+
+
+def test_a_submap_that_is_not_there_is_refused_and_nothing_is_moved() -> None:
+    core = walk()
+    before = encode_snapshot(core.snapshot())
+    with pytest.raises(ValueError, match="no submap 7; the map has 0 to 2"):
+        core.handle(corrected((0, MOVE), (7, MOVE)))
+    assert encode_snapshot(core.snapshot()) == before
+
+
+def test_a_transform_that_is_not_rigid_and_a_submap_named_twice_are_refused() -> None:
+    with pytest.raises(ValueError, match="submap 0 is no rigid transform"):
+        corrected((0, np.diag([2.0, 1.0, 1.0, 1.0])))
+    with pytest.raises(ValueError, match="named twice"):
+        corrected((0, MOVE), (0, MOVE))
+
+
+def test_an_addition_to_space_follows_the_floor_of_the_open_submap_only() -> None:
+    seen = SpaceObservation(free_keys=np.int64([1, 2]), structure_keys=np.int64([5]), floor_z_m=0.0)
+    lower = replace(seen, free_keys=np.int64([2, 3]), floor_z_m=-0.5)
+    one = with_seen(travelled(first_submap(0.05), np.zeros(3), SubmapConfig()), seen)
+    two = with_seen(travelled(one, np.array([20.0, 0.0, 0.0]), SubmapConfig()), lower)
+    assert [state.space.floor_z_m for state in two.states] == [0.0, -0.5]
+    assert add(one.space, lower).floor_z_m == two.space.floor_z_m
+    assert torn(two).space.floor_z_m is None
