@@ -16,7 +16,8 @@ import rerun as rr
 from hickory_stream.geometry.mesh import read_glb
 from hickory_stream.geometry.palette import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
-from hickory_stream.geometry.superquadric import display_mesh
+from hickory_stream.geometry.superquadric import outward_normals
+from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
 
@@ -167,11 +168,12 @@ def _superquadric_mesh(primitives: Superquadrics, color: tuple[int, int, int], a
     faces = np.concatenate(
         [np.zeros((0, 3), np.int32), *(f + start for (_, f), start in zip(parts, starts[:-1], strict=True))]
     )
+    normals = [outward_normals(primitives, i, vertices) for i, (vertices, _) in enumerate(parts)]
     shades = [shaded(color, (1.0, 0.72, 1.6)[i % 3]) for i in range(len(parts))]
     return rr.Mesh3D(
         vertex_positions=vertices,
         triangle_indices=faces,
-        vertex_normals=_vertex_normals(vertices, faces),
+        vertex_normals=np.concatenate([np.zeros((0, 3)), *normals]).astype(np.float32),
         vertex_colors=np.repeat(np.array(shades, np.uint8).reshape(-1, 3), np.diff(starts), axis=0),
         albedo_factor=(255, 255, 255, alpha),
     )
