@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 LAYERS = ("world/layer1", "world/layer2", "world/layer3", "world/layer4")
 POINTS_LAYER, MESH_LAYER, FITTED_LAYER, INFLATED_LAYER = LAYERS
 _INFLATED_ALPHA = 96
+# What is known from points alone is drawn as lightly.
+_SKETCH_ALPHA = 112
 _FADED = {Phase.TENTATIVE: 0.45, Phase.ACTIVE: 1.0, Phase.DORMANT: 0.75, Phase.ARCHIVED: 0.55}
 
 logger = logging.getLogger(__name__)
@@ -70,6 +72,8 @@ class ObjectLayers:
                 shown is None or shown.object.shape is None or shown.object.shape.revision != seen.shape.revision
             ):
                 items += self._shape_items(seen.id, seen.shape)
+            elif seen.sketch is not None and (shown is None or shown.object.sketch is not seen.sketch):
+                items.append(_sketch_item(seen.id, seen.sketch))
             self._shown[seen.id] = replace(self._shown[seen.id], object=seen)
         return items
 
@@ -132,6 +136,12 @@ def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:
     cloud = rr.Points3D(points, colors=colors, radii=0.006)
     path = f"{POINTS_LAYER}/{seen.id}/points"
     return LogItem(path=path, archetypes=(cloud,), weight=Weight.HEAVY, span=Span.LASTING)
+
+
+def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:
+    """Return the sketch in the place of layer 3, which replaces it when it comes."""
+    mesh = _superquadric_mesh(sketch, color_of_id(object_id), alpha=_SKETCH_ALPHA)
+    return LogItem(path=f"{FITTED_LAYER}/{object_id}", archetypes=(mesh,), span=Span.LASTING)
 
 
 def _box_item(seen: TrackedObject) -> LogItem:
