@@ -224,7 +224,8 @@ class Containment:
 
     Checked are the pieces of the surface and the points of layer 1, each with a ball of `margin_m` around it, and the
     cells of the inside. `is_certified` says that nothing is outside; `is_fallback` that a box around everything took
-    the place of the primitives.
+    the place of the primitives. Under the surface a shell of `shell_m` was not looked at: 0 for margins from about two
+    hundredths of the longest side.
     """
 
     num_checked: int
@@ -233,6 +234,7 @@ class Containment:
     is_certified: bool = False
     is_fallback: bool = False
     margin_m: float = 0.0
+    shell_m: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -265,7 +267,8 @@ class TrackedObject:
 
     `points_world` (N, 3) float32, one per occupied voxel of the fixed lattice, with `colors` (N, 3) uint8; `feature`
     (D,) is the mean over its kept views, unit norm, or None; `views` is sorted by frame; `best_view` is among them;
-    `merged_ids` are the tracks that were found to be this one.
+    `merged_ids` are the tracks that were found to be this one. `sketch`, one superquadric in the world, is what the
+    points alone say of its shape: of a confirmed object while it has no `shape`.
     """
 
     id: int
@@ -282,6 +285,12 @@ class TrackedObject:
     best_view: View | None
     shape: ObjectShape | None
     merged_ids: tuple[int, ...] = ()
+    sketch: Superquadrics | None = None
+
+    @property
+    def superquadrics(self) -> Superquadrics | None:
+        """Layer 3, or the sketch where there is none yet; None where there is neither."""
+        return self.shape.fitted if self.shape is not None and len(self.shape.fitted) else self.sketch
 
     def __post_init__(self) -> None:
         freeze(self, "points_world", np.float32, (None, 3))

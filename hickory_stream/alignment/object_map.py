@@ -29,10 +29,10 @@ class ObjectMap:
     """N objects in one frame, z up, metres.
 
     `ids` (N,); `centroids` (N, 3), of layer 3 in closed form where there is one, else of layer 1; `features` (N, D) of
-    unit norm with rows of NaN where an object has none, None where no object has; `shapes` and `points` hold layer 3
-    and layer 1 of each object, None where there is none; `boxes` are upright boxes around them. `submap_ids` (N,) says
-    which piece of the map an object hangs on. `submaps` hold the observed space. `extractor` names what made the
-    features.
+    unit norm with rows of NaN where an object has none, None where no object has; `shapes` and `points` hold layer 3,
+    or its sketch from the points, and layer 1 of each object, None where there is none; `boxes` are upright boxes
+    around them. `submap_ids` (N,) says which piece of the map an object hangs on. `submaps` hold the observed space.
+    `extractor` names what made the features.
     """
 
     ids: NDArray[np.int64]
@@ -68,7 +68,7 @@ def object_map(snapshot: MapSnapshot, extractor: str = "") -> ObjectMap:
     `extractor` names what made the features, as far as the caller knows: cosines between two mean nothing.
     """
     objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
-    shapes = tuple(tracked.shape.fitted if tracked.shape and len(tracked.shape.fitted) else None for tracked in objects)
+    shapes = tuple(tracked.superquadrics for tracked in objects)
     points = tuple(tracked.points_world if len(tracked.points_world) else None for tracked in objects)
     boxes = tuple(tracked.box for tracked in objects)
     centroids = [_centroid(*parts) for parts in zip(shapes, points, boxes, strict=True)]

@@ -3,8 +3,9 @@
 In it, object by object in the order of their ids: id, phase, submap, sightings, first and last stamp, points and their
 colours, box, feature, every view (stamps, box, pose, factors, score, variance, feature, whether cut), which of them is
 the best, the ids merged into it; and of its shape the reconstructor, the hash of the mesh, its place, the fitted and
-the inflated superquadrics, the seen shares and the containment. Not in it: timings, ledger, configuration, the revision
-and stamp of the snapshot, tickets and file names, the observed space, anything of wall time.
+the inflated superquadrics, the seen shares and the containment, or its sketch where it has one. Not in it: timings,
+ledger, configuration, the revision and stamp of the snapshot, tickets and file names, the observed space, anything of
+wall time.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ def _object_values(tracked: TrackedObject) -> tuple[Any, ...]:
         tracked.best_view.name if tracked.best_view else None,
         _shape_values(tracked.shape) if tracked.shape else None,
         tracked.merged_ids,
+        *((_primitive_values(tracked.sketch),) if tracked.sketch is not None else ()),
     )
 
 

@@ -120,6 +120,7 @@ def _encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
         "best_view": None if tracked.best_view is None else names.index(tracked.best_view.name),
         "shape": None if tracked.shape is None else _encode_shape(tracked.shape),
         "merged_ids": [int(i) for i in tracked.merged_ids],
+        "sketch": None if tracked.sketch is None else encode_superquadrics(tracked.sketch),
     }
 
 
@@ -143,6 +144,8 @@ def _decode_object(entry: Json, read: Callable[[str], bytes]) -> TrackedObject:
         best_view=None if entry["best_view"] is None else views[entry["best_view"]],
         shape=None if entry["shape"] is None else _decode_shape(entry["shape"]),
         merged_ids=tuple(entry["merged_ids"]),
+        # Maps from before sketches have none.
+        sketch=None if entry.get("sketch") is None else decode_superquadrics(entry["sketch"]),
     )
 
 
@@ -201,6 +204,7 @@ def _encode_shape(shape: ObjectShape) -> Json:
             "is_certified": bool(shape.containment.is_certified),
             "is_fallback": bool(shape.containment.is_fallback),
             "margin_m": _number(shape.containment.margin_m),
+            "shell_m": _number(shape.containment.shell_m),
         },
     }
 
@@ -224,6 +228,7 @@ def _decode_shape(entry: Json) -> ObjectShape:
             is_certified=checked.get("is_certified", False),
             is_fallback=checked.get("is_fallback", False),
             margin_m=float(checked.get("margin_m", 0.0)),
+            shell_m=float(checked.get("shell_m", 0.0)),
         ),
     )
 

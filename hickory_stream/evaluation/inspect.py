@@ -24,7 +24,10 @@ _PRIMITIVE_BYTES = 11 * 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectSummary:
-    """One object; `size_m` the sides of its box, `layer_bytes` per layer 1 to 4, 0 for a layer that it lacks."""
+    """One object; `size_m` the sides of its box, `layer_bytes` per layer 1 to 4, 0 for a layer that it lacks.
+
+    `is_sketched`: instead of layers 2 to 4 it has one superquadric from its points alone.
+    """
 
     id: int
     phase: Phase
@@ -37,6 +40,7 @@ class ObjectSummary:
     layers: tuple[int, ...]
     layer_bytes: tuple[int, int, int, int]
     containment: Containment | None
+    is_sketched: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -126,6 +130,7 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject) -> ObjectSummary:
         layers=tuple(layer for layer, size in zip(LAYERS, sizes, strict=True) if size),
         layer_bytes=sizes,
         containment=shape.containment if shape else None,
+        is_sketched=tracked.sketch is not None,
     )
 
 
@@ -155,9 +160,14 @@ def _object_row(row: ObjectSummary) -> tuple[str, ...]:
         str(row.num_points),
         str(row.num_views),
         *(_bytes(size) if size else "-" for size in row.layer_bytes[:2]),
-        *(f"{row.num_superquadrics} ({_bytes(size)})" if size else "-" for size in row.layer_bytes[2:]),
+        f"{row.num_superquadrics} ({_bytes(row.layer_bytes[2])})" if row.layer_bytes[2] else _sketch_cell(row),
+        f"{row.num_superquadrics} ({_bytes(row.layer_bytes[3])})" if row.layer_bytes[3] else "-",
         _share(row.containment.num_outside, row.containment.num_checked) if row.containment else "-",
     )
+
+
+def _sketch_cell(row: ObjectSummary) -> str:
+    return "1 from points" if row.is_sketched else "-"
 
 
 def _layer_row(row: LayerSummary) -> tuple[str, ...]:

@@ -85,6 +85,8 @@ def _surfaces(
     translucent: list[Surface] = []
     for tracked in objects:
         if tracked.shape is None:
+            if 3 in layers and tracked.sketch is not None:
+                translucent.extend(superquadric_surfaces(tracked.sketch, tracked.id))
             continue
         if 2 in layers:
             solid.append(mesh_surface(saved, tracked))
@@ -155,10 +157,12 @@ def _best_corner(objects: list[TrackedObject], corners: NDArray[np.float64], wid
 
 def _title(saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[int]) -> str:
     shapes = [tracked.shape for tracked in objects if tracked.shape]
+    sketched = sum(tracked.sketch is not None for tracked in objects)
     counts = {
         1: f"{sum(len(tracked.points_world) for tracked in objects):,} points",
         2: f"{len(shapes)} meshes",
-        3: f"{sum(len(shape.fitted) for shape in shapes)} superquadrics",
+        3: f"{sum(len(shape.fitted) for shape in shapes)} superquadrics"
+        + (f" and {sketched} from points" if sketched else ""),
         4: f"{sum(len(shape.inflated) for shape in shapes)} inflated",
     }
     name = str(saved.manifest.source.get("uri", saved.folder.name)).rstrip("/").rsplit("/", maxsplit=1)[-1]

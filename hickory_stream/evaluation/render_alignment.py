@@ -16,7 +16,8 @@ from hickory_stream.evaluation.render_view import Floor, Model, draw_view
 from hickory_stream.evaluation.viewpoint import from_above, from_corner
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
-from hickory_stream.geometry.superquadric import display_mesh, moved
+from hickory_stream.geometry.superquadric import moved
+from hickory_stream.geometry.superquadric_surface import display_mesh
 
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from hickory_stream.evaluation.raycast import Surface
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.superquadric import display_mesh
+from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Sur
     """Return layer 3 or 4 in the object's colour, every other primitive a little darker."""
     surfaces = []
     for i in range(len(primitives)):
-        vertices, faces = display_mesh(primitives, i, segments=40)
+        vertices, faces = display_mesh(primitives, i, 0.004 * float(primitives.semi_axes_m[i].max()))
         color = np.array(color_of_id(object_id)) * (1.0, 0.86, 0.93)[i % 3]
         colors = np.tile(color.astype(np.uint8), (len(vertices), 1))
         surfaces.append(Surface(vertices=vertices, faces=faces, colors=colors, owner=object_id))

@@ -61,6 +61,25 @@ def implicit_value(primitives: Superquadrics, index: int, points_world: NDArray[
     return np.asarray(np.exp(np.minimum(log_implicit_value(primitives, index, points_world), _MAX_LOG)))
 
 
+def implicit_gradient(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
+    """Return (N, 3) the gradient of G in the world, per metre, each component at most e^700; 0 at the centre.
+
+    For exponents of 2 the body has edges in the planes of its axes: there it is the mean of both sides.
+    """
+    pose = primitives.world_from_local[index]
+    signs, logs = _log_gradient(primitives, index, points_world)
+    return np.asarray(signs * np.exp(np.minimum(logs, _MAX_LOG)) @ pose[:3, :3].T)
+
+
+def outward_normals(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
+    """Return (N, 3) unit vectors along the gradient of G; 0 at the centre, where there is none."""
+    signs, logs = _log_gradient(primitives, index, points_world)
+    # Whatever the size of the gradient: only its components against the largest one count.
+    local = signs * np.exp(np.maximum(logs - logs.max(axis=1, keepdims=True), -_MAX_LOG))
+    lengths = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), _TINY)
+    return np.asarray(local / lengths @ primitives.world_from_local[index, :3, :3].T)
+
+
 def radial_distance_m(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
     """Return (N,) signed distances to the surface along the ray from the centre, negative inside.
 
@@ -80,6 +99,27 @@ def volumes_m3(primitives: Superquadrics) -> NDArray[np.float64]:
     e1, e2 = primitives.exponents[:, 0], primitives.exponents[:, 1]
     shape = 2 * e1 * e2 * beta(e1 / 2 + 1, e1) * beta(e2 / 2, e2 / 2)
     return np.asarray(shape * primitives.semi_axes_m.prod(axis=1))
+
+
+def second_moments_m5(primitives: Superquadrics) -> NDArray[np.float64]:
+    """Return (N, 3, 3) the integrals of p p^T over each primitive about its own centre, in the axes of the world.
+
+    Closed form: along its own axes 1/2 a1^3 a2 a3 e1 e2 B(3 e2/2, e2/2) B(e1/2, 2 e1 + 1), the same with a2, and
+    a1 a2 a3^3 e1 e2 B(e2/2, e2/2) B(3 e1/2, e1 + 1), by Dirichlet's integral.
+    """
+    e1, e2 = primitives.exponents[:, 0], primitives.exponents[:, 1]
+    across = e1 * e2 / 2 * beta(3 * e2 / 2, e2 / 2) * beta(e1 / 2, 2 * e1 + 1)
+    along = e1 * e2 * beta(e2 / 2, e2 / 2) * beta(3 * e1 / 2, e1 + 1)
+    axes = primitives.semi_axes_m
+    own = np.stack([across, across, along], axis=1) * axes**2 * axes.prod(axis=1, keepdims=True)
+    rotations = primitives.world_from_local[:, :3, :3]
+    return np.asarray((rotations * own[:, None, :]) @ rotations.transpose(0, 2, 1))
+
+
+def inertia_m5(primitives: Superquadrics) -> NDArray[np.float64]:
+    """Return (N, 3, 3) the inertia of each primitive about its own centre for a density of 1, in the world's axes."""
+    moments = second_moments_m5(primitives)
+    return np.asarray(np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) - moments)
 
 
 def centroid_world(primitives: Superquadrics) -> NDArray[np.float64]:
@@ -132,60 +172,31 @@ def support_reach(primitives: Superquadrics, directions_world: NDArray[Any]) -> 
     return _dual_norm(_dual_norm(scaled[..., 0], scaled[..., 1], e2), scaled[..., 2], e1)
 
 
+def bounds_in(primitives: Superquadrics, frame_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N, 2, 3) tight bounds along the axes of a frame, in that frame: lowest corner, highest corner."""
+    centers = apply(frame_from_world, primitives.world_from_local[:, :3, 3])
+    reach = support_reach(primitives, frame_from_world[:3, :3])
+    return np.stack([centers - reach, centers + reach], axis=1)
+
+
 def world_bounds(primitives: Superquadrics) -> NDArray[np.float64]:
     """Return the (N, 2, 3) tight axis-aligned bounds in the world: lowest corner, highest corner."""
-    bounds = np.empty((len(primitives), 2, 3))
-    for i in range(len(primitives)):
-        bounds[i, 0] = -support(primitives, i, -np.eye(3))
-        bounds[i, 1] = support(primitives, i, np.eye(3))
-    return bounds
+    return bounds_in(primitives, np.eye(4))
 
 
-def display_mesh(
-    primitives: Superquadrics, index: int, segments: int = 24
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Return the closed surface of a primitive: (V, 3) float32 world vertices and (F, 3) int32 faces, looking outwards.
-
-    `segments` around the z axis (a multiple of 8 puts vertices on the edges of a box), half as many from pole to pole.
-    The angles are those of the direction in the space of unit semi-axes: with the usual parameters the vertices of a
-    box would all crowd at its corners.
-    """
+def _log_gradient(
+    primitives: Superquadrics, index: int, points_world: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (N, 3) the signs and the logarithms of the components of the gradient of G along the primitive's axes."""
+    local = apply(invert(primitives.world_from_local[index]), np.asarray(points_world, dtype=np.float64))
     e1, e2 = primitives.exponents[index]
-    longitude = 2 * np.pi * np.arange(segments) / segments
-    rings = segments // 2
-    latitude = np.pi * (np.arange(1, rings) / rings - 0.5)
-    x, y = _unit_curve(longitude, e2)
-    radius, z = _unit_curve(latitude, e1)
-    local = np.empty((len(latitude) * segments + 2, 3))
-    local[:-2, 0] = np.outer(radius, x).ravel()
-    local[:-2, 1] = np.outer(radius, y).ravel()
-    local[:-2, 2] = np.repeat(z, segments)
-    local[-2:] = [[0, 0, -1], [0, 0, 1]]
-    vertices = apply(primitives.world_from_local[index], local * primitives.semi_axes_m[index])
-    return vertices.astype(np.float32), _sphere_faces(len(latitude), segments)
-
-
-def _unit_curve(angles: NDArray[np.float64], exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the points (c, s) of |c|^(2/e) + |s|^(2/e) = 1 in the directions of `angles`."""
-    c, s = np.cos(angles), np.sin(angles)
-    log_c, log_s = np.log(np.maximum(np.abs(c), _TINY)), np.log(np.maximum(np.abs(s), _TINY))
-    scale = np.exp(-exponent / 2 * np.logaddexp(2 / exponent * log_c, 2 / exponent * log_s))
-    return c * scale, s * scale
-
-
-def _sphere_faces(rings: int, segments: int) -> NDArray[np.int32]:
-    """Return the faces of `rings` closed rings of `segments` vertices, then the lower and the upper pole."""
-    here = np.arange(segments)
-    after = (here + 1) % segments
-    south, north = rings * segments, rings * segments + 1
-    faces = [np.stack([np.full(segments, south), after, here], axis=1)]
-    for ring in range(rings - 1):
-        low, high = ring * segments, (ring + 1) * segments
-        faces.append(np.stack([low + here, low + after, high + after], axis=1))
-        faces.append(np.stack([low + here, high + after, high + here], axis=1))
-    last = (rings - 1) * segments
-    faces.append(np.stack([last + here, last + after, np.full(segments, north)], axis=1))
-    return np.concatenate(faces).astype(np.int32)
+    log_axes = np.log(primitives.semi_axes_m[index])
+    logs = np.log(np.maximum(np.abs(local), _TINY)) - log_axes
+    log_rho = np.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
+    # dG/dx = 2 / (e1 a1) rho^(e2 / e1 - 1) |x / a1|^(2 / e2 - 1), and dG/dz = 2 / (e1 a3) |z / a3|^(2 / e1 - 1).
+    level = (e2 / e1 - 1) * log_rho[:, None] + (2 / e2 - 1) * logs[:, :2]
+    upright = (2 / e1 - 1) * logs[:, 2:]
+    return np.sign(local), np.log(2 / e1) - log_axes + np.concatenate([level, upright], axis=1)
 
 
 def _dual_norm(a: NDArray[np.float64], b: NDArray[np.float64], exponent: Any) -> NDArray[np.float64]:

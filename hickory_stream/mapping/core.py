@@ -78,6 +78,7 @@ from hickory_stream.mapping.track import (
     bounds_of,
     box_of,
     grown,
+    sketched,
     touching,
     with_cloud,
 )
@@ -511,7 +512,7 @@ class MapperCore:
                 track = self._without_wall(track)
             if phase is not track.phase:
                 self._decide("phase", track_id, f"{track.phase} -> {phase} after {track.sightings} sightings")
-            self._tracks[track_id] = aged(track, phase)
+            self._tracks[track_id] = sketched(aged(track, phase), self._config.track)
         return effects
 
     def _why_structure(self, track: Track) -> str | None:

@@ -27,6 +27,7 @@ def moved_object(item: TrackedObject, new_from_old: NDArray[np.float64]) -> Trac
         views=views,
         best_view=best,
         shape=None if item.shape is None else moved_shape(item.shape, new_from_old),
+        sketch=None if item.sketch is None else moved(item.sketch, new_from_old),
     )
 
 

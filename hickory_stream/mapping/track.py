@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
+from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.voxels import in_company
 from hickory_stream.mapping.cloud import Cloud, fuse, solid_part
 from hickory_stream.records import Phase, TrackedObject, View
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.superquadric import Superquadrics
     from hickory_stream.records import ObjectShape
 
 
@@ -29,9 +31,11 @@ class TrackConfig:
 
     Attributes:
         voxel_m: the lattice of layer 1; half extents of a box are at least this.
+        sketch_growth: a sketch is made anew when the surely seen points have become more or fewer by this share.
     """
 
     voxel_m: float = 0.01
+    sketch_growth: float = 0.3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -60,6 +64,7 @@ class Track:
     from. `seen_through` counts keyframes that looked through the place where the object should be, `doubts` those in
     a row that saw it and more beside it as one. `is_promoted`: it was a part of another track, and is known to be none.
     `submap_id` is the submap it was born in; `seen_in` the one in which it was last seen.
+    `sketch` is a superquadric from `sketched_points` points, None while it is tentative and once it has a shape.
     """
 
     id: int
@@ -82,6 +87,8 @@ class Track:
     is_promoted: bool = False
     submap_id: int = 0
     seen_in: int = 0
+    sketch: Superquadrics | None = None
+    sketched_points: int = 0
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -108,6 +115,16 @@ def with_cloud(track: Track, cloud: Cloud, sightings: int, config: TrackConfig) 
         box=box_of(sure.points, config),
         bounds=bounds_of(sure.points),
     )
+
+
+def sketched(track: Track, config: TrackConfig) -> Track:
+    """Return the track with a superquadric from its points, where it is confirmed, has no shape and has changed."""
+    if track.phase is Phase.TENTATIVE or track.shape is not None:
+        return track
+    count, before = len(track.solid.points), track.sketched_points
+    if abs(count - before) <= config.sketch_growth * before:
+        return track
+    return replace(track, sketch=sketch(track.solid.points, track.box), sketched_points=count)
 
 
 def bounds_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -150,6 +167,7 @@ def as_object(track: Track) -> TrackedObject:
         best_view=track.best_view,
         shape=track.shape,
         merged_ids=track.merged_ids,
+        sketch=track.sketch if track.shape is None else None,
     )
 
 

@@ -72,6 +72,7 @@ def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: flo
         views=tuple(replace(view, object_id=first.id) for view in views),
         best_view=replace(max(scored, key=lambda view: view.score or 0.0), object_id=first.id) if scored else None,
         shape=shape,
+        sketch=keeper.sketch,
     )
     # Without views there is nothing to make a shape of but what made none before.
     needs_shape = bool(views) and (shape is None or _new_share(keeper.points_world, points) > changed_share)

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.superquadric import Superquadrics, display_mesh, moved
+from hickory_stream.geometry.superquadric import Superquadrics, moved
+from hickory_stream.geometry.superquadric_surface import surface_points
 from hickory_stream.ports import BuiltShape, NoShape, Reconstruction, Reconstructor, ShapeInputs
 from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
 from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 ReconstructorName = Literal["fused", "single_view"]
+
+_SURFACE_POINTS = 500
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,9 +76,6 @@ def seen_shares(primitives: Superquadrics, reconstruction: Reconstruction) -> ND
     tree = cKDTree(apply(reconstruction.world_from_object, mesh.vertices.astype(np.float64)))
     shares = np.empty(len(primitives))
     for i in range(len(primitives)):
-        vertices, faces = display_mesh(primitives, i)
-        a, b, c = (vertices[faces[:, corner]].astype(np.float64) for corner in range(3))
-        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        _, nearest = tree.query((a + b + c) / 3)
-        shares[i] = (areas * mesh.is_seen[nearest]).sum() / max(areas.sum(), 1e-12)
+        _, nearest = tree.query(surface_points(primitives, i, _SURFACE_POINTS))
+        shares[i] = mesh.is_seen[nearest].mean()
     return shares

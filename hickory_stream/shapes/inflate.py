@@ -89,6 +89,7 @@ def inflate(
         is_certified=certificate.holds,
         is_fallback=found.is_fallback,
         margin_m=config.r_safe_m,
+        shell_m=certificate.shell_m,
     )
 
 

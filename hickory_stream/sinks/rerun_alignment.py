@@ -9,7 +9,8 @@ import numpy as np
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.superquadric import display_mesh, moved
+from hickory_stream.geometry.superquadric import moved
+from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.sinks.rerun_items import new_stream
 
 if TYPE_CHECKING:

@@ -16,7 +16,8 @@ import rerun as rr
 from hickory_stream.geometry.mesh import read_glb
 from hickory_stream.geometry.palette import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
-from hickory_stream.geometry.superquadric import display_mesh
+from hickory_stream.geometry.superquadric import outward_normals
+from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
 
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 LAYERS = ("world/layer1", "world/layer2", "world/layer3", "world/layer4")
 POINTS_LAYER, MESH_LAYER, FITTED_LAYER, INFLATED_LAYER = LAYERS
 _INFLATED_ALPHA = 96
+# What is known from points alone is drawn as lightly.
+_SKETCH_ALPHA = 112
 _FADED = {Phase.TENTATIVE: 0.45, Phase.ACTIVE: 1.0, Phase.DORMANT: 0.75, Phase.ARCHIVED: 0.55}
 
 logger = logging.getLogger(__name__)
@@ -67,6 +70,8 @@ class ObjectLayers:
                 items.append(_box_item(seen))
             if seen.shape is not None and (shown is None or not _same_shape(seen.shape, shown.object.shape)):
                 items += self._shape_items(seen.id, seen.shape)
+            elif seen.sketch is not None and (shown is None or shown.object.sketch is not seen.sketch):
+                items.append(_sketch_item(seen.id, seen.sketch))
             self._shown[seen.id] = replace(self._shown[seen.id], object=seen)
         return items
 
@@ -131,6 +136,12 @@ def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:
     return LogItem(path=path, archetypes=(cloud,), weight=Weight.HEAVY, span=Span.LASTING)
 
 
+def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:
+    """Return the sketch in the place of layer 3, which replaces it when it comes."""
+    mesh = _superquadric_mesh(sketch, color_of_id(object_id), alpha=_SKETCH_ALPHA)
+    return LogItem(path=f"{FITTED_LAYER}/{object_id}", archetypes=(mesh,), span=Span.LASTING)
+
+
 def _box_item(seen: TrackedObject) -> LogItem:
     label = str(seen.id) if seen.phase is Phase.ACTIVE else f"{seen.id} {seen.phase}"
     box = rr.Boxes3D(
@@ -165,11 +176,12 @@ def _superquadric_mesh(primitives: Superquadrics, color: tuple[int, int, int], a
     faces = np.concatenate(
         [np.zeros((0, 3), np.int32), *(f + start for (_, f), start in zip(parts, starts[:-1], strict=True))]
     )
+    normals = [outward_normals(primitives, i, vertices) for i, (vertices, _) in enumerate(parts)]
     shades = [shaded(color, (1.0, 0.72, 1.6)[i % 3]) for i in range(len(parts))]
     return rr.Mesh3D(
         vertex_positions=vertices,
         triangle_indices=faces,
-        vertex_normals=_vertex_normals(vertices, faces),
+        vertex_normals=np.concatenate([np.zeros((0, 3)), *normals]).astype(np.float32),
         vertex_colors=np.repeat(np.array(shades, np.uint8).reshape(-1, 3), np.diff(starts), axis=0),
         albedo_factor=(255, 255, 255, alpha),
     )

@@ -55,7 +55,15 @@ def nudged(value: Any) -> Any:
     raise AssertionError(type(value))
 
 
-SNAPSHOT = make_snapshot()
+def sketched_snapshot() -> MapSnapshot:
+    """Return a map whose first object has a sketch, too: no real one has both it and a shape."""
+    snapshot = make_snapshot()
+    first = snapshot.objects[0]
+    assert first.shape is not None
+    return replace(snapshot, objects=(replace(first, sketch=first.shape.fitted), *snapshot.objects[1:]))
+
+
+SNAPSHOT = sketched_snapshot()
 VARIANTS = dict(variants(SNAPSHOT.objects[0]))
 VIEW_VARIANTS = dict(variants(SNAPSHOT.objects[0].views[0]))
 
@@ -127,6 +135,7 @@ def test_every_finite_or_infinite_number_survives_writing_and_reading(
         box=OrientedBox(world_from_box=pose, half_extents_m=half),
         feature=None if feature is None else np.array(feature, dtype=np.float32),
         shape=replace(first.shape, fitted=quadrics, inflated=quadrics),
+        sketch=quadrics,
         last_seen_ns=stamp,
     )
     snapshot = with_first(tracked)

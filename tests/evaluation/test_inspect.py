@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -61,6 +62,20 @@ def test_json_holds_the_digest_and_the_table_shows_every_object(map_path: Path, 
     assert "99.90 % of 2000 pieces checked are inside" in table
     assert summary.digest in table
     assert max(len(line) for line in table.splitlines()) <= 120
+
+
+def test_a_sketch_is_named_as_what_it_is(tmp_path: Path) -> None:
+    folder = create_map_folder(tmp_path / "m", config={}, source={})
+    snapshot = make_snapshot(folder)
+    shaped, bare = snapshot.objects[0], snapshot.objects[1]
+    assert shaped.shape is not None
+    sketched = replace(bare, shape=None, sketch=shaped.shape.fitted)
+    folder.save(replace(snapshot, objects=(shaped, sketched)))
+    folder.finish(finished_cleanly=True)
+    summary = summarize(open_map(tmp_path / "m"))
+    assert [row.is_sketched for row in summary.objects] == [False, True]
+    assert (summary.objects[1].num_superquadrics, summary.objects[1].layers) == (0, (1,))
+    assert "1 from points" in format_table(summary)
 
 
 def test_an_empty_map_has_a_table(tmp_path: Path) -> None:

@@ -120,6 +120,19 @@ def test_every_layer_shows_and_differs_from_a_map_without_objects(saved: SavedMa
     assert (np.abs(image[60:].astype(int) - bare[60:]).max(axis=2) > 40).sum() > 1500
 
 
+def test_a_sketch_is_drawn_with_layer_three_and_told(saved: SavedMap) -> None:
+    first = saved.snapshot.objects[0]
+    assert first.shape is not None
+    bare = replace(first, shape=None)
+    sketched = replace(bare, sketch=first.shape.fitted)
+    pictures = [
+        render_map(replace(saved, snapshot=replace(saved.snapshot, objects=(tracked,))), {3}, SIZE)
+        for tracked in (bare, sketched)
+    ]
+    assert (np.abs(pictures[0][60:].astype(int) - pictures[1][60:]).max(axis=2) > 20).sum() > 500
+    assert (pictures[0][:30] != pictures[1][:30]).any()
+
+
 def test_tentative_tracks_are_not_drawn(saved: SavedMap) -> None:
     without = replace(saved, snapshot=replace(saved.snapshot, objects=saved.snapshot.objects[:2]))
     assert np.array_equal(render_map(saved, {1}, SIZE), render_map(without, {1}, SIZE))

@@ -5,17 +5,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, rotation_from_quaternion
 from hickory_stream.geometry.superquadric import (
     Superquadrics,
-    display_mesh,
+    bounds_in,
+    implicit_gradient,
     implicit_value,
-    radial_distance_m,
+    inertia_m5,
+    log_implicit_value,
+    outward_normals,
     sorted_by_volume,
     support,
     volumes_m3,
     world_bounds,
 )
+from hickory_stream.geometry.superquadric_surface import display_mesh
 
 exponent = st.floats(0.1, 2.0)
 semi_axis = st.floats(0.005, 3.0)
@@ -46,25 +50,81 @@ def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 @given(quadrics())
-def test_every_vertex_of_the_display_mesh_lies_on_the_surface(primitive: Superquadrics) -> None:
-    vertices, _ = display_mesh(primitive, 0)
-    size = primitive.semi_axes_m.max()
-    assert np.abs(radial_distance_m(primitive, 0, vertices)).max() <= 1e-4 * size + 1e-5 * 50
+def test_bounds_in_any_frame_hold_the_surface_and_touch_it(primitive: Superquadrics) -> None:
+    frame_from_world = from_rotation_translation(
+        rotation_from_quaternion(0.3, -0.5, 0.2, 0.7), np.array([1.0, -20.0, 3.0])
+    )
+    for bounds, frame in ((bounds_in(primitive, frame_from_world), frame_from_world), (world_bounds(primitive), None)):
+        vertices = display_mesh(primitive, 0, 2e-4)[0].astype(np.float64)
+        inside = vertices if frame is None else apply(frame, vertices)
+        low, high = bounds[0]
+        size = primitive.semi_axes_m.max()
+        # A float32 is a few micrometres off at 50 m.
+        assert (inside >= low - 1e-4).all() and (inside <= high + 1e-4).all()
+        assert np.abs(inside.max(axis=0) - high).max() <= 2e-4 + 3e-4 * size
+        assert np.abs(inside.min(axis=0) - low).max() <= 2e-4 + 3e-4 * size
+
+
+@given(quadrics(), st.integers(0, 1000))
+def test_the_gradient_is_that_of_finite_differences(primitive: Superquadrics, seed: int) -> None:
+    # Of a body of about a metre at the origin: differences lose the digits that a large offset takes.
+    pose = primitive.world_from_local.copy()
+    pose[0, :3, 3] = 0
+    small = np.maximum(primitive.semi_axes_m / primitive.semi_axes_m.max(), 0.2)
+    body = Superquadrics(exponents=primitive.exponents, semi_axes_m=small, world_from_local=pose)
+    rng = np.random.default_rng(seed)
+    local = rng.choice([-1.0, 1.0], (20, 3)) * rng.uniform(0.1, 1.2, (20, 3)) * small
+    points = local @ pose[0, :3, :3].T
+    step = 1e-6
+    ahead = np.stack([log_implicit_value(body, 0, points + step * axis) for axis in np.eye(3)], axis=1)
+    behind = np.stack([log_implicit_value(body, 0, points - step * axis) for axis in np.eye(3)], axis=1)
+    of_log = (ahead - behind) / (2 * step)
+    expected = of_log * implicit_value(body, 0, points)[:, None]
+    found = implicit_gradient(body, 0, points)
+    scale = np.linalg.norm(expected, axis=1, keepdims=True)
+    assert np.abs(found - expected).max(axis=1) == pytest.approx(np.zeros(20), abs=float((1e-4 * scale).max()))
+    assert np.abs(found / scale - expected / scale).max() < 1e-3
+    normals = outward_normals(body, 0, points)
+    assert np.abs(normals - of_log / np.linalg.norm(of_log, axis=1, keepdims=True)).max() < 1e-3
 
 
 @given(quadrics())
-def test_the_display_mesh_stays_within_the_bounds_and_touches_them(primitive: Superquadrics) -> None:
-    vertices, _ = display_mesh(primitive, 0, segments=64)
-    low, high = world_bounds(primitive)[0]
-    assert (vertices >= low - 1e-4).all()
-    assert (vertices <= high + 1e-4).all()
-    assert (vertices.max(axis=0) >= high - 0.2 * (high - low)).all()
+def test_the_gradient_is_finite_everywhere(primitive: Superquadrics) -> None:
+    center = primitive.world_from_local[0, :3, 3]
+    axes = primitive.world_from_local[0, :3, :3]
+    points = np.concatenate([[center, center + 1e6, center + 1e-9], center + axes.T, center - 1e-3 * axes.T])
+    assert np.isfinite(implicit_gradient(primitive, 0, points)).all()
+    normals = outward_normals(primitive, 0, points)
+    assert np.linalg.norm(normals[1:], axis=1) == pytest.approx(np.ones(len(points) - 1))
+
+
+@pytest.mark.parametrize("exponents", [(1.0, 1.0), (0.1, 0.1), (0.1, 1.0), (2.0, 2.0), (0.5, 1.5)])
+def test_inertia_agrees_with_numeric_integration(exponents: tuple[float, float]) -> None:
+    turn = from_rotation_translation(rotation_from_quaternion(0.3, -0.5, 0.2, 0.7), np.array([5.0, -2.0, 1.0]))
+    body = Superquadrics(
+        exponents=np.array([exponents]), semi_axes_m=np.array([[0.7, 0.4, 0.2]]), world_from_local=turn[None]
+    )
+    low, high = world_bounds(body)[0]
+    step = (high - low) / 80
+    axes = [np.arange(80) * step[i] + low[i] + step[i] / 2 for i in range(3)]
+    cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = cells[log_implicit_value(body, 0, cells) <= 0] - turn[:3, 3]
+    volume = float(step.prod())
+    squared = np.einsum("ni,nj->ij", inside, inside) * volume
+    expected = np.trace(squared) * np.eye(3) - squared
+    assert len(inside) * volume == pytest.approx(volumes_m3(body)[0], rel=0.01)
+    assert inertia_m5(body)[0] == pytest.approx(expected, abs=0.01 * float(np.abs(expected).max()))
+
+
+def test_inertia_of_a_ball_is_the_textbook_one() -> None:
+    ball = one((1.0, 1.0), (0.5, 0.5, 0.5))
+    assert inertia_m5(ball)[0] == pytest.approx(2 / 5 * 4 / 3 * np.pi * 0.5**5 * np.eye(3))
 
 
 @pytest.mark.parametrize("exponents", [(1.0, 1.0), (0.1, 0.1), (0.1, 1.0), (2.0, 2.0), (0.5, 1.5)])
 def test_volume_agrees_with_the_closed_mesh(exponents: tuple[float, float]) -> None:
     primitive = one(exponents, (0.7, 0.4, 0.2))
-    vertices, faces = display_mesh(primitive, 0, segments=256)
+    vertices, faces = display_mesh(primitive, 0, 1e-4)
     assert signed_volume(vertices, faces) == pytest.approx(volumes_m3(primitive)[0], rel=0.01)
 
 
@@ -88,7 +148,7 @@ def test_implicit_value_is_finite_far_away_and_at_the_centre(primitive: Superqua
 
 @given(quadrics())
 def test_scaling_a_point_from_the_centre_scales_the_implicit_value_by_its_power(primitive: Superquadrics) -> None:
-    vertices, _ = display_mesh(primitive, 0, segments=8)
+    vertices, _ = display_mesh(primitive, 0)
     center = primitive.world_from_local[0, :3, 3]
     scaled = center + 1.5 * (vertices - center)
     value = implicit_value(primitive, 0, scaled)
@@ -100,7 +160,7 @@ def test_scaling_a_point_from_the_centre_scales_the_implicit_value_by_its_power(
 
 @given(quadrics(), st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)))
 def test_support_bounds_every_surface_point(primitive: Superquadrics, direction: tuple[float, float, float]) -> None:
-    vertices, _ = display_mesh(primitive, 0, segments=32)
+    vertices, _ = display_mesh(primitive, 0)
     d = np.array([direction])
     assert (vertices @ d[0]).max() <= support(primitive, 0, d)[0] + 1e-4
 

@@ -24,6 +24,7 @@ from hickory_stream.events import (
     SourceEnded,
     TimeJumped,
 )
+from hickory_stream.geometry.superquadric import radial_distance_m, volumes_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.core import MapperCore, MappingConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
@@ -164,6 +165,38 @@ def test_a_shape_that_is_ready_is_in_the_next_snapshot() -> None:
     drive(core, [frame(i, *both()) for i in range(3)])
     assert core.handle(shape_ready(2, 2)) == []
     assert {i: o.shape is not None for i, o in by_id(core.snapshot()).items()} == {1: False, 2: True}
+
+
+def test_a_confirmed_object_has_a_sketch_from_its_points_until_its_shape_comes() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, *both()) for i in range(2)])
+    assert {o.sketch for o in core.snapshot().objects} == {None}
+    drive(core, [frame(2, *both())])
+    for tracked in core.snapshot().objects:
+        assert tracked.phase is Phase.ACTIVE
+        assert tracked.sketch is not None
+        # The boxes of the script are boxes.
+        off_m = np.abs(radial_distance_m(tracked.sketch, 0, tracked.points_world))
+        assert np.quantile(off_m, 0.9) <= VOXEL_M
+        assert volumes_m3(tracked.sketch)[0] == pytest.approx(tracked.box.volume_m3, rel=0.3)
+        assert tracked.superquadrics is tracked.sketch
+    core.handle(shape_ready(2, 2))
+    with_shape = by_id(core.snapshot())[2]
+    assert with_shape.sketch is None
+    assert with_shape.superquadrics is with_shape.shape.fitted
+    assert by_id(core.snapshot())[1].sketch is not None
+
+
+def test_a_sketch_is_made_anew_when_much_more_was_seen() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, observation(0, LEFT)) for i in range(3)])
+    first = core.snapshot().objects[0].sketch
+    drive(core, [frame(3, observation(0, LEFT))])
+    assert core.snapshot().objects[0].sketch is first
+    drive(core, [frame(i, observation(0, WHOLE)) for i in range(4, 12)])
+    (tracked,) = core.snapshot().objects
+    assert tracked.sketch is not None
+    assert volumes_m3(tracked.sketch)[0] > 1.5 * volumes_m3(first)[0]
 
 
 @pytest.mark.parametrize(("ticket", "object_id"), [(99, 1), (2, 1), (1, 77)], ids=["unknown", "another's", "gone"])

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics, display_mesh, log_implicit_value, taken
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, taken
+from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.navigation.clearance import Answer, Body, ClearanceScene
 from hickory_stream.records import ObservedSpace
@@ -47,7 +49,7 @@ def test_every_point_is_answered_as_by_brute_force(seed: int, count: int) -> Non
     rng = np.random.default_rng(seed)
     primitives = random_primitives(rng, count)
     points = rng.uniform(-0.5, 4.5, (3000, 3))
-    near = np.concatenate([display_mesh(primitives, i)[0] for i in range(count)])
+    near = np.concatenate([surface_points(primitives, i, 200) for i in range(count)])
     points = np.concatenate([points, near + rng.normal(size=near.shape) * 0.02])
     scene = scene_of(primitives)
     expected = brute_force(primitives, points)
@@ -86,10 +88,11 @@ def test_the_bound_never_exceeds_the_distance_and_the_exact_one_is_that_to_the_s
     points = rng.uniform(-1, 5, (60, 3))
     exact, bound = scene.clearance_m(points, is_exact=True), scene.clearance_m(points)
     assert (bound <= exact + 1e-9).all()
-    surface = np.concatenate([display_mesh(primitives, i, segments=200)[0] for i in range(5)])
+    meshes = [display_mesh(primitives, i, 1e-4) for i in range(5)]
+    surface = np.concatenate([trimesh.remesh.subdivide_to_size(*mesh, 0.02, max_iter=30)[0] for mesh in meshes])
     sampled = cKDTree(surface).query(points)[0]
     outside = ~brute_force(primitives, points)
-    assert (exact[outside] <= sampled[outside] + 1e-6).all()
+    assert (exact[outside] <= sampled[outside] + 1e-5).all()
     assert np.abs(exact[outside] - sampled[outside]).max(initial=0.0) < 0.03
     assert (exact[~outside] == 0).all()
 

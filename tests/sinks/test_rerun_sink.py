@@ -13,6 +13,7 @@ from report_fixtures import KEYFRAME_EVERY, PERIOD_NS, SHAPE_FRAME, START_NS, re
 from rerun.chunk import RrdReader
 
 from hickory_stream.errors import ConfigError, ViewerError
+from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink, ViewerChoice, ViewerKind
 
 NO_VIEWER = ViewerChoice(kind=ViewerKind.NONE)
@@ -75,6 +76,22 @@ def test_every_object_has_its_four_layers(rows):
         assert f"/world/layer1/{object_id}/box" in rows
         for layer in (2, 3, 4):
             assert [row["frame"] for row in rows[f"/world/layer{layer}/{object_id}"]] == [SHAPE_FRAME]
+
+
+def test_a_sketch_stands_for_layer_three_until_the_shape_comes(tmp_path):
+    box = Superquadrics(
+        exponents=np.full((1, 2), 0.1), semi_axes_m=np.full((1, 3), 0.2), world_from_local=np.eye(4)[None]
+    )
+
+    def change(report):
+        if report.snapshot is None:
+            return report
+        objects = tuple(o if o.shape else replace(o, sketch=box) for o in report.snapshot.objects)
+        return replace(report, snapshot=replace(report.snapshot, objects=objects))
+
+    rows = rows_of(play(tmp_path, change=change))
+    assert [row["frame"] for row in rows["/world/layer3/1"]] == [0, SHAPE_FRAME]
+    assert [row["frame"] for row in rows["/world/layer4/1"]] == [SHAPE_FRAME]
 
 
 def test_a_mesh_lies_on_the_box_that_it_was_made_of(tmp_path, rows):

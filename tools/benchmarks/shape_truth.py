@@ -8,7 +8,8 @@ import numpy as np
 import trimesh
 
 from hickory_stream.evaluation.open3d_import import import_open3d
-from hickory_stream.geometry.superquadric import Superquadrics, display_mesh, log_implicit_value
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
+from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.shapes.sdf import distance_grid
 
 if TYPE_CHECKING:
@@ -84,7 +85,8 @@ def volumetric_iou(solid: Solid, primitives: Superquadrics) -> float:
 def surface_distance_pct(solid: Solid, primitives: Superquadrics) -> float:
     """Return the mean of both directed mean distances between the outer surfaces, in percent of the diagonal."""
     surfaces, samples = [], []
-    meshes = [trimesh.Trimesh(*display_mesh(primitives, i, segments=96), process=False) for i in range(len(primitives))]
+    diagonal = float(np.linalg.norm(np.ptp(solid.mesh.vertices, axis=0)))
+    meshes = [_fine_mesh(primitives, i, diagonal / 50) for i in range(len(primitives))]
     area = sum(mesh.area for mesh in meshes)
     for i, mesh in enumerate(meshes):
         others = np.delete(np.arange(len(meshes)), i)
@@ -96,7 +98,6 @@ def surface_distance_pct(solid: Solid, primitives: Superquadrics) -> float:
     union = _scene(trimesh.util.concatenate(surfaces))
     there = _distances(union, solid.surface_samples()).mean()
     back = solid.distances(np.concatenate(samples)).mean()
-    diagonal = float(np.linalg.norm(np.ptp(solid.mesh.vertices, axis=0)))
     return float(50 * (there + back) / diagonal)
 
 
@@ -106,6 +107,12 @@ def grown_volume_ratio(solid: Solid, inflated: Superquadrics, margin_m: float) -
     points = grid_points(low - 2 * margin_m, high + 2 * margin_m, 96)
     grown = solid.contains(points) | (solid.distances(points) <= margin_m)
     return float(is_inside(inflated, points).sum() / max(grown.sum(), 1))
+
+
+def _fine_mesh(primitives: Superquadrics, index: int, edge_m: float) -> trimesh.Trimesh:
+    """Return the surface of a primitive in triangles so small that each is buried in another one, or is not."""
+    vertices, faces = display_mesh(primitives, index, 2e-4 * float(primitives.semi_axes_m[index].max()))
+    return trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(vertices, faces, edge_m, max_iter=30), process=False)
 
 
 def _within(primitives: Superquadrics, indices: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.bool_]:

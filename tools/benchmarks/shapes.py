@@ -11,7 +11,8 @@ import trimesh
 
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.shape_score import shape_score
-from hickory_stream.geometry.superquadric import Superquadrics, display_mesh, log_implicit_value, taken
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, taken
+from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
 from hickory_stream.shapes.inflate import InflateConfig, Inflated, inflated
@@ -130,7 +131,7 @@ def _of_collisions(options: Options) -> list[Figure]:
         scene.put(i, taken(primitives, np.array([i])))
     count = 500_000 if options.quick else 2_000_000
     uniform = rng.uniform((0, 0, 0), (10, 10, 2), (count, 3))
-    surface = np.concatenate([display_mesh(primitives, i)[0] for i in range(len(primitives))])
+    surface = np.concatenate([surface_points(primitives, i, 500) for i in range(len(primitives))])
     directions = rng.normal(size=(count // 2, 3))
     directions *= (0.1 * rng.random((len(directions), 1))) / np.linalg.norm(directions, axis=1, keepdims=True)
     near = surface[rng.integers(len(surface), size=count // 2)] + directions

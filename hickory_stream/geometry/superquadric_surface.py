@@ -1,0 +1,187 @@
+"""The surface of a superquadric: meshes at a stated error, and points that are evenly spread.
+
+A superquadric is the product of two outlines, one around and one from pole to pole.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_TINY = 1e-300
+# Of a quarter of an outline so many points are known; a chord between two of them is off by 3e-5 of the semi-axes.
+_OUTLINE = 513
+_MIN_ERROR = 1e-4
+
+
+def display_mesh(
+    primitives: Superquadrics, index: int, max_error_m: float | None = None
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return the closed surface of a primitive: (V, 3) float32 world vertices and (F, 3) int32 faces, looking outwards.
+
+    All vertices lie on the surface, and no point of the surface is farther than `max_error_m` from the mesh; by
+    default a hundredth of the largest semi-axis, at best a ten-thousandth of it. What is flat takes few vertices.
+
+    A superquadric is the product of two outlines, one around and one from pole to pole; with polygons in their place
+    all faces are plane, and its error is at most the sum of theirs.
+    """
+    axes = primitives.semi_axes_m[index]
+    e1, e2 = primitives.exponents[index]
+    largest = float(axes.max())
+    tolerance = max(largest / 100 if max_error_m is None else max_error_m, _MIN_ERROR * largest)
+    x, y = _quarter(e2)
+    kept = _polygon(x * axes[0], y * axes[1], 0.48 * tolerance)
+    reach = float(np.hypot(x * axes[0], y * axes[1]).max())
+    radius, z = _quarter(e1)
+    rings = _polygon(radius * reach, z * axes[2], 0.48 * tolerance)
+    return _product_mesh(primitives, index, (x[kept], y[kept]), (radius[rings], z[rings]))
+
+
+def surface_points(primitives: Superquadrics, index: int, count: int) -> NDArray[np.float64]:
+    """Return (count, 3) points on the surface in the world, evenly spread: each stands for the same area.
+
+    Patches of the surface are walked through along a space-filling curve, and a point is taken whenever another share
+    of the area has gone by. The same primitive always gives the same points.
+    """
+    centers, areas = _patches(primitives, index, 24, 24)
+    spacing = float(np.sqrt(areas.sum() / count))
+    around, across = _lengths_m(primitives, index)
+    # Patches well below the spacing, so that each point has several of them; their number is bounded.
+    steps = np.clip(np.ceil(np.array([around, across]) / spacing * 2.5 / 4), 6, 128).astype(np.int64)
+    centers, areas = _patches(primitives, index, int(steps[0]), int(steps[1]))
+    order = np.argsort(_along_curve(centers), kind="stable")
+    passed = np.cumsum(areas[order])
+    wanted = (np.arange(count) + 0.5) / count * passed[-1]
+    chosen = centers[order[np.searchsorted(passed, wanted)]]
+    pose = primitives.world_from_local[index]
+    # The middle of a patch is a little below the surface: on along the ray from the centre.
+    log_g = log_implicit_value(primitives, index, apply(pose, chosen))
+    return apply(pose, chosen * np.exp(-primitives.exponents[index, 0] / 2 * log_g)[:, None])
+
+
+def _quarter(exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points on a quarter of the unit outline, from (1, 0) to (0, 1), both of them exact."""
+    c, s = _unit_curve(np.linspace(0, np.pi / 2, _OUTLINE), exponent)
+    c[-1], s[0] = 0.0, 0.0
+    return c, s
+
+
+def _polygon(x: NDArray[np.float64], y: NDArray[np.float64], tolerance: float) -> NDArray[np.int64]:
+    """Return which of the points of a convex arc to keep so that none is farther than `tolerance` from its chord."""
+    kept, spans = [0, len(x) - 1], [(0, len(x) - 1)]
+    while spans:
+        first, last = spans.pop()
+        dx, dy = x[last] - x[first], y[last] - y[first]
+        off = np.abs(dx * (y[first + 1 : last] - y[first]) - dy * (x[first + 1 : last] - x[first]))
+        if len(off) == 0 or off.max() <= tolerance * np.hypot(dx, dy):
+            continue
+        middle = first + 1 + int(np.argmax(off))
+        kept.append(middle)
+        spans += [(first, middle), (middle, last)]
+    return np.array(sorted(kept))
+
+
+def _product_mesh(
+    primitives: Superquadrics,
+    index: int,
+    around: tuple[NDArray[np.float64], NDArray[np.float64]],
+    upwards: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return the mesh of a primitive whose outlines are polygons, each given by its first quarter."""
+    (x, y), (radius, z) = around, upwards
+    x = np.concatenate([x[:-1], -x[:0:-1], -x[:-1], x[:0:-1]])
+    y = np.concatenate([y[:-1], y[:0:-1], -y[:-1], -y[:0:-1]])
+    radius = np.concatenate([radius[-2:0:-1], radius[:-1]])
+    z = np.concatenate([-z[-2:0:-1], z[:-1]])
+    local = np.empty((len(z) * len(x) + 2, 3))
+    local[:-2, 0] = np.outer(radius, x).ravel()
+    local[:-2, 1] = np.outer(radius, y).ravel()
+    local[:-2, 2] = np.repeat(z, len(x))
+    local[-2:] = [[0, 0, -1], [0, 0, 1]]
+    vertices = apply(primitives.world_from_local[index], local * primitives.semi_axes_m[index])
+    return vertices.astype(np.float32), _sphere_faces(len(z), len(x))
+
+
+def _lengths_m(primitives: Superquadrics, index: int) -> tuple[float, float]:
+    """Return the lengths of the outlines around and from pole to pole, the latter where it is longest."""
+    axes = primitives.semi_axes_m[index]
+    (x, y), (radius, z) = (_quarter(e) for e in primitives.exponents[index, ::-1])
+    reach = float(np.hypot(x * axes[0], y * axes[1]).max())
+    around = 4 * _arc(x * axes[0], y * axes[1])[-1]
+    return float(around), float(2 * _arc(radius * reach, z * axes[2])[-1])
+
+
+def _patches(
+    primitives: Superquadrics, index: int, steps_around: int, steps_upwards: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (N, 3) middles, in the primitive's frame, and (N,) areas of patches that cover the surface.
+
+    A quarter of each outline is divided into so many steps of about equal length.
+    """
+    axes = primitives.semi_axes_m[index]
+    (x, y), (radius, z) = (_quarter(e) for e in primitives.exponents[index, ::-1])
+    reach = float(np.hypot(x * axes[0], y * axes[1]).max())
+    x, y = _evenly(x, y, _arc(x * axes[0], y * axes[1]), steps_around)
+    radius, z = _evenly(radius, z, _arc(radius * reach, z * axes[2]), steps_upwards)
+    corners = (
+        np.stack([np.outer(radius, x), np.outer(radius, y), np.repeat(z[:, None], len(x), axis=1)], axis=-1) * axes
+    )
+    a, b, c, d = corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]
+    areas = np.linalg.norm(np.cross(c - a, d - b), axis=-1).ravel() / 2
+    middles = ((a + b + c + d) / 4).reshape(-1, 3)
+    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
+    return (signs[:, None] * middles[None]).reshape(-1, 3), np.tile(areas, len(signs))
+
+
+def _arc(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the length of a polygon from its first to each of its points."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+
+
+def _evenly(
+    x: NDArray[np.float64], y: NDArray[np.float64], passed: NDArray[np.float64], steps: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points of a polygon at equal steps of its length."""
+    wanted = np.linspace(0, passed[-1], steps + 1)
+    return np.interp(wanted, passed, x), np.interp(wanted, passed, y)
+
+
+def _along_curve(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the places of (N, 3) points along Morton's space-filling curve."""
+    low = points.min(axis=0)
+    cells = ((points - low) / max(float(np.ptp(points, axis=0).max()), _TINY) * 1023).astype(np.int64)
+    place = np.zeros(len(points), dtype=np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            place |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return place
+
+
+def _unit_curve(angles: NDArray[np.float64], exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the points (c, s) of |c|^(2/e) + |s|^(2/e) = 1 in the directions of `angles`."""
+    c, s = np.cos(angles), np.sin(angles)
+    log_c, log_s = np.log(np.maximum(np.abs(c), _TINY)), np.log(np.maximum(np.abs(s), _TINY))
+    scale = np.exp(-exponent / 2 * np.logaddexp(2 / exponent * log_c, 2 / exponent * log_s))
+    return c * scale, s * scale
+
+
+def _sphere_faces(rings: int, segments: int) -> NDArray[np.int32]:
+    """Return the faces of `rings` closed rings of `segments` vertices, then the lower and the upper pole."""
+    here = np.arange(segments)
+    after = (here + 1) % segments
+    south, north = rings * segments, rings * segments + 1
+    faces = [np.stack([np.full(segments, south), after, here], axis=1)]
+    for ring in range(rings - 1):
+        low, high = ring * segments, (ring + 1) * segments
+        faces.append(np.stack([low + here, low + after, high + after], axis=1))
+        faces.append(np.stack([low + here, high + after, high + here], axis=1))
+    last = (rings - 1) * segments
+    faces.append(np.stack([last + here, last + after, np.full(segments, north)], axis=1))
+    return np.concatenate(faces).astype(np.int32)
