@@ -134,11 +134,9 @@ def support_reach(primitives: Superquadrics, directions_world: NDArray[Any]) -> 
 
 def world_bounds(primitives: Superquadrics) -> NDArray[np.float64]:
     """Return the (N, 2, 3) tight axis-aligned bounds in the world: lowest corner, highest corner."""
-    bounds = np.empty((len(primitives), 2, 3))
-    for i in range(len(primitives)):
-        bounds[i, 0] = -support(primitives, i, -np.eye(3))
-        bounds[i, 1] = support(primitives, i, np.eye(3))
-    return bounds
+    centers = primitives.world_from_local[:, :3, 3]
+    reach = support_reach(primitives, np.eye(3))
+    return np.stack([centers - reach, centers + reach], axis=1)
 
 
 def display_mesh(
