@@ -18,7 +18,7 @@ from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, wo
 from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
-from hickory_stream.navigation.occupancy import MOST_BYTES, Cell, GridFrame, Occupancy, frame_around
+from hickory_stream.navigation.occupancy import MOST_BYTES, Cell, GridFrame, Occupancy, distance_field_m, frame_around
 from hickory_stream.navigation.robot import Part, Robot, raised, turned
 from hickory_stream.records import Phase
 
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 CELL_M = 0.033
 UnknownSpace = Literal["blocked", "free"]
 _MARGIN_M = 0.02
+_NARROW_CELLS = 3.0
+_FEW_HEADINGS = 0.4
 
 
 class FreeSpace:
@@ -54,7 +56,7 @@ class FreeSpace:
         self.layers = [[Occupancy(frame, parts) for parts in headings] for headings in self.parts]
         self._blocked: NDArray[np.bool_] | None = None
         self._labels: NDArray[np.int32] | None = None
-        self._reachable: dict[tuple[int, ...], NDArray[np.int64]] = {}
+        self._reachable: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
 
     def put(self, object_id: int, inflated: Superquadrics) -> None:
         """Add an object, or replace what it was; raises ValueError where a primitive is not finite."""
@@ -96,13 +98,23 @@ class FreeSpace:
             self._labels = _connected(~self.blocked())
         return self._labels
 
-    def reachable_cells(self, place_cells: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return (N, 2) rows and columns of the cells in the pieces of free space that a place, in cells, lies in."""
+    def reachable_cells(self, place_cells: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return rows and columns (N, 2) of the cells that are connected with a place, in cells; the narrow ones.
+
+        Narrow is what lies beside a blocked cell, or allows few headings: where random samples are rare and needed.
+        """
         labels = self.labels()
         column, row = np.floor(place_cells).astype(np.int64)
         key = tuple(sorted({int(piece) for piece in labels[:, :, row, column].ravel() if piece}))
         if key not in self._reachable:
-            self._reachable[key] = np.argwhere(np.isin(labels, key).any(axis=(0, 1)))
+            layers = np.isin(labels, key)
+            inside = layers.any(axis=(0, 1))
+            is_beside = distance_field_m(~inside, 1.0) <= _NARROW_CELLS
+            is_rare = layers[0].mean(axis=0) < _FEW_HEADINGS
+            self._reachable[key] = (
+                np.argwhere(inside),
+                np.argwhere(inside & (is_rare if self.robot.num_headings > 1 else is_beside)),
+            )
         return self._reachable[key]
 
     def free_ratio(self) -> float:

@@ -109,9 +109,9 @@ def _branch(points, parents, n):  # type: ignore[no-untyped-def] # pragma: no co
 def grow_rrt(blocked, start, goal, start_state, goal_state, samples, toss, step, bias):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the path that the RRT of the paper finds (no places if none), and the iterations it took."""
     count = 1
-    points, parents = np.empty((len(samples) + 2, 2)), np.full(len(samples) + 2, -1, np.int64)
-    states = np.full(len(samples) + 2, NO_STATE, np.int64)
-    points[0], states[0] = start, start_state
+    most = len(samples) + 2
+    points, parents, states = np.empty((most, 2)), np.empty(most, np.int64), np.empty(most, np.int64)
+    points[0], parents[0], states[0] = start, -1, start_state
     for n in range(len(samples)):
         x, y = samples[n, 0], samples[n, 1]
         if toss[n] < bias:
@@ -145,12 +145,11 @@ def grow_rrt(blocked, start, goal, start_state, goal_state, samples, toss, step,
 @numba.njit(cache=True, nogil=True)
 def grow_connect(blocked, start, goal, start_state, goal_state, samples, step):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the path that RRT-Connect finds (no places if none), and the iterations it took."""
-    most = 16 * len(samples) + 2
-    points = np.empty((2, most, 2))
-    parents, states = np.full((2, most), -1, np.int64), np.full((2, most), NO_STATE, np.int64)
+    most = 4 * len(samples) + 64
+    points, parents, states = np.empty((2, most, 2)), np.empty((2, most), np.int64), np.empty((2, most), np.int64)
     counts = np.array([1, 1])
     points[0, 0], points[1, 0] = start, goal
-    states[0, 0], states[1, 0] = start_state, goal_state
+    parents[:, 0], states[0, 0], states[1, 0] = -1, start_state, goal_state
     # Before any sample: the straight way.
     state = state_after(blocked, start[0], start[1], start_state, goal[0], goal[1], False)
     if state >= 0 and turn_is_free(blocked, goal[0], goal[1], state, goal_state):
@@ -164,46 +163,94 @@ def grow_connect(blocked, start, goal, start_state, goal_state, samples, step): 
         near = _nearest(points[one], counts[one], x, y)
         dx, dy = x - points[one, near, 0], y - points[one, near, 1]
         length = np.sqrt(dx * dx + dy * dy)
-        if length == 0.0:
+        if length == 0.0 or max(counts[0], counts[1]) + 4 > most:
             continue
-        if length > step:
+        added = _link(blocked, points[one], parents[one], states[one], counts[one], near, x, y, one == 1)
+        if added == 0 and length > step:
             x, y = points[one, near, 0] + dx * step / length, points[one, near, 1] + dy * step / length
-        state = state_after(blocked, points[one, near, 0], points[one, near, 1], states[one, near], x, y, one == 1)
-        if state < 0 or counts[one] >= most:
+            added = _link(blocked, points[one], parents[one], states[one], counts[one], near, x, y, one == 1)
+        if added == 0:
             continue
-        node = counts[one]
-        points[one, node, 0], points[one, node, 1] = x, y
-        parents[one, node], states[one, node] = near, state
-        counts[one] += 1
+        counts[one] += added
+        node = counts[one] - 1
         # The other tree reaches for the new node, as far as it gets.
         at = _nearest(points[two], counts[two], x, y)
-        while counts[two] < most:
-            ax, ay = points[two, at, 0], points[two, at, 1]
-            dx, dy = x - ax, y - ay
+        while counts[two] + 4 <= most:
+            dx, dy = x - points[two, at, 0], y - points[two, at, 1]
             length = np.sqrt(dx * dx + dy * dy)
-            is_last = length <= step
-            bx, by = (x, y) if is_last else (ax + dx * step / length, ay + dy * step / length)
-            reached = states[two, at]
             if length > 0.0:
-                reached = state_after(blocked, ax, ay, states[two, at], bx, by, two == 1)
-                if reached < 0:
-                    break
-            if is_last:
-                if turn_is_free(blocked, x, y, state, reached):
+                added = _link(blocked, points[two], parents[two], states[two], counts[two], at, x, y, two == 1)
+                if added > 0:
+                    counts[two] += added
+                    at = counts[two] - 1
+                    length = 0.0
+            if length == 0.0:
+                if turn_is_free(blocked, x, y, states[one, node], states[two, at]):
                     first = _branch(points[one], parents[one], node)
-                    second = _branch(points[two], parents[two], at)
-                    if length == 0.0:
-                        second = second[:-1]
+                    second = _branch(points[two], parents[two], at)[:-1]
                     if one == 1:
-                        first, second = second, first
+                        first, second = _branch(points[two], parents[two], at), first[:-1]
                     return np.concatenate((first, second[::-1])), n + 1
                 break
-            node_two = counts[two]
-            points[two, node_two, 0], points[two, node_two, 1] = bx, by
-            parents[two, node_two], states[two, node_two] = at, reached
+            if length <= step:
+                break
+            bx, by = points[two, at, 0] + dx * step / length, points[two, at, 1] + dy * step / length
+            reached = state_after(
+                blocked, points[two, at, 0], points[two, at, 1], states[two, at], bx, by, two == 1
+            )
+            if reached < 0:
+                break
+            after = counts[two]
+            points[two, after, 0], points[two, after, 1] = bx, by
+            parents[two, after], states[two, after] = at, reached
             counts[two] += 1
-            at = node_two
+            at = after
     return np.empty((0, 2)), len(samples)
+
+
+@numba.njit(cache=True, nogil=True)
+def _link(blocked, points, parents, states, count, near, x, y, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Append the way from a node to a place; return how many nodes that took, 0 where there is no way.
+
+    Straight, or where the heading does not fit at the place, as in a doorway, by a turn onto a line that does: the robot
+    drives to where that line is nearest, turns, and follows it.
+    """
+    ax, ay = points[near, 0], points[near, 1]
+    state = state_after(blocked, ax, ay, states[near], x, y, is_backward)
+    if state >= 0:
+        points[count, 0], points[count, 1], parents[count], states[count] = x, y, near, state
+        return 1
+    headings = blocked.shape[1]
+    if headings == 1:
+        return 0
+    j, i = int(np.floor(y)), int(np.floor(x))
+    if j < 0 or i < 0 or j >= blocked.shape[2] or i >= blocked.shape[3]:
+        return 0
+    towards = int(np.round(np.arctan2(y - ay, x - ax) * headings / (2 * np.pi)))
+    for offset in range(1, headings // 4 + 1):
+        for side in (-1, 1):
+            k = (towards + side * offset) % headings
+            is_fitting = False
+            for posture in range(blocked.shape[0]):
+                is_fitting |= not blocked[posture, k, j, i]
+            if not is_fitting:
+                continue
+            angle = 2 * np.pi * k / headings
+            along = (x - ax) * np.cos(angle) + (y - ay) * np.sin(angle)
+            if along < 1.0:
+                continue
+            rx, ry = x - along * np.cos(angle), y - along * np.sin(angle)
+            first = state_after(blocked, ax, ay, states[near], rx, ry, is_backward)
+            if first < 0:
+                continue
+            second = state_after(blocked, rx, ry, first, x, y, is_backward)
+            if second < 0:
+                continue
+            points[count, 0], points[count, 1], parents[count], states[count] = rx, ry, near, first
+            points[count + 1, 0], points[count + 1, 1] = x, y
+            parents[count + 1], states[count + 1] = count, second
+            return 2
+    return 0
 
 
 @numba.njit(cache=True, nogil=True)
