@@ -36,15 +36,20 @@ _FEW_HEADINGS = 0.4
 
 
 class FreeSpace:
-    """The cells of a robot, layer by layer, and the obstacles that they come from."""
+    """The cells of a robot, layer by layer, and the obstacles that they come from.
 
-    def __init__(self, robot: Robot, frame: GridFrame, floor_z_m: float) -> None:
+    Hulls (walls, meshes) are kept off by `hull_margin_m`; inflated superquadrics have their margin inside.
+    """
+
+    def __init__(self, robot: Robot, frame: GridFrame, floor_z_m: float, *, hull_margin_m: float = 0.0) -> None:
         self.robot = robot
         self.frame = frame
         self.floor_z_m = floor_z_m
+        self.hull_margin_m = hull_margin_m
         self.scene = ClearanceScene()
         self.walls: NDArray[np.float64] = np.empty((0, 8, 3))
         self.unknown: NDArray[np.float64] = np.empty((0, 8, 3))
+        self.hulls: dict[int, NDArray[np.float64]] = {}
         range_rad = 2 * np.pi / robot.num_headings
         self.parts = [
             [
@@ -53,7 +58,9 @@ class FreeSpace:
             ]
             for posture in robot.postures
         ]
-        self.layers = [[Occupancy(frame, parts) for parts in headings] for headings in self.parts]
+        self.layers = [
+            [Occupancy(frame, parts, hull_margin_m=hull_margin_m) for parts in headings] for headings in self.parts
+        ]
         self._blocked: NDArray[np.bool_] | None = None
         self._labels: NDArray[np.int32] | None = None
         self._reachable: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
@@ -65,10 +72,18 @@ class FreeSpace:
         for layer in self._all_layers():
             layer.put(object_id, inflated)
 
+    def put_hulls(self, object_id: int, hulls: NDArray[np.float64]) -> None:
+        """Add an object that is the union of the convex hulls of (N, M, 3) points, or replace what it was."""
+        self._forget()
+        self.hulls[object_id] = hulls
+        for layer in self._all_layers():
+            layer.put_hulls(object_id, hulls)
+
     def remove(self, object_id: int) -> None:
         """Take an object out; one that is not there is none to take."""
         self._forget()
         self.scene.remove(object_id)
+        self.hulls.pop(object_id, None)
         for layer in self._all_layers():
             layer.remove(object_id)
 

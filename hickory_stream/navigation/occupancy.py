@@ -17,6 +17,7 @@ from hickory_stream.errors import InputError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.navigation.clearance import rows_of
 from hickory_stream.navigation.outline import outlines_of_hulls, outlines_of_rows, stamp
+from hickory_stream.navigation.robot import grown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -99,11 +100,15 @@ def frame_around(
 
 
 class Occupancy:
-    """The cells of one body in one heading: `parts` at heights of the world."""
+    """The cells of one body in one heading: `parts` at heights of the world.
 
-    def __init__(self, frame: GridFrame, parts: Sequence[Part]) -> None:
+    Hulls are kept off by `hull_margin_m`; inflated superquadrics have their margin inside.
+    """
+
+    def __init__(self, frame: GridFrame, parts: Sequence[Part], *, hull_margin_m: float = 0.0) -> None:
         self.frame = frame
         self._parts = tuple(parts)
+        self._grown = tuple(grown(part, hull_margin_m) for part in parts)
         self._counts = np.zeros(frame.shape, np.int32)
         self._walls = np.zeros(frame.shape, np.int32)
         self._unknown = np.zeros(frame.shape, np.int32)
@@ -124,7 +129,7 @@ class Occupancy:
         """Add an object that is the union of the convex hulls of (N, M, 3) points, or replace what it was."""
         if not np.isfinite(hulls).all():
             raise ValueError(f"object {object_id} has corners that are not finite: it cannot be avoided")
-        self._replace(object_id, [outlines_of_hulls(hulls, part) for part in self._parts])
+        self._replace(object_id, [outlines_of_hulls(hulls, part) for part in self._grown])
 
     def remove(self, object_id: int) -> None:
         """Take an object out; one that is not there is none to take."""
@@ -135,7 +140,7 @@ class Occupancy:
         """Let hulls of (N, 8, 3) and (M, 8, 3) corners be structure, and space that nobody saw, instead of what was."""
         for counts, hulls in ((self._walls, walls), (self._unknown, unknown)):
             counts[:] = 0
-            for part in self._parts:
+            for part in self._grown:
                 if len(hulls):
                     corners, starts = outlines_of_hulls(hulls, part)
                     stamp(counts, corners, starts, self.frame.origin_m, self.frame.cell_m, 1)

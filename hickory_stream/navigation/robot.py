@@ -8,7 +8,7 @@ several corners, a sphere one corner at one height with a ball.
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -109,24 +109,17 @@ def turned(part: Part, heading_rad: float, range_rad: float) -> Part:
     if half > 0:
         # Where the tangents at both ends of a corner's arc meet.
         corners.append(part.corners_m @ _rotation(heading_rad).T / np.cos(half))
-    return Part(
-        low_m=part.low_m,
-        high_m=part.high_m,
-        corners_m=np.concatenate(corners),
-        disc_m=part.disc_m,
-        ball_m=part.ball_m,
-    )
+    return replace(part, corners_m=np.concatenate(corners))
 
 
 def raised(part: Part, floor_z_m: float) -> Part:
     """Return a part whose heights are the world's rather than above the floor."""
-    return Part(
-        low_m=part.low_m + floor_z_m,
-        high_m=part.high_m + floor_z_m,
-        corners_m=part.corners_m,
-        disc_m=part.disc_m,
-        ball_m=part.ball_m,
-    )
+    return replace(part, low_m=part.low_m + floor_z_m, high_m=part.high_m + floor_z_m)
+
+
+def grown(part: Part, margin_m: float) -> Part:
+    """Return a part that is larger by a margin on all sides."""
+    return replace(part, ball_m=part.ball_m + margin_m)
 
 
 def robot_names() -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from hickory_stream.navigation.outline import TOLERANCE_M, half_planes
-from hickory_stream.navigation.robot import Part
+from hickory_stream.navigation.robot import Part, grown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,8 +31,11 @@ def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[n
     """
     rows = space.scene.rows()
     for part, start, end in _moves(space, points, states):
-        for shapes in ((rows, _NO_HULLS), (_NO_ROWS, space.walls), (_NO_ROWS, space.unknown)):
-            if _meets(*shapes, part.numbers, part.corners_m, start, end, TOLERANCE_M):
+        off = grown(part, space.hull_margin_m)
+        if _meets(rows, _NO_HULLS, part.numbers, part.corners_m, start, end, TOLERANCE_M):
+            return False
+        for hulls in (space.walls, space.unknown, *space.hulls.values()):
+            if _meets(_NO_ROWS, hulls, off.numbers, off.corners_m, start, end, TOLERANCE_M):
                 return False
     return True
 

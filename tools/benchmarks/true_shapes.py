@@ -1,4 +1,4 @@
-"""Layers 3 and 4 of the true objects of a scene, fitted once and kept in the user's cache by a hash of what made them."""
+"""Layers 3 and 4 of the true objects of a scene: fitted once, kept in the user's cache by what they were made of."""
 
 from __future__ import annotations
 
