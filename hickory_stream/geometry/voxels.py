@@ -30,6 +30,11 @@ def cells_of_keys(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack([(keys >> (2 * _BITS)) & _MASK, (keys >> _BITS) & _MASK, keys & _MASK], axis=1) - _OFFSET
 
 
+def layers_of_keys(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the (N,) third coordinates of the cells of (N,) keys: their heights."""
+    return (keys & _MASK) - _OFFSET
+
+
 def keys_of_points(points: NDArray[Any], voxel_m: float) -> NDArray[np.int64]:
     """Return the (N,) keys of the voxels that hold (N, 3) points; neither sorted nor unique."""
     return keys_of_cells(np.floor(points.astype(np.float64) / voxel_m).astype(np.int64))

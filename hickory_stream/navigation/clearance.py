@@ -92,6 +92,10 @@ class ClearanceScene:
         """How many superquadrics are in the scene."""
         return sum(len(rows) for rows in self._rows_of.values())
 
+    def rows(self) -> NDArray[np.float64]:
+        """Return (N, ROW) the numbers of all primitives, as the kernels take them, by object."""
+        return np.asarray(self._rows[[row for key in sorted(self._rows_of) for row in self._rows_of[key]]])
+
     def observe(self, space: ObservedSpace | None, world_from_space: NDArray[np.float64] | None = None) -> None:
         """Let points outside the free space that was seen be UNKNOWN, and points in seen structure HIT_SEEN."""
         self._space = space
@@ -105,7 +109,7 @@ class ClearanceScene:
         Raises:
             ValueError: a primitive is not finite.
         """
-        rows = _rows_of(inflated)
+        rows = rows_of(inflated)
         if not np.isfinite(rows).all():
             raise ValueError(
                 f"object {object_id} has a superquadric that is not finite: nothing can be checked with it"
@@ -293,7 +297,7 @@ class ClearanceScene:
         self._free_item, self._num_free = first, self._num_free + more
 
 
-def _rows_of(primitives: Superquadrics) -> NDArray[np.float64]:
+def rows_of(primitives: Superquadrics) -> NDArray[np.float64]:
     """Return (N, ROW) the numbers that the kernels need of each primitive."""
     rows = np.zeros((len(primitives), kernels.ROW))
     if len(rows) == 0:

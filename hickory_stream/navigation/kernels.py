@@ -186,15 +186,15 @@ _CIRCLE = np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
 def _behind(row, p, n, q):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the distance of p from the plane with the normal n (>= 0) that touches the body, at q, which is filled."""
     length = np.sqrt((n * n).sum())
-    a, b = _touching(row[AXES] * n[0], row[AXES + 1] * n[1], row[POWER_2])
+    a, b = touching(row[AXES] * n[0], row[AXES + 1] * n[1], row[POWER_2])
     planar = a * row[AXES] * n[0] + b * row[AXES + 1] * n[1]
-    c, d = _touching(planar, row[AXES + 2] * n[2], row[POWER_1])
+    c, d = touching(planar, row[AXES + 2] * n[2], row[POWER_1])
     q[0], q[1], q[2] = c * a * row[AXES], c * b * row[AXES + 1], d * row[AXES + 2]
     return (n[0] * (p[0] - q[0]) + n[1] * (p[1] - q[1]) + n[2] * (p[2] - q[2])) / length
 
 
 @numba.njit(cache=True, nogil=True)
-def _touching(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
+def touching(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the point (a, b) of a^p + b^p = 1, both >= 0, that is farthest along (s, t)."""
     largest = max(s, t)
     if largest <= 0.0:

@@ -6,7 +6,6 @@ apartments are played once for each state of the mapper's code, into out/maps/.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import multiprocessing
 import subprocess
@@ -23,28 +22,17 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import METHODS
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.config import MapperConfig
-from hickory_stream.engine.manifest import is_map_folder
-from hickory_stream.engine.play import play
 from hickory_stream.engine.session import open_map
-from hickory_stream.evaluation.maps.moved_source import MovedSource
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
 from hickory_stream.evaluation.maps.trial import error_of, noise_floor, run_trial
-from hickory_stream.evaluation.maps.variants import bent_map, random_frame
-from hickory_stream.evaluation.worlds.cache import cached_recording, recording_name
-from hickory_stream.evaluation.worlds.recording import RecordingConfig
+from hickory_stream.evaluation.maps.variants import bent_map
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.settings import Settings
-from hickory_stream.sinks.disk_sink import DiskSink
-from players import open_source
+from tools.benchmarks.apartment_maps import apartment_map, frame_of
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from hickory_stream.alignment.methods import Method
     from hickory_stream.alignment.object_map import ObjectMap
@@ -52,7 +40,6 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.maps.trial import Trial
 
 J, R = TypeVar("J"), TypeVar("R")
-_MAPS = ROOT / "out" / "maps"
 _APARTMENTS = 4
 _TIMED = (40, 160, 320)
 _DRIFT_DEG_PER_M = 0.3
@@ -242,7 +229,7 @@ def _of_apartments(options: Options) -> list[Figure]:
     maps = _apartment_maps(options)
     errors, found = [], 0
     for apartment, (map_a, map_b) in maps.items():
-        b_from_world = _frame_of(apartment, 1)
+        b_from_world = frame_of(apartment, 1)
         answer = align(map_a, map_b)
         if not isinstance(answer, Alignment):
             print(f"apartment {apartment}: refused, {answer.reason}", flush=True)
@@ -278,54 +265,11 @@ def _apartment_maps(options: Options) -> dict[int, tuple[ObjectMap, ObjectMap]]:
     """Return the two maps of each apartment; a quick run takes those that are there and plays nothing."""
     base = 1000 + 10 * options.seed
     for apartment in range(base, base + _APARTMENTS):
-        folders = [_map_folder(apartment, walk, plays=not options.quick) for walk in (0, 1)]
+        folders = [apartment_map(apartment, walk, plays=not options.quick) for walk in (0, 1)]
         if apartment not in _kept and all(folder is not None for folder in folders):
             one, other = (object_map(open_map(folder).snapshot) for folder in folders if folder is not None)
             _kept[apartment] = (one, other)
     return _kept
-
-
-def _map_folder(apartment: int, walk: int, *, plays: bool) -> Path | None:
-    config = RecordingConfig(
-        scene="apartment", seed=apartment, walk_index=walk, seconds=None, rate_hz=15.0, width=640, height=480
-    )
-    folder = _MAPS / f"{recording_name(config)}-{_code_digest()}"
-    if is_map_folder(folder) and open_map(folder).manifest.finished_cleanly:
-        return folder
-    if not plays:
-        return None
-    log, _ = cached_recording(config)
-    print(f"playing {log.name}", flush=True)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    source = MovedSource(open_source(str(log)), _frame_of(apartment, walk))
-    try:
-        play(
-            source,
-            MapperConfig(),
-            out=folder,
-            overwrite=True,
-            sinks=lambda made: [(DiskSink(made, Settings().disk), True)],
-            rate=None,
-            loops=1,
-            progress=lambda _: None,
-        )
-    finally:
-        source.close()
-    return folder
-
-
-def _frame_of(apartment: int, walk: int) -> NDArray[np.float64]:
-    """Return `map_from_world`: where the robot of a walk started, by its own reckoning; the first one at the truth."""
-    return np.eye(4) if walk == 0 else random_frame(np.random.default_rng([apartment, walk, 3]))
-
-
-def _code_digest() -> str:
-    """Return what tells two states of the code that makes maps apart."""
-    digest = hashlib.sha256()
-    for package in ("geometry", "perception", "mapping", "shapes"):
-        for file in sorted((ROOT / "hickory_stream" / package).rglob("*.py")):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()[:8]
 
 
 # ---- figures --------------------------------------------------------------------------------------------------------

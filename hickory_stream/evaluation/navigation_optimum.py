@@ -1,0 +1,123 @@
+"""The shortest way over a grid, exactly: what the length of a path is held against.
+
+The shortest way around blocked squares bends at their corners only (a visibility graph), and only around them: at a
+corner it leaves the blocked square on the inside. It may touch squares, which the planners' paths may not, so it is a
+bound from below.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.navigation.occupancy import GridFrame
+
+_HAIR = 1e-6
+
+
+class OptimalLengths:
+    """The lengths of shortest ways over a grid of blocked cells; what lies outside is blocked."""
+
+    def __init__(self, is_blocked: NDArray[np.bool_], frame: GridFrame) -> None:
+        self._blocked = np.ascontiguousarray(is_blocked)
+        self._frame = frame
+        self._corners, self._sides = _bends(self._blocked)
+        a, b, lengths = _edges(self._blocked, self._corners, self._sides)
+        count = len(self._corners)
+        # Two more: start and goal.
+        self._rows, self._columns, self._lengths = a, b, lengths
+        self._size = count + 2
+
+    def length_m(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> float:
+        """Return the length of the shortest way between two places (2,), infinite where there is none."""
+        ends = (np.array([start, goal]) - self._frame.origin_m) / self._frame.cell_m
+        direct = float(np.linalg.norm(ends[1] - ends[0]))
+        if _sees(self._blocked, ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1]):
+            return direct * self._frame.cell_m
+        rows, columns, lengths = [self._rows], [self._columns], [self._lengths]
+        for n, end in enumerate(ends):
+            seen, far = _seen_from(self._blocked, self._corners, self._sides, end)
+            rows.append(np.full(len(seen), self._size - 2 + n))
+            columns.append(seen)
+            lengths.append(far)
+        graph = coo_array(
+            (np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))), shape=(self._size, self._size)
+        ).tocsr()
+        found = dijkstra(graph, directed=False, indices=self._size - 2)[self._size - 1]
+        return float(found) * self._frame.cell_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _sees(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether a segment passes through the inside of no blocked square; its borders may be touched."""
+    rows, columns = blocked.shape
+    if y1 < y0:
+        x0, y0, x1, y1 = x1, y1, x0, y0
+    first, last = max(int(np.floor(y0 + _HAIR)), 0), min(int(np.floor(y1 - _HAIR)), rows - 1)
+    slope = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
+    for j in range(first, last + 1):
+        xa = x0 if y0 >= j else x0 + slope * (j - y0)
+        xb = x1 if y1 <= j + 1 else x0 + slope * (j + 1 - y0)
+        left, right = int(np.floor(min(xa, xb) + _HAIR)), int(np.floor(max(xa, xb) - _HAIR))
+        for i in range(max(left, 0), min(right, columns - 1) + 1):
+            if blocked[j, i]:
+                return False
+    return True
+
+
+def _bends(blocked: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+    """Return (N, 2) corners x, y that one blocked square has to itself; +1 where it lies along (1, 1), else -1."""
+    around = np.pad(blocked, 1, constant_values=True)
+    low_left, low_right = around[:-1, :-1], around[:-1, 1:]
+    high_left, high_right = around[1:, :-1], around[1:, 1:]
+    count = low_left.astype(int) + low_right + high_left + high_right
+    rows, columns = np.nonzero(count == 1)
+    sides = np.where(low_left[rows, columns] | high_right[rows, columns], 1, -1)
+    return np.column_stack([columns, rows]).astype(np.float64), sides.astype(np.int8)
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_taut(side, dx, dy):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether a way in this direction can be part of one that bends around a corner's square."""
+    return side * dx * dy <= 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _edges(blocked, corners, sides):  # type: ignore[no-untyped-def] # pragma: no cover
+    most = 1024
+    count = 0
+    a, b, lengths = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    for m in range(len(corners)):
+        for n in range(m):
+            dx, dy = corners[m, 0] - corners[n, 0], corners[m, 1] - corners[n, 1]
+            if not (_is_taut(sides[m], dx, dy) and _is_taut(sides[n], dx, dy)):
+                continue
+            if not _sees(blocked, corners[n, 0], corners[n, 1], corners[m, 0], corners[m, 1]):
+                continue
+            if count == most:
+                most *= 2
+                a = np.concatenate((a, np.empty(count, np.int64)))
+                b = np.concatenate((b, np.empty(count, np.int64)))
+                lengths = np.concatenate((lengths, np.empty(count)))
+            a[count], b[count], lengths[count] = m, n, np.sqrt(dx * dx + dy * dy)
+            count += 1
+    return a[:count].copy(), b[:count].copy(), lengths[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _seen_from(blocked, corners, sides, place):  # type: ignore[no-untyped-def] # pragma: no cover
+    seen, far = np.empty(len(corners), np.int64), np.empty(len(corners))
+    count = 0
+    for n in range(len(corners)):
+        dx, dy = corners[n, 0] - place[0], corners[n, 1] - place[1]
+        if _is_taut(sides[n], dx, dy) and _sees(blocked, place[0], place[1], corners[n, 0], corners[n, 1]):
+            seen[count], far[count] = n, np.sqrt(dx * dx + dy * dy)
+            count += 1
+    return seen[:count].copy(), far[:count].copy()

@@ -1,0 +1,192 @@
+"""How well a robot gets along on a scene's boxes, meshes and layer 4: the paper's table, and what it leaves out.
+
+All methods are given one robot, one margin and one seeded list of starts and goals, which the true scene connects and
+which stand a little off its obstacles, as robots do. Truth is every triangle of the true scene, walls included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.evaluation.navigation_methods import METHOD_NAMES, Built, Obstacles, built
+from hickory_stream.evaluation.navigation_optimum import OptimalLengths
+from hickory_stream.navigation.free_space import FreeSpace
+from hickory_stream.navigation.occupancy import distance_field_m
+from hickory_stream.navigation.search import Path, SearchConfig, plan
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.navigation.occupancy import GridFrame
+    from hickory_stream.navigation.robot import Robot
+
+_OFF_M = 0.1
+_LEAST_M = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TrueScene:
+    """The truth on the grid: its free space, the main piece of it, and the shortest ways through."""
+
+    space: FreeSpace
+    is_occupied: NDArray[np.bool_]
+    is_reachable: NDArray[np.bool_]
+    optimum: OptimalLengths
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MethodScore:
+    """One method on one scene.
+
+    `success` of the pairs; `efficiency` is straight over path, `over_optimum` path over the shortest way of the true
+    scene, both means over its successes, None without any. `free_space` is the share of all cells in the largest
+    connected piece; `missed_cells` touch the true scene and are called free; `lost_cells` are reachable in the true
+    scene and not free. Seconds are CPU seconds; `query_s` is the mean per pair.
+    """
+
+    name: str
+    pairs: int
+    success: float
+    efficiency: float | None
+    over_optimum: float | None
+    free_space: float
+    missed_cells: int
+    lost_cells: int
+    load_s: float
+    build_s: float
+    query_s: float
+
+
+def true_scene(
+    objects: Mapping[int, NDArray[np.float64]],
+    structure: Sequence[NDArray[np.float64]],
+    robot: Robot,
+    frame: GridFrame,
+    *,
+    floor_z_m: float,
+    r_safe_m: float,
+) -> TrueScene:
+    """Return the truth of a scene: `objects` and `structure` are (F, 3, 3) triangles in the world.
+
+    The robot is round, in one posture.
+    """
+    space = FreeSpace(robot, frame, floor_z_m, hull_margin_m=r_safe_m)
+    for object_id, hulls in objects.items():
+        space.put_hulls(object_id, hulls)
+    space.observe(np.concatenate([np.empty((0, 3, 3)), *structure]), np.empty((0, 8, 3)))
+    is_occupied = space.blocked()[0, 0]
+    is_reachable = largest_piece(space)
+    return TrueScene(
+        space=space,
+        is_occupied=is_occupied,
+        is_reachable=is_reachable,
+        optimum=OptimalLengths(~is_reachable, frame),
+    )
+
+
+def largest_piece(space: FreeSpace) -> NDArray[np.bool_]:
+    """Return (rows, columns) the largest connected piece of a round robot's free space."""
+    labels = space.labels()[0, 0]
+    counts = np.bincount(labels.ravel())
+    counts[0] = 0
+    return np.asarray((labels == int(counts.argmax())) & (labels > 0))
+
+
+def draw_pairs(truth: TrueScene, count: int, seed: int) -> NDArray[np.float64]:
+    """Return (count, 2, 2) starts and goals: at least 1 m apart, 0.1 m off the true obstacles, connected in truth."""
+    frame = truth.space.frame
+    off = distance_field_m(~truth.is_reachable, frame.cell_m) >= _OFF_M
+    cells = np.argwhere(off)
+    if len(cells) < 2:
+        raise ValueError("the true scene has no room for a start and a goal")
+    rng = np.random.default_rng([seed, 9])
+    pairs: list[NDArray[np.float64]] = []
+    for _ in range(1000 * count):
+        ends = frame.origin_m + (cells[rng.integers(len(cells), size=2)][:, ::-1] + 0.5) * frame.cell_m
+        if np.linalg.norm(ends[1] - ends[0]) >= _LEAST_M:
+            pairs.append(ends)
+        if len(pairs) == count:
+            return np.array(pairs)
+    raise ValueError(f"the true scene is too small for starts and goals {_LEAST_M} m apart")
+
+
+def score(
+    method: Built, truth: TrueScene, pairs: NDArray[np.float64], optimal_m: NDArray[np.float64], config: SearchConfig
+) -> MethodScore:
+    """Return how a method does on the pairs; the i-th is searched with seed i."""
+    import time
+
+    straight = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
+    lengths = np.full(len(pairs), np.nan)
+    started = time.process_time()
+    for i, (start, goal) in enumerate(pairs):
+        answer = plan(method.space, start, goal, config, np.random.default_rng(i))
+        if isinstance(answer, Path):
+            lengths[i] = answer.length_m
+    query_s = (time.process_time() - started) / max(len(pairs), 1)
+    found = np.isfinite(lengths)
+    is_free = ~method.space.blocked()[0, 0]
+    piece = largest_piece(method.space)
+    return MethodScore(
+        name=method.name,
+        pairs=len(pairs),
+        success=float(found.mean()),
+        efficiency=float((straight[found] / lengths[found]).mean()) if found.any() else None,
+        over_optimum=float((lengths[found] / optimal_m[found]).mean()) if found.any() else None,
+        free_space=float(piece.mean()),
+        missed_cells=int((truth.is_occupied & is_free).sum()),
+        lost_cells=int((truth.is_reachable & ~is_free).sum()),
+        load_s=method.load_s,
+        build_s=method.build_s,
+        query_s=query_s,
+    )
+
+
+def table_of(
+    obstacles: Obstacles,
+    truth: TrueScene,
+    robot: Robot,
+    *,
+    r_safe_m: float,
+    trials: int,
+    seeds: Sequence[int],
+    config: SearchConfig | None = None,
+) -> list[MethodScore]:
+    """Return a row for each method, over `trials` pairs for each seed."""
+    pairs = np.concatenate([draw_pairs(truth, trials, seed) for seed in seeds])
+    optimal = np.array([truth.optimum.length_m(start, goal) for start, goal in pairs])
+    frame, floor = truth.space.frame, truth.space.floor_z_m
+    rows = []
+    for name in METHOD_NAMES:
+        method = built(name, obstacles, robot, frame, floor_z_m=floor, r_safe_m=r_safe_m)
+        rows.append(score(method, truth, pairs, optimal, config or SearchConfig()))
+    return rows
+
+
+def table_json(rows: Sequence[MethodScore]) -> list[dict[str, Any]]:
+    """Return the rows for machines."""
+    return [asdict(row) for row in rows]
+
+
+def format_table(rows: Sequence[MethodScore]) -> str:
+    """Return the rows for people."""
+    lines = [
+        f"{'method':<10} {'success':>8} {'straight/path':>14} {'path/optimum':>13} {'free':>6} {'missed':>7} {'lost':>6}"
+        f" {'load s':>8} {'build s':>8} {'query ms':>9}"
+    ]
+    for row in rows:
+        efficiency = "-" if row.efficiency is None else f"{row.efficiency:.3f}"
+        over = "-" if row.over_optimum is None else f"{row.over_optimum:.3f}"
+        lines.append(
+            f"{row.name:<10} {100 * row.success:>7.1f}% {efficiency:>14} {over:>13} {row.free_space:>6.3f} "
+            f"{row.missed_cells:>7} {row.lost_cells:>6} {row.load_s:>8.3f} {row.build_s:>8.3f} {1e3 * row.query_s:>9.2f}"
+        )
+    lines.append(
+        f"{rows[0].pairs} pairs; missed: cells of the true scene called free; lost: reachable ones that are not"
+    )
+    return "\n".join(lines)

@@ -1,0 +1,260 @@
+"""Where a robot may be, in every posture and heading: the grids that a planner searches.
+
+One `Occupancy` per posture and range of headings; a round robot has one heading. What lies outside of the grid, and
+what nobody saw, is no place to be, unless unknown space is declared free.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from scipy.ndimage import label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from hickory_stream.errors import InputError
+from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, world_bounds
+from hickory_stream.geometry.voxels import cells_of_keys
+from hickory_stream.navigation.clearance import ClearanceScene
+from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
+from hickory_stream.navigation.occupancy import MOST_BYTES, Cell, GridFrame, Occupancy, distance_field_m, frame_around
+from hickory_stream.navigation.robot import Robot, raised, turned
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.records import MapSnapshot, TrackedObject
+
+CELL_M = 0.033
+UnknownSpace = Literal["blocked", "free"]
+_MARGIN_M = 0.02
+_NARROW_CELLS = 3.0
+_FEW_HEADINGS = 0.4
+
+
+class FreeSpace:
+    """The cells of a robot, layer by layer, and the obstacles that they come from.
+
+    Hulls (walls, meshes) are kept off by `hull_margin_m`; inflated superquadrics have their margin inside.
+    """
+
+    def __init__(self, robot: Robot, frame: GridFrame, floor_z_m: float, *, hull_margin_m: float = 0.0) -> None:
+        self.robot = robot
+        self.frame = frame
+        self.floor_z_m = floor_z_m
+        self.hull_margin_m = hull_margin_m
+        self.scene = ClearanceScene()
+        self.walls: NDArray[np.float64] = np.empty((0, 8, 3))
+        self.unknown: NDArray[np.float64] = np.empty((0, 8, 3))
+        self.hulls: dict[int, NDArray[np.float64]] = {}
+        range_rad = 2 * np.pi / robot.num_headings
+        self.parts = [
+            [
+                tuple(turned(raised(part, floor_z_m), robot.heading_rad(k), range_rad) for part in posture.parts)
+                for k in range(robot.num_headings)
+            ]
+            for posture in robot.postures
+        ]
+        self.layers = [
+            [Occupancy(frame, parts, hull_margin_m=hull_margin_m) for parts in headings] for headings in self.parts
+        ]
+        self._blocked: NDArray[np.bool_] | None = None
+        self._labels: NDArray[np.int32] | None = None
+        self._reachable: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
+
+    def put(self, object_id: int, inflated: Superquadrics) -> None:
+        """Add an object, or replace what it was; raises ValueError where a primitive is not finite."""
+        self._forget()
+        self.scene.put(object_id, inflated)
+        for layer in self._all_layers():
+            layer.put(object_id, inflated)
+
+    def put_hulls(self, object_id: int, hulls: NDArray[np.float64]) -> None:
+        """Add an object that is the union of the convex hulls of (N, M, 3) points, or replace what it was."""
+        self._forget()
+        self.hulls[object_id] = hulls
+        for layer in self._all_layers():
+            layer.put_hulls(object_id, hulls)
+
+    def remove(self, object_id: int) -> None:
+        """Take an object out; one that is not there is none to take."""
+        self._forget()
+        self.scene.remove(object_id)
+        self.hulls.pop(object_id, None)
+        for layer in self._all_layers():
+            layer.remove(object_id)
+
+    def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
+        """Let hulls of (N, M, 3) and (K, 8, 3) corners be structure, and space that nobody saw, instead of what was."""
+        self._forget()
+        self.walls, self.unknown = walls, unknown
+        for layer in self._all_layers():
+            layer.observe(walls, unknown)
+
+    def blocked(self) -> NDArray[np.bool_]:
+        """Return (postures, headings, rows, columns) where the robot may not be."""
+        if self._blocked is None:
+            self._blocked = np.stack(
+                [np.stack([layer.states() != Cell.FREE for layer in headings]) for headings in self.layers]
+            )
+            self._blocked.flags.writeable = False
+        return self._blocked
+
+    def labels(self) -> NDArray[np.int32]:
+        """Return (postures, headings, rows, columns): 0 where blocked, else a number per connected piece of free space.
+
+        Cells are connected by their sides, neighbouring headings and all postures by the cell itself. The robot may
+        move in any direction here, whatever its heading: two places in different pieces are surely not connected.
+        """
+        if self._labels is None:
+            self._labels = _connected(~self.blocked())
+        return self._labels
+
+    def reachable_cells(self, place_cells: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return rows and columns (N, 2) of the cells that are connected with a place, in cells; the narrow ones.
+
+        Narrow is what lies beside a blocked cell, or allows few headings: where random samples are rare and needed.
+        """
+        labels = self.labels()
+        column, row = np.floor(place_cells).astype(np.int64)
+        key = tuple(sorted({int(piece) for piece in labels[:, :, row, column].ravel() if piece}))
+        if key not in self._reachable:
+            layers = np.isin(labels, key)
+            inside = layers.any(axis=(0, 1))
+            is_beside = distance_field_m(~inside, 1.0) <= _NARROW_CELLS
+            is_rare = layers[0].mean(axis=0) < _FEW_HEADINGS
+            self._reachable[key] = (
+                np.argwhere(inside),
+                np.argwhere(inside & (is_rare if self.robot.num_headings > 1 else is_beside)),
+            )
+        return self._reachable[key]
+
+    def free_ratio(self) -> float:
+        """Return the share of the grid's cells where the robot may be, in some posture and heading."""
+        return float((~self.blocked()).any(axis=(0, 1)).mean())
+
+    def _forget(self) -> None:
+        self._blocked = self._labels = None
+        self._reachable = {}
+
+    def _all_layers(self) -> list[Occupancy]:
+        return [layer for headings in self.layers for layer in headings]
+
+
+def free_space_of(
+    snapshot: MapSnapshot,
+    robot: Robot,
+    *,
+    cell_m: float = CELL_M,
+    unknown: UnknownSpace = "blocked",
+    most_bytes: int = MOST_BYTES,
+) -> FreeSpace:
+    """Return the free space of a map, for a robot.
+
+    Raises:
+        InputError: the map is empty, the robot does not fit into it, or the grid would take too much memory.
+    """
+    low, high = _extent(snapshot)
+    layers = len(robot.postures) * robot.num_headings
+    frame = frame_around(low, high, cell_m, num_layers=layers, most_bytes=most_bytes)
+    room_m = float(np.min(high - low))
+    if 2 * robot.reach_m > room_m and room_m < 1e9:
+        raise InputError(
+            f"the robot {robot.name} reaches {robot.reach_m:.2f} m from its middle; the map is only {room_m:.2f} m wide"
+        )
+    space = FreeSpace(robot, frame, floor_of(snapshot))
+    for tracked in obstacles_of(snapshot):
+        space.put(tracked.id, layer_four_of(tracked))
+    parts = [part for headings in space.parts for parts in headings for part in parts]
+    # One band for all layers: what was seen must not depend on the posture.
+    band = Band(
+        low_m=min(part.low_m - part.ball_m for part in parts), high_m=max(part.high_m + part.ball_m for part in parts)
+    )
+    seen = seen_columns(snapshot.submaps, frame, band, space.floor_z_m)
+    dark = unknown_hulls(seen.is_known, frame, band) if unknown == "blocked" else np.empty((0, 8, 3))
+    space.observe(seen.walls, dark)
+    return space
+
+
+def obstacles_of(snapshot: MapSnapshot) -> list[TrackedObject]:
+    """Return the objects that count as obstacles: all but those that were hardly seen yet."""
+    return [tracked for tracked in snapshot.objects if tracked.phase is not Phase.TENTATIVE]
+
+
+def without_layer_four(snapshot: MapSnapshot) -> list[int]:
+    """Return the ids of the obstacles whose box stands in for a layer 4 that they do not have."""
+    return [
+        tracked.id
+        for tracked in obstacles_of(snapshot)
+        if tracked.shape is None or len(tracked.shape.inflated) == 0 or tracked.shape.containment.is_fallback
+    ]
+
+
+def layer_four_of(tracked: TrackedObject) -> Superquadrics:
+    """Return the inflated superquadrics of an object, or one around its box and a margin of 2 cm."""
+    if tracked.shape is not None and len(tracked.shape.inflated):
+        return tracked.shape.inflated
+    return box_as_superquadric(tracked.box, _MARGIN_M)
+
+
+def box_as_superquadric(box: OrientedBox, margin_m: float) -> Superquadrics:
+    """Return the superquadric with the sharpest edges that holds a box and a margin around it."""
+    # At a corner of the box G is 3 before this: 1 for each axis.
+    axes = (box.half_extents_m + margin_m) * 3 ** (MIN_EXPONENT / 2) * (1 + 1e-9)
+    return Superquadrics(
+        exponents=np.full((1, 2), MIN_EXPONENT), semi_axes_m=axes[None], world_from_local=box.world_from_box[None]
+    )
+
+
+def floor_of(snapshot: MapSnapshot) -> float:
+    """Return the floor's height: as it was seen, else the lowest point of an object, else 0."""
+    seen = [submap.observed_space.floor_z_m for submap in snapshot.submaps]
+    heights = [height for height in seen if height is not None]
+    if heights:
+        return float(np.median(heights))
+    return min((float(tracked.box.corners_world()[:, 2].min()) for tracked in snapshot.objects), default=0.0)
+
+
+def _extent(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the low and high corner (2,) of what was seen and of all objects."""
+    places = [np.empty((0, 2))]
+    for submap in snapshot.submaps:
+        space = submap.observed_space
+        keys = np.concatenate([space.free, space.structure])
+        if len(keys):
+            cells = cells_of_keys(keys)
+            low, high = cells.min(axis=0) * space.voxel_m, (cells.max(axis=0) + 1) * space.voxel_m
+            corners = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
+            world = corners @ submap.world_from_submap[:3, :3].T + submap.world_from_submap[:3, 3]
+            places.append(world[:, :2])
+    for tracked in obstacles_of(snapshot):
+        places.append(world_bounds(layer_four_of(tracked)).reshape(-1, 3)[:, :2])
+    found = np.concatenate(places)
+    if len(found) == 0:
+        raise InputError("the map is empty: it has neither objects nor observed space to plan in")
+    if not np.isfinite(found).all():
+        raise InputError("the map holds places that are not finite; nothing can be planned in it")
+    return found.min(axis=0), found.max(axis=0)
+
+
+def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return the pieces of (P, H, R, C) free cells; the last heading is beside the first one."""
+    sides = np.zeros((3, 3, 3, 3), bool)
+    sides[1, 1, 1], sides[1, 1, :, 1], sides[1, :, 1, 1] = True, True, True
+    pieces, count = label(is_free, structure=sides)
+    postures, headings = is_free.shape[:2]
+    seams = [(pieces[p], pieces[q]) for p in range(postures) for q in range(p)]
+    seams += [(pieces[:, 0], pieces[:, -1])] if headings > 1 else []
+    pairs = [np.empty((2, 0), np.int64)]
+    for first, second in seams:
+        both = (first > 0) & (second > 0)
+        pairs.append(np.unique(np.stack([first[both], second[both]]), axis=1))
+    a, b = np.concatenate(pairs, axis=1)
+    graph = coo_array((np.ones(len(a), bool), (a, b)), shape=(count + 1, count + 1))
+    _, merged = connected_components(graph, directed=False)
+    # Piece 0, what is blocked, touches nothing: its number moves to the front.
+    numbers = np.where(merged == merged[0], 0, merged + 1).astype(np.int32)
+    return np.asarray(numbers[pieces])

@@ -1,0 +1,158 @@
+"""What the observed space says to a planner: walls, and columns of cells that nobody looked into.
+
+A column is known where most of the body's height there was seen, free or wall. A camera never sees all of it: behind
+every edge there is a little shade.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.voxels import cells_of_keys, layers_of_keys
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.navigation.occupancy import GridFrame
+    from hickory_stream.records import Submap
+
+_SEEN_SHARE = 0.5
+_NO_HULLS = np.empty((0, 8, 3))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Band:
+    """Heights in the world between which a body is."""
+
+    low_m: float
+    high_m: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SeenColumns:
+    """Convex hulls in the world: `walls` (N, 8, 3), and `is_known` (rows, columns) of the grid."""
+
+    walls: NDArray[np.float64]
+    is_known: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        freeze(self, "walls", np.float64, (None, 8, 3))
+        freeze(self, "is_known", np.bool_, (None, None))
+
+
+def seen_columns(submaps: Sequence[Submap], frame: GridFrame, band: Band, floor_z_m: float) -> SeenColumns:
+    """Return what the submaps saw of the band, on the grid."""
+    walls = [_NO_HULLS, *(wall_hulls(submap, band, floor_z_m) for submap in submaps)]
+    is_known = np.zeros(frame.shape, bool)
+    for submap in submaps:
+        is_known |= _known_in(submap, frame, band)
+    return SeenColumns(walls=np.concatenate(walls), is_known=is_known)
+
+
+def wall_hulls(submap: Submap, band: Band, floor_z_m: float) -> NDArray[np.float64]:
+    """Return (N, 8, 3) the corners, in the world, of boxes that hold all structure within the band but the floor."""
+    space = submap.observed_space
+    cells = cells_of_keys(space.structure)
+    centers = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)
+    half = 0.5 * space.voxel_m * float(np.abs(submap.world_from_submap[2, :3]).sum())
+    is_floor = np.abs(centers[:, 2] - floor_z_m) <= space.voxel_m
+    is_within = (centers[:, 2] + half > band.low_m + 1e-9) & (centers[:, 2] - half < band.high_m - 1e-9)
+    cells = cells[is_within & ~is_floor]
+    if len(cells) == 0:
+        return _NO_HULLS
+    first = cells.min(axis=0)
+    # Layer by layer in a tilted submap; where z is up, columns stand for all of their voxels.
+    is_upright = abs(submap.world_from_submap[2, 2]) > 1 - 1e-12
+    if is_upright:
+        flat = np.zeros(np.ptp(cells[:, :2], axis=0) + 1, bool)
+        flat[tuple((cells[:, :2] - first[:2]).T)] = True
+        low, high = cells[:, 2].min(), cells[:, 2].max() + 1
+        boxes = [(*box, low, high) for box in rectangles(flat)]
+        corners = np.array(
+            [[x0 + first[0], y0 + first[1], z0, x1 + first[0], y1 + first[1], z1] for x0, y0, x1, y1, z0, z1 in boxes],
+            dtype=np.float64,
+        )
+    else:
+        corners = np.concatenate([cells, cells + 1], axis=1).astype(np.float64)
+    hulls = box_corners(corners * space.voxel_m)
+    return np.asarray(apply(submap.world_from_submap, hulls.reshape(-1, 3)).reshape(-1, 8, 3))
+
+
+def unknown_hulls(is_known: NDArray[np.bool_], frame: GridFrame, band: Band) -> NDArray[np.float64]:
+    """Return (N, 8, 3) the corners of boxes that hold the cells that are not known."""
+    boxes = rectangles(~is_known.T)
+    if not boxes:
+        return _NO_HULLS
+    flat = np.array(boxes, dtype=np.float64) * frame.cell_m + np.tile(frame.origin_m, 2)
+    low, high = np.full(len(flat), band.low_m), np.full(len(flat), band.high_m)
+    return box_corners(np.column_stack([flat[:, :2], low, flat[:, 2:], high]))
+
+
+def rectangles(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
+    """Return few rectangles (first, second, first end, second end) that make up a mask: runs, and equal runs joined."""
+    found: list[tuple[int, int, int, int]] = []
+    open_runs: dict[tuple[int, int], int] = {}
+    for i in range(len(mask) + 1):
+        runs: set[tuple[int, int]] = set()
+        if i < len(mask):
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], mask[i], [False]]).astype(np.int8)))
+            runs = {(int(a), int(b)) for a, b in edges.reshape(-1, 2)}
+        for run in [run for run in open_runs if run not in runs]:
+            found.append((open_runs.pop(run), run[0], i, run[1]))
+        for run in sorted(runs):
+            open_runs.setdefault(run, i)
+    return found
+
+
+def box_corners(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N, 8, 3) corners of boxes (N, 6): low corner, high corner."""
+    picks = np.array([[3 * (k >> axis & 1) + axis for axis in range(3)] for k in range(8)])
+    return bounds[:, picks]
+
+
+def _known_in(submap: Submap, frame: GridFrame, band: Band) -> NDArray[np.bool_]:
+    """Return (rows, columns) whether a cell, with all of its corners, lies in columns that were seen."""
+    space = submap.observed_space
+    # Upright or nearly so: the height in the submap is that in the world, but for its own height.
+    low, high = np.array([band.low_m, band.high_m]) - submap.world_from_submap[2, 3]
+    first_layer, last_layer = (
+        round(low / space.voxel_m),
+        max(round(high / space.voxel_m), round(low / space.voxel_m) + 1),
+    )
+    first, seen = _seen_per_column(space.free, space.structure, first_layer, last_layer)
+    if seen.size == 0:
+        return np.zeros(frame.shape, bool)
+    x = frame.origin_m[0] + np.arange(frame.columns + 1) * frame.cell_m
+    y = frame.origin_m[1] + np.arange(frame.rows + 1) * frame.cell_m
+    places = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), band.low_m)], axis=-1).reshape(-1, 3)
+    local = apply(invert(submap.world_from_submap), places)[:, :2]
+    column = np.floor(local / space.voxel_m).astype(np.int64) - first
+    is_inside = ((column >= 0) & (column < seen.shape)).all(axis=1)
+    is_seen = np.zeros(len(column), bool)
+    is_seen[is_inside] = seen[tuple(column[is_inside].T)] >= _SEEN_SHARE * (last_layer - first_layer)
+    corners = is_seen.reshape(len(y), len(x))
+    return np.asarray(corners[1:, 1:] & corners[1:, :-1] & corners[:-1, 1:] & corners[:-1, :-1])
+
+
+def _seen_per_column(
+    free: NDArray[np.int64], structure: NDArray[np.int64], first_layer: int, last_layer: int
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Return the first column (2,), and how many voxels of these layers were seen in each of (X, Y) columns."""
+    parts = []
+    for keys in (free, structure):
+        layer = layers_of_keys(keys)
+        parts.append(keys[(layer >= first_layer) & (layer < last_layer)])
+    cells = cells_of_keys(np.concatenate(parts))[:, :2]
+    if len(cells) == 0:
+        return np.zeros(2, np.int64), np.zeros((0, 0), np.int32)
+    first = cells.min(axis=0)
+    shape = np.ptp(cells, axis=0) + 1
+    flat = (cells[:, 0] - first[0]) * shape[1] + cells[:, 1] - first[1]
+    return first, np.bincount(flat, minlength=int(shape.prod())).reshape(shape).astype(np.int32)

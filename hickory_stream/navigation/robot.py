@@ -1,0 +1,205 @@
+"""Robots: what of their body counts, posture by posture, read from TOML files.
+
+A body is a few convex parts that stand upright: corners in the robot's own frame (x forward), a disc around each of
+them, a ball around that, from a low to a high height above the floor. A cylinder is one corner with a disc, a footprint
+several corners, a sphere one corner at one height with a ball.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.geometry.arrays import freeze
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_HEADINGS = 24
+_MOST_POSTURES = 8
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Part:
+    """A convex part of a body: `corners_m` (V, 2) in the robot's frame, heights above the floor, radii."""
+
+    low_m: float
+    high_m: float
+    corners_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 2)))
+    disc_m: float = 0.0
+    ball_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "corners_m", np.float64, (None, 2))
+        numbers = np.array([self.low_m, self.high_m, self.disc_m, self.ball_m])
+        if not (np.isfinite(numbers).all() and np.isfinite(self.corners_m).all() and len(self.corners_m)):
+            raise ValueError("a part of a body is not finite, or has no corners")
+        if self.low_m > self.high_m or self.disc_m < 0 or self.ball_m < 0:
+            raise ValueError(f"a part of a body reaches from {self.low_m} to {self.high_m} m, with negative radii")
+
+    @property
+    def numbers(self) -> NDArray[np.float64]:
+        """The (4,) low, high, disc, ball that the kernels take."""
+        return np.array([self.low_m, self.high_m, self.disc_m, self.ball_m])
+
+    @property
+    def reach_m(self) -> float:
+        """How far it reaches from the robot's middle, in the plane."""
+        return float(np.linalg.norm(self.corners_m, axis=1).max()) + self.disc_m + self.ball_m
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is the same in every heading."""
+        return not self.corners_m.any()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Posture:
+    """The parts of a body in one posture; a metre in it costs as much as `cost` metres in a posture of cost 1."""
+
+    name: str
+    parts: tuple[Part, ...]
+    cost: float = 1.0
+
+    @property
+    def height_m(self) -> float:
+        """How high it reaches above the floor."""
+        return max(part.high_m + part.ball_m for part in self.parts)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Robot:
+    """A robot that turns on the spot and drives straight on, forwards or backwards, in any of its postures.
+
+    The postures that it prefers come first. `num_headings` is 1 for a round body, which needs not turn.
+    """
+
+    name: str
+    postures: tuple[Posture, ...]
+    num_headings: int = 1
+
+    @property
+    def reach_m(self) -> float:
+        """How far it reaches from its middle, in the plane."""
+        return max(part.reach_m for posture in self.postures for part in posture.parts)
+
+    def heading_rad(self, index: int) -> float:
+        """Return the middle of a heading's range."""
+        return 2 * np.pi * index / self.num_headings
+
+
+def round_robot(name: str, *, radius_m: float, base_m: float, height_m: float) -> Robot:
+    """Return a robot that is an upright cylinder; what is lower than its base does not count."""
+    part = Part(low_m=base_m, high_m=height_m, disc_m=radius_m)
+    return Robot(name=name, postures=(Posture(name="upright", parts=(part,)),))
+
+
+def turned(part: Part, heading_rad: float, range_rad: float) -> Part:
+    """Return what a part covers in all headings within half of `range_rad` of `heading_rad`: its convex hull."""
+    if part.is_round:
+        return part
+    half = range_rad / 2
+    corners = [part.corners_m @ _rotation(heading_rad + a).T * s for a, s in ((-half, 1.0), (half, 1.0))]
+    if half > 0:
+        # Where the tangents at both ends of a corner's arc meet.
+        corners.append(part.corners_m @ _rotation(heading_rad).T / np.cos(half))
+    return replace(part, corners_m=np.concatenate(corners))
+
+
+def raised(part: Part, floor_z_m: float) -> Part:
+    """Return a part whose heights are the world's rather than above the floor."""
+    return replace(part, low_m=part.low_m + floor_z_m, high_m=part.high_m + floor_z_m)
+
+
+def grown(part: Part, margin_m: float) -> Part:
+    """Return a part that is larger by a margin on all sides."""
+    return replace(part, ball_m=part.ball_m + margin_m)
+
+
+def robot_names() -> tuple[str, ...]:
+    """Return the names of the robots that come with the package."""
+    return tuple(sorted(Path(entry.name).stem for entry in _folder().iterdir() if entry.name.endswith(".toml")))
+
+
+def load_robot(name_or_path: str) -> Robot:
+    """Return a robot that comes with the package, by name, or that of a TOML file.
+
+    Raises:
+        ConfigError: there is no such robot, or the file is not as it must be.
+    """
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or path.is_file():
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"cannot read the robot {path}: {error}") from error
+    elif name_or_path in robot_names():
+        text = (_folder() / f"{name_or_path}.toml").read_text(encoding="utf-8")
+    else:
+        known = ", ".join(robot_names())
+        raise ConfigError(f"found no robot {name_or_path}; known are {known}, or name a file FILE.toml")
+    try:
+        return robot_of(tomllib.loads(text), default_name=path.stem)
+    except (ValueError, TypeError, KeyError) as error:
+        message = f"misses the key {error}" if isinstance(error, KeyError) else str(error)
+        raise ConfigError(f"robot {name_or_path}: {message}; see the robots that come with the package") from error
+
+
+def robot_of(record: dict[str, Any], default_name: str = "robot") -> Robot:
+    """Return the robot of a parsed TOML file; raises ValueError, TypeError or KeyError where it is not as it must be."""
+    _only(record, {"name", "description", "num_headings", "posture"})
+    found = record["posture"]
+    if not isinstance(found, list) or not 1 <= len(found) <= _MOST_POSTURES:
+        raise ValueError(f"expected 1 to {_MOST_POSTURES} tables [[posture]]")
+    postures = tuple(_posture_of(item) for item in found)
+    is_round = all(part.is_round for posture in postures for part in posture.parts)
+    headings = int(record.get("num_headings", 1 if is_round else _HEADINGS))
+    if not (1 <= headings <= 360) or (headings < 8 and not is_round):
+        raise ValueError(f"found num_headings = {headings}, expected 8 to 360, or 1 for a round robot")
+    return Robot(name=str(record.get("name", default_name)), postures=postures, num_headings=headings)
+
+
+def _posture_of(record: dict[str, Any]) -> Posture:
+    _only(record, {"name", "low_m", "high_m", "radius_m", "footprint_m", "spheres_m", "cost"})
+    if "spheres_m" in record:
+        parts = tuple(
+            Part(low_m=z, high_m=z, corners_m=np.array([[x, y]]), ball_m=radius)
+            for x, y, z, radius in (tuple(map(float, sphere)) for sphere in record["spheres_m"])
+        )
+        if not parts:
+            raise ValueError("spheres_m is empty, expected [[x, y, z, radius], ...]")
+    else:
+        corners = np.array(record.get("footprint_m", [[0.0, 0.0]]), dtype=np.float64)
+        parts = (
+            Part(
+                low_m=float(record["low_m"]),
+                high_m=float(record["high_m"]),
+                corners_m=corners,
+                disc_m=float(record.get("radius_m", 0.0)),
+            ),
+        )
+    cost = float(record.get("cost", 1.0))
+    if not 1.0 <= cost < float("inf"):
+        raise ValueError(f"found cost = {cost}, expected 1 or more")
+    return Posture(name=str(record["name"]), parts=parts, cost=cost)
+
+
+def _only(record: dict[str, Any], known: set[str]) -> None:
+    unknown = sorted(set(record) - known)
+    if unknown:
+        raise ValueError(f"unknown key {unknown[0]}, expected some of {', '.join(sorted(known))}")
+
+
+def _rotation(angle_rad: float) -> NDArray[np.float64]:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def _folder() -> Any:
+    return resources.files("hickory_stream.navigation") / "robots"

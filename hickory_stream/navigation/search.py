@@ -1,0 +1,298 @@
+"""Planning: from start to goal through free space, or why there is no way.
+
+`rrt` is the paper's, `rrt-connect` (default) grows from both ends, `rrt-star` goes on from there to shorter paths. A
+first path is shortened by shortcuts and by pulling it tight, both over free cells alone; then every leg and every turn
+is checked again, against the obstacles themselves rather than cells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Literal, assert_never, get_args
+
+import numpy as np
+
+from hickory_stream.errors import InputError
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.navigation import tree_kernels
+from hickory_stream.navigation.occupancy import Cell
+from hickory_stream.navigation.verify import is_verified
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.navigation.free_space import FreeSpace
+
+Planner = Literal["rrt", "rrt-connect", "rrt-star"]
+PLANNERS: tuple[str, ...] = get_args(Planner)
+_FIRST_SAMPLES = 1500
+_SPACING_CELLS = 8.0
+_MOST_PLACES = 70
+_ROUNDS = 12
+_STAR_STEP_CELLS = 24.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SearchConfig:
+    """How to search.
+
+    `step_cells` and `goal_bias` as in the paper, whose RRT has 7,000 iterations; RRT-Connect, which reaches for whole
+    rooms, takes `connect_step_cells`. Up to `attempts` searches are made within the iterations, and the cheapest path
+    kept: one takes the wrong way around a table now and then. RRT* begins with the best of those and takes
+    `star_iterations` more. `shortens` pulls paths tight.
+    """
+
+    planner: Planner = "rrt-connect"
+    max_iterations: int = 50_000
+    step_cells: float = 10.0
+    connect_step_cells: float = 60.0
+    goal_bias: float = 0.18
+    attempts: int = 6
+    star_iterations: int = 4000
+    shortens: bool = True
+
+    def __post_init__(self) -> None:
+        if self.planner not in PLANNERS:
+            raise InputError(f"found the planner {self.planner!r}, expected one of {', '.join(PLANNERS)}")
+        if self.max_iterations < 1 or self.attempts < 1:
+            raise InputError("max_iterations and attempts must be at least 1")
+        if not (self.step_cells > 0 and self.connect_step_cells > 0 and 0 <= self.goal_bias <= 1):
+            raise InputError("steps must be above 0, and goal_bias within 0..1")
+
+
+class NoPathReason(StrEnum):
+    """Why there is no path; `UNREACHABLE` and the blocked ones are proved on the grid, `BUDGET` proves nothing."""
+
+    START_IN_COLLISION = "start-in-collision"
+    START_UNKNOWN = "start-unknown"
+    GOAL_IN_COLLISION = "goal-in-collision"
+    GOAL_UNKNOWN = "goal-unknown"
+    UNREACHABLE = "unreachable"
+    BUDGET = "budget"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoPath:
+    """No path was found: an expected outcome."""
+
+    reason: NoPathReason
+    text: str
+    num_iterations: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Path:
+    """A path of straight legs: `points` (N, 2) in the world, metres; each leg has a posture and a heading.
+
+    `postures` (N - 1,) index the robot's postures; `headings_rad` (N - 1,) are those in which the legs are driven,
+    forwards or backwards; 0 for a round robot. The robot turns on the spot between them.
+    """
+
+    points: NDArray[np.float64]
+    postures: NDArray[np.int64]
+    headings_rad: NDArray[np.float64]
+    length_m: float
+    cost_m: float
+    num_iterations: int
+
+    def __post_init__(self) -> None:
+        freeze(self, "points", np.float64, (None, 2))
+        freeze(self, "postures", np.int64, (len(self.points) - 1,))
+        freeze(self, "headings_rad", np.float64, (len(self.points) - 1,))
+
+
+def plan(
+    space: FreeSpace,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    config: SearchConfig | None = None,
+    rng: np.random.Generator | None = None,
+) -> Path | NoPath:
+    """Return a verified path from start to goal, (2,) metres in the world, or why there is none.
+
+    The same generator in the same state gives the same path; without one, seed 0.
+
+    Raises:
+        InputError: start or goal is not finite, or outside of the map.
+    """
+    config = config or SearchConfig()
+    rng = rng or np.random.default_rng(0)
+    frame = space.frame
+    ends = np.array([_place("start", start, space), _place("goal", goal, space)])
+    refused = _refused(space, ends)
+    if refused is not None:
+        return refused
+    cells = (ends - frame.origin_m) / frame.cell_m
+    costs = np.array([posture.cost for posture in space.robot.postures])
+    path, iterations = _searched(space, cells, config, costs, rng)
+    if path is None:
+        return NoPath(
+            reason=NoPathReason.BUDGET,
+            text=f"found no path within {iterations} iterations; there may be one",
+            num_iterations=iterations,
+        )
+    none = tree_kernels.NO_STATE
+    states, is_free = tree_kernels.states_along(space.blocked(), path, none, none)
+    assert is_free
+    points = frame.origin_m + path * frame.cell_m
+    points[[0, -1]] = ends
+    headings = space.robot.num_headings
+    # Free cells are proof already; this one knows neither cells nor counters.
+    if not is_verified(space, points, states):
+        raise AssertionError("a path over free cells meets an obstacle: the grid and the obstacles disagree")
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return Path(
+        points=points,
+        postures=states // headings,
+        headings_rad=np.array(
+            [
+                _driven_heading(leg, int(s) % headings, headings)
+                for leg, s in zip(np.diff(points, axis=0), states, strict=True)
+            ]
+        ),
+        length_m=float(lengths.sum()),
+        cost_m=float((lengths * costs[states // headings]).sum()),
+        num_iterations=iterations,
+    )
+
+
+def first_path(
+    space: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64] | None:
+    """Return the (N, 2) places of a first path by RRT-Connect, as it is found, or None: what a robot waits for."""
+    frame = space.frame
+    cells = (np.array([start, goal]) - frame.origin_m) / frame.cell_m
+    config = SearchConfig(attempts=1, shortens=False)
+    found, _ = _searched(space, cells, config, np.ones(len(space.robot.postures)), rng)
+    return None if found is None else frame.origin_m + found * frame.cell_m
+
+
+def _place(name: str, place: NDArray[np.float64], space: FreeSpace) -> NDArray[np.float64]:
+    point = np.asarray(place, dtype=np.float64)
+    if point.shape != (2,) or not np.isfinite(point).all():
+        raise InputError(f"found the {name} {np.asarray(place).tolist()}, expected two finite coordinates x, y")
+    low, high = space.frame.origin_m, space.frame.high_m
+    if not ((point >= low) & (point < high)).all():
+        raise InputError(
+            f"the {name} ({point[0]:g}, {point[1]:g}) is outside of the map, which reaches from "
+            f"({low[0]:.2f}, {low[1]:.2f}) to ({high[0]:.2f}, {high[1]:.2f})"
+        )
+    return point
+
+
+def _refused(space: FreeSpace, ends: NDArray[np.float64]) -> NoPath | None:
+    """Return why there surely is no path, None where there may be one."""
+    labels = space.labels()
+    pieces = []
+    for name, (row, column), place in zip(("start", "goal"), space.frame.cells_of(ends), ends, strict=True):
+        here = np.unique(labels[:, :, row, column])
+        here = here[here > 0]
+        if len(here) == 0:
+            return _in_the_way(space, name, int(row), int(column), place)
+        pieces.append(here)
+    if len(np.intersect1d(*pieces)):
+        return None
+    return NoPath(
+        reason=NoPathReason.UNREACHABLE,
+        text=f"start and goal lie in different pieces of the free space: no path at cells of "
+        f"{space.frame.cell_m:g} m and this robot's size",
+    )
+
+
+def _in_the_way(space: FreeSpace, name: str, row: int, column: int, place: NDArray[np.float64]) -> NoPath:
+    states = {int(layer.states()[row, column]) for headings in space.layers for layer in headings}
+    at = f"the {name} ({place[0]:g}, {place[1]:g})"
+    if states == {int(Cell.OCCUPIED)}:
+        reason = NoPathReason.START_IN_COLLISION if name == "start" else NoPathReason.GOAL_IN_COLLISION
+        return NoPath(reason=reason, text=f"{at} is in collision, in every posture and heading")
+    reason = NoPathReason.START_UNKNOWN if name == "start" else NoPathReason.GOAL_UNKNOWN
+    return NoPath(reason=reason, text=f"{at} reaches into space that was never seen; --unknown free would allow it")
+
+
+def _searched(
+    space: FreeSpace,
+    cells: NDArray[np.float64],
+    config: SearchConfig,
+    costs: NDArray[np.float64],
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64] | None, int]:
+    """Return the cheapest of the paths found, in cells, and the iterations of all attempts."""
+    none = tree_kernels.NO_STATE
+    blocked = space.blocked()
+    best: NDArray[np.float64] | None = None
+    best_cost, iterations = np.inf, 0
+    for _ in range(config.attempts):
+        # A short run first: most paths are found at once, and drawing samples costs more than using them.
+        most = config.max_iterations - iterations
+        for budget in (min(_FIRST_SAMPLES, most), most - _FIRST_SAMPLES):
+            found, taken = _one(space, cells, config, budget, rng) if budget > 0 else (None, 0)
+            iterations += taken
+            if found is not None:
+                break
+        if found is None:
+            break
+        if config.shortens:
+            found = _tight(blocked, found, costs)
+        states, _ = tree_kernels.states_along(blocked, found, none, none)
+        cost = tree_kernels.cost_along(found, states, costs, blocked.shape[1])
+        if cost < best_cost:
+            best, best_cost = found, cost
+        if len(best if best is not None else found) == 2 and costs[states[0] // blocked.shape[1]] == costs.min():
+            break
+    if config.planner == "rrt-star" and best is not None:
+        samples, _ = _samples(space, cells, config.star_iterations, rng)
+        found, taken = tree_kernels.grow_star(
+            blocked, cells[0], cells[1], none, none, samples, costs, _STAR_STEP_CELLS, best_cost
+        )
+        iterations += taken
+        if len(found):
+            best = _tight(blocked, found, costs) if config.shortens else found
+    return best, iterations
+
+
+def _one(
+    space: FreeSpace, cells: NDArray[np.float64], config: SearchConfig, budget: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64] | None, int]:
+    """Return a path of one search with so many iterations, in cells, or None; and how many it took."""
+    none = tree_kernels.NO_STATE
+    samples, toss = _samples(space, cells, budget, rng)
+    if config.planner == "rrt":
+        found, iterations = tree_kernels.grow_rrt(
+            space.blocked(), cells[0], cells[1], none, none, samples, toss, config.step_cells, config.goal_bias
+        )
+    elif config.planner == "rrt-connect" or config.planner == "rrt-star":
+        found, iterations = tree_kernels.grow_connect(
+            space.blocked(), cells[0], cells[1], none, none, samples, config.connect_step_cells
+        )
+    else:
+        assert_never(config.planner)
+    return (found if len(found) else None), int(iterations)
+
+
+def _samples(
+    space: FreeSpace, cells: NDArray[np.float64], count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (count, 2) places in cells, every other one in a narrow place, and (count,) tosses in 0..1."""
+    everywhere, narrow = space.reachable_cells(cells[0])
+    drawn = rng.random((count, 4))
+    chosen = everywhere[(drawn[:, 0] * len(everywhere)).astype(np.int64)]
+    if len(narrow):
+        chosen[::2] = narrow[(drawn[::2, 0] * len(narrow)).astype(np.int64)]
+    return chosen[:, ::-1] + drawn[:, 1:3], drawn[:, 3]
+
+
+def _tight(blocked: NDArray[np.bool_], path: NDArray[np.float64], costs: NDArray[np.float64]) -> NDArray[np.float64]:
+    none = tree_kernels.NO_STATE
+    shorter = tree_kernels.shortened(blocked, path, none, none, costs, _SPACING_CELLS, _MOST_PLACES)
+    pulled = tree_kernels.cut_corners(blocked, shorter, none, none, costs, _ROUNDS, _MOST_PLACES)
+    return np.asarray(pulled)
+
+
+def _driven_heading(leg: NDArray[np.float64], index: int, num_headings: int) -> float:
+    """Return the heading of a leg: along it, or against it where the state says so."""
+    if num_headings == 1:
+        return 0.0
+    along = float(np.arctan2(leg[1], leg[0]))
+    middle = 2 * np.pi * index / num_headings
+    return along if np.cos(along - middle) > 0 else float(np.arctan2(-leg[1], -leg[0]))

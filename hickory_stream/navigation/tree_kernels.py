@@ -1,0 +1,441 @@
+"""Kernels of the planners: ways over free cells, turns on the spot, trees that grow, paths that shorten.
+
+Places are in cells, from the low corner of the grid. A state is posture * headings + heading; -1 is none yet. A robot
+turns on the spot and drives straight, forwards or backwards; all cells that a way touches are free, so is every heading
+that a turn passes.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+# A hair: a way along the edge of a cell touches both neighbours.
+_HAIR = 1e-9
+NO_STATE = -1
+_NO_WAY = -2
+
+
+@numba.njit(cache=True, nogil=True)
+def way_is_free(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether all cells that a segment touches are free; those outside of the grid are not."""
+    rows, columns = blocked.shape
+    if y1 < y0:
+        x0, y0, x1, y1 = x1, y1, x0, y0
+    first, last = int(np.floor(y0 - _HAIR)), int(np.floor(y1 + _HAIR))
+    if first < 0 or last >= rows:
+        return False
+    slope = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
+    for j in range(first, last + 1):
+        xa = x0 if y0 >= j else x0 + slope * (j - y0)
+        xb = x1 if y1 <= j + 1 else x0 + slope * (j + 1 - y0)
+        left, right = int(np.floor(min(xa, xb) - _HAIR)), int(np.floor(max(xa, xb) + _HAIR))
+        if left < 0 or right >= columns:
+            return False
+        for i in range(left, right + 1):
+            if blocked[j, i]:
+                return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def turn_is_free(blocked, x, y, before, after):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether the robot can change its state at a place, turning in either posture, either way round."""
+    headings = blocked.shape[1]
+    if before < 0 or after < 0 or headings == 1:
+        return True
+    j, i = int(np.floor(y)), int(np.floor(x))
+    a, b = before % headings, after % headings
+    for posture in (before // headings, after // headings):
+        for way in (1, -1):
+            k = a
+            while not blocked[posture, k, j, i]:
+                if k == b:
+                    return True
+                k = (k + way) % headings
+                if k == a:
+                    break
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def state_after(blocked, x0, y0, before, x1, y1, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the state in which the robot gets from one place to the next, -2 where it cannot.
+
+    Postures in their order, forwards before backwards. `is_backward`: the way is driven from the second place to the
+    first one, as in a tree that grows from the goal.
+    """
+    postures, headings = blocked.shape[:2]
+    heading = 0
+    if headings > 1:
+        angle = np.arctan2(y0 - y1, x0 - x1) if is_backward else np.arctan2(y1 - y0, x1 - x0)
+        heading = int(np.round(angle * headings / (2 * np.pi))) % headings
+    for posture in range(postures):
+        for reverse in range(2 if headings > 1 and headings % 2 == 0 else 1):
+            k = (heading + reverse * headings // 2) % headings
+            state = posture * headings + k
+            if way_is_free(blocked[posture, k], x0, y0, x1, y1) and turn_is_free(blocked, x0, y0, before, state):
+                return state
+    return _NO_WAY
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest(points, count, x, y):  # type: ignore[no-untyped-def] # pragma: no cover
+    best, nearest = 0, np.inf
+    for n in range(count):
+        dx, dy = points[n, 0] - x, points[n, 1] - y
+        squared = dx * dx + dy * dy
+        if squared < nearest:
+            best, nearest = n, squared
+    return best
+
+
+@numba.njit(cache=True, nogil=True)
+def _branch(points, parents, n):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the places from the root to a node."""
+    length, at = 0, n
+    while at >= 0:
+        length += 1
+        at = parents[at]
+    out = np.empty((length, 2))
+    at = n
+    for i in range(length - 1, -1, -1):
+        out[i] = points[at]
+        at = parents[at]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def grow_rrt(blocked, start, goal, start_state, goal_state, samples, toss, step, bias):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the path that the RRT of the paper finds (no places if none), and the iterations it took."""
+    count = 1
+    most = len(samples) + 2
+    points, parents, states = np.empty((most, 2)), np.empty(most, np.int64), np.empty(most, np.int64)
+    points[0], parents[0], states[0] = start, -1, start_state
+    for n in range(len(samples)):
+        x, y = samples[n, 0], samples[n, 1]
+        if toss[n] < bias:
+            x, y = goal[0], goal[1]
+        near = _nearest(points, count, x, y)
+        dx, dy = x - points[near, 0], y - points[near, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        if length > step:
+            x, y = points[near, 0] + dx * step / length, points[near, 1] + dy * step / length
+        if length == 0.0:
+            continue
+        state = state_after(blocked, points[near, 0], points[near, 1], states[near], x, y, False)
+        if state < 0:
+            continue
+        points[count, 0], points[count, 1] = x, y
+        parents[count], states[count] = near, state
+        count += 1
+        gx, gy = goal[0] - x, goal[1] - y
+        if gx * gx + gy * gy <= step * step:
+            last = state
+            if gx != 0.0 or gy != 0.0:
+                last = state_after(blocked, x, y, state, goal[0], goal[1], False)
+            if last >= 0 and turn_is_free(blocked, goal[0], goal[1], last, goal_state):
+                if gx != 0.0 or gy != 0.0:
+                    points[count], parents[count] = goal, count - 1
+                    count += 1
+                return _branch(points, parents, count - 1), n + 1
+    return np.empty((0, 2)), len(samples)
+
+
+@numba.njit(cache=True, nogil=True)
+def grow_connect(blocked, start, goal, start_state, goal_state, samples, step):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the path that RRT-Connect finds (no places if none), and the iterations it took."""
+    most = 4 * len(samples) + 64
+    points, parents, states = np.empty((2, most, 2)), np.empty((2, most), np.int64), np.empty((2, most), np.int64)
+    counts = np.array([1, 1])
+    points[0, 0], points[1, 0] = start, goal
+    parents[:, 0], states[0, 0], states[1, 0] = -1, start_state, goal_state
+    # Before any sample: the straight way.
+    state = state_after(blocked, start[0], start[1], start_state, goal[0], goal[1], False)
+    if state >= 0 and turn_is_free(blocked, goal[0], goal[1], state, goal_state):
+        direct = np.empty((2, 2))
+        direct[0], direct[1] = start, goal
+        return direct, 0
+    for n in range(len(samples)):
+        one = n % 2
+        two = 1 - one
+        x, y = samples[n, 0], samples[n, 1]
+        near = _nearest(points[one], counts[one], x, y)
+        dx, dy = x - points[one, near, 0], y - points[one, near, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        if length == 0.0 or max(counts[0], counts[1]) + 4 > most:
+            continue
+        added = _link(blocked, points[one], parents[one], states[one], counts[one], near, x, y, one == 1)
+        if added == 0 and length > step:
+            x, y = points[one, near, 0] + dx * step / length, points[one, near, 1] + dy * step / length
+            added = _link(blocked, points[one], parents[one], states[one], counts[one], near, x, y, one == 1)
+        if added == 0:
+            continue
+        counts[one] += added
+        node = counts[one] - 1
+        # The other tree reaches for the new node, as far as it gets.
+        at = _nearest(points[two], counts[two], x, y)
+        while counts[two] + 4 <= most:
+            dx, dy = x - points[two, at, 0], y - points[two, at, 1]
+            length = np.sqrt(dx * dx + dy * dy)
+            if length > 0.0:
+                added = _link(blocked, points[two], parents[two], states[two], counts[two], at, x, y, two == 1)
+                if added > 0:
+                    counts[two] += added
+                    at = counts[two] - 1
+                    length = 0.0
+            if length == 0.0:
+                if turn_is_free(blocked, x, y, states[one, node], states[two, at]):
+                    first = _branch(points[one], parents[one], node)
+                    second = _branch(points[two], parents[two], at)[:-1]
+                    if one == 1:
+                        first, second = _branch(points[two], parents[two], at), first[:-1]
+                    return np.concatenate((first, second[::-1])), n + 1
+                break
+            if length <= step:
+                break
+            bx, by = points[two, at, 0] + dx * step / length, points[two, at, 1] + dy * step / length
+            reached = state_after(blocked, points[two, at, 0], points[two, at, 1], states[two, at], bx, by, two == 1)
+            if reached < 0:
+                break
+            after = counts[two]
+            points[two, after, 0], points[two, after, 1] = bx, by
+            parents[two, after], states[two, after] = at, reached
+            counts[two] += 1
+            at = after
+    return np.empty((0, 2)), len(samples)
+
+
+@numba.njit(cache=True, nogil=True)
+def _link(blocked, points, parents, states, count, near, x, y, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Append the way from a node to a place; return how many nodes that took, 0 where there is no way.
+
+    Straight, or where the heading does not fit at the place, as in a doorway, by a turn onto a line that does: the robot
+    drives to where that line is nearest, turns, and follows it.
+    """
+    ax, ay = points[near, 0], points[near, 1]
+    state = state_after(blocked, ax, ay, states[near], x, y, is_backward)
+    if state >= 0:
+        points[count, 0], points[count, 1], parents[count], states[count] = x, y, near, state
+        return 1
+    headings = blocked.shape[1]
+    if headings == 1:
+        return 0
+    j, i = int(np.floor(y)), int(np.floor(x))
+    if j < 0 or i < 0 or j >= blocked.shape[2] or i >= blocked.shape[3]:
+        return 0
+    towards = int(np.round(np.arctan2(y - ay, x - ax) * headings / (2 * np.pi)))
+    for offset in range(1, headings // 4 + 1):
+        for side in (-1, 1):
+            k = (towards + side * offset) % headings
+            is_fitting = False
+            for posture in range(blocked.shape[0]):
+                is_fitting |= not blocked[posture, k, j, i]
+            if not is_fitting:
+                continue
+            angle = 2 * np.pi * k / headings
+            along = (x - ax) * np.cos(angle) + (y - ay) * np.sin(angle)
+            if along < 1.0:
+                continue
+            rx, ry = x - along * np.cos(angle), y - along * np.sin(angle)
+            first = state_after(blocked, ax, ay, states[near], rx, ry, is_backward)
+            if first < 0:
+                continue
+            second = state_after(blocked, rx, ry, first, x, y, is_backward)
+            if second < 0:
+                continue
+            points[count, 0], points[count, 1], parents[count], states[count] = rx, ry, near, first
+            points[count + 1, 0], points[count + 1, 1] = x, y
+            parents[count + 1], states[count + 1] = count, second
+            return 2
+    return 0
+
+
+@numba.njit(cache=True, nogil=True)
+def _cost_to(points, parents, states, costs, headings, n):  # type: ignore[no-untyped-def] # pragma: no cover
+    total = 0.0
+    while parents[n] >= 0:
+        before = parents[n]
+        dx, dy = points[n, 0] - points[before, 0], points[n, 1] - points[before, 1]
+        total += np.sqrt(dx * dx + dy * dy) * costs[states[n] // headings]
+        n = before
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def grow_star(blocked, start, goal, start_state, goal_state, samples, costs, step, first_cost):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the best path that an informed RRT* finds (no places if none), and the iterations it took.
+
+    `first_cost` is that of a path which is known already, or infinite: only samples that could beat the best path are
+    looked at. A node that has successors gets a new predecessor only where the robot needs not turn.
+    """
+    headings = blocked.shape[1]
+    most = len(samples) + 1
+    points, parents = np.empty((most, 2)), np.full(most, -1, np.int64)
+    states, successors = np.full(most, NO_STATE, np.int64), np.zeros(most, np.int64)
+    points[0], states[0] = start, start_state
+    count, best_node, best_cost = 1, -1, first_cost
+    near = np.empty(most, np.int64)
+    for n in range(len(samples)):
+        x, y = samples[n, 0], samples[n, 1]
+        ahead = np.sqrt((goal[0] - x) ** 2 + (goal[1] - y) ** 2)
+        if np.sqrt((start[0] - x) ** 2 + (start[1] - y) ** 2) + ahead >= best_cost:
+            continue
+        nearest = _nearest(points, count, x, y)
+        dx, dy = x - points[nearest, 0], y - points[nearest, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        if length == 0.0:
+            continue
+        if length > step:
+            x, y = points[nearest, 0] + dx * step / length, points[nearest, 1] + dy * step / length
+        reach = min(step, 3.0 * step * np.sqrt(np.log(count + 1.0) / (count + 1.0))) + 1e-9
+        around = 0
+        for k in range(count):
+            if (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2 <= reach * reach or k == nearest:
+                near[around] = k
+                around += 1
+        parent, state, cost = -1, NO_STATE, np.inf
+        for m in range(around):
+            k = near[m]
+            way = np.sqrt((points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2)
+            before = _cost_to(points, parents, states, costs, headings, k)
+            if before + way < cost:
+                found = state_after(blocked, points[k, 0], points[k, 1], states[k], x, y, False)
+                if found >= 0 and before + way * costs[found // headings] < cost:
+                    parent, state, cost = k, found, before + way * costs[found // headings]
+        if parent < 0:
+            continue
+        node = count
+        points[node, 0], points[node, 1] = x, y
+        parents[node], states[node] = parent, state
+        successors[parent] += 1
+        count += 1
+        for m in range(around):
+            k = near[m]
+            if k == parent or parents[k] < 0 or (headings > 1 and successors[k] > 0):
+                continue
+            way = np.sqrt((points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2)
+            before = _cost_to(points, parents, states, costs, headings, k)
+            if cost + way < before:
+                found = state_after(blocked, x, y, state, points[k, 0], points[k, 1], False)
+                if found >= 0 and cost + way * costs[found // headings] < before:
+                    successors[parents[k]] -= 1
+                    parents[k], states[k] = node, found
+                    successors[node] += 1
+        way = np.sqrt((goal[0] - x) ** 2 + (goal[1] - y) ** 2)
+        if cost + way < best_cost and way <= 4.0 * step:
+            found = state_after(blocked, x, y, state, goal[0], goal[1], False)
+            if found >= 0 and turn_is_free(blocked, goal[0], goal[1], found, goal_state):
+                total = cost + way * costs[found // headings]
+                if total < best_cost:
+                    best_node, best_cost = node, total
+    if best_node < 0:
+        return np.empty((0, 2)), len(samples)
+    branch = _branch(points, parents, best_node)
+    out = np.empty((len(branch) + 1, 2))
+    out[:-1] = branch
+    out[-1] = goal
+    return out, len(samples)
+
+
+@numba.njit(cache=True, nogil=True)
+def states_along(blocked, path, start_state, goal_state):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the state of each leg, and whether the whole path can be driven."""
+    states = np.empty(len(path) - 1, np.int64)
+    before = start_state
+    for i in range(len(path) - 1):
+        before = state_after(blocked, path[i, 0], path[i, 1], before, path[i + 1, 0], path[i + 1, 1], False)
+        if before < 0:
+            return states, False
+        states[i] = before
+    return states, turn_is_free(blocked, path[-1, 0], path[-1, 1], before, goal_state)
+
+
+@numba.njit(cache=True, nogil=True)
+def cost_along(path, states, costs, headings):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the cost of a path, in cells."""
+    total = 0.0
+    for i in range(len(path) - 1):
+        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        total += np.sqrt(dx * dx + dy * dy) * costs[states[i] // headings]
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def shortened(blocked, path, start_state, goal_state, costs, spacing, most):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return a path of least cost along places of the given one, at most `spacing` apart, `most` of them.
+
+    Over the shortcuts between all pairs of places (dynamic programming); exact for a robot that needs not turn.
+    """
+    length = 0.0
+    for i in range(len(path) - 1):
+        length += np.sqrt((path[i + 1, 0] - path[i, 0]) ** 2 + (path[i + 1, 1] - path[i, 1]) ** 2)
+    spacing = max(spacing, length / max(most - len(path), 1))
+    dense = np.empty((most + 2 * len(path) + 2, 2))
+    count = 0
+    for i in range(len(path) - 1):
+        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        pieces = max(int(np.ceil(np.sqrt(dx * dx + dy * dy) / spacing)), 1)
+        for k in range(pieces):
+            dense[count, 0], dense[count, 1] = path[i, 0] + dx * k / pieces, path[i, 1] + dy * k / pieces
+            count += 1
+    dense[count] = path[-1]
+    count += 1
+    headings = blocked.shape[1]
+    best, before = np.full(count, np.inf), np.full(count, -1, np.int64)
+    states = np.full(count, NO_STATE, np.int64)
+    best[0], states[0] = 0.0, start_state
+    for j in range(1, count):
+        for i in range(j):
+            way = np.sqrt((dense[j, 0] - dense[i, 0]) ** 2 + (dense[j, 1] - dense[i, 1]) ** 2)
+            if best[i] + way >= best[j]:
+                continue
+            if way == 0.0:
+                best[j], before[j], states[j] = best[i], i, states[i]
+                continue
+            state = state_after(blocked, dense[i, 0], dense[i, 1], states[i], dense[j, 0], dense[j, 1], False)
+            if state < 0 or best[i] + way * costs[state // headings] >= best[j]:
+                continue
+            if j == count - 1 and not turn_is_free(blocked, dense[j, 0], dense[j, 1], state, goal_state):
+                continue
+            best[j], before[j], states[j] = best[i] + way * costs[state // headings], i, state
+    if before[count - 1] < 0:
+        return path.copy()
+    return _branch(dense, before, count - 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def cut_corners(blocked, path, start_state, goal_state, costs, rounds, most):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return a path whose corners are cut off as far as its cells are free: what a string would do when pulled."""
+    headings = blocked.shape[1]
+    for _ in range(rounds):
+        gained = 0.0
+        i = 1
+        while i < len(path) - 1 and len(path) < most:
+            states, is_free = states_along(blocked, path, start_state, goal_state)
+            if not is_free:
+                return path
+            old = cost_along(path, states, costs, headings)
+            share = 1.0
+            for _ in range(5):
+                trial = np.empty((len(path) + 1, 2))
+                trial[:i] = path[:i]
+                trial[i] = path[i] + share * (path[i - 1] - path[i])
+                trial[i + 1] = path[i] + share * (path[i + 1] - path[i])
+                trial[i + 2 :] = path[i + 1 :]
+                # All of both sides: the corner goes.
+                if share == 1.0:
+                    trial = np.concatenate((path[:i], path[i + 1 :]))
+                states, is_free = states_along(blocked, trial, start_state, goal_state)
+                if is_free:
+                    new = cost_along(trial, states, costs, headings)
+                    if new < old - 1e-3:
+                        path = trial
+                        gained += old - new
+                        break
+                share *= 0.5
+            i += 1
+        path = shortened(blocked, path, start_state, goal_state, costs, 1e9, most)
+        if gained < 1e-2:
+            break
+    return path

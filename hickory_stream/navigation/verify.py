@@ -1,0 +1,109 @@
+"""A path against the obstacles themselves: every leg and every turn, along the whole length, without any grid.
+
+A body that moves straight along meets a convex obstacle where the way of its middle crosses the outline of the obstacle
+for that body: an intersection of half planes, so the way is clipped by each of them. Free is proven.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from hickory_stream.navigation.outline import TOLERANCE_M, half_planes
+from hickory_stream.navigation.robot import Part, grown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.navigation.free_space import FreeSpace
+
+_NO_ROWS, _NO_HULLS = np.empty((0, 25)), np.empty((0, 1, 3))
+
+
+def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[np.int64]) -> bool:
+    """Return whether a robot can drive the (N - 1,) legs between (N, 2) points in these states, and turn between them.
+
+    A state is posture * headings + heading, for all headings in its range.
+    """
+    rows = space.scene.rows()
+    for part, start, end in _moves(space, points, states):
+        off = grown(part, space.hull_margin_m)
+        if _meets(rows, _NO_HULLS, part.numbers, part.corners_m, start, end, TOLERANCE_M):
+            return False
+        for hulls in (space.walls, space.unknown, *space.hulls.values()):
+            if _meets(_NO_ROWS, hulls, off.numbers, off.corners_m, start, end, TOLERANCE_M):
+                return False
+    return True
+
+
+def _moves(
+    space: FreeSpace, points: NDArray[np.float64], states: NDArray[np.int64]
+) -> Iterator[tuple[Part, NDArray[np.float64], NDArray[np.float64]]]:
+    """Yield every part of the body on every leg, and on every turn, with the ends of its way."""
+    headings = space.robot.num_headings
+    before = None
+    for start, end, state in zip(points[:-1], points[1:], states.tolist(), strict=True):
+        posture, heading = divmod(state, headings)
+        if before is not None and before % headings != heading:
+            for part in _turn(space, start, before, state):
+                yield part, start, start
+        for part in space.parts[posture][heading]:
+            yield part, start, end
+        before = state
+
+
+def _turn(space: FreeSpace, place: NDArray[np.float64], before: int, after: int) -> list[Part]:
+    """Return the parts of all headings that a turn passes: the turn, of the four there are, that the cells allow."""
+    headings = space.robot.num_headings
+    ((row, column),) = space.frame.cells_of(place[None])
+    blocked = space.blocked()[:, :, row, column]
+    for posture in (before // headings, after // headings):
+        for way in (1, -1):
+            passed = [before % headings]
+            while passed[-1] != after % headings:
+                passed.append((passed[-1] + way) % headings)
+            if not blocked[posture, passed].any():
+                return [part for k in passed for part in space.parts[posture][k]]
+    raise AssertionError("a path turns where its cells are not free")
+
+
+@numba.njit(cache=True, nogil=True)
+def _meets(rows, hulls, part, corners, start, end, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether a body on its way from start to end (2,) may meet any of the obstacles."""
+    is_hull = len(hulls) > 0
+    no_row, no_hull = np.empty(0), np.empty((0, 3))
+    found, after = np.empty((96, 6)), np.empty(96, np.int64)
+    reach = part[2] + part[3] + np.sqrt((corners**2).sum(axis=1).max())
+    for i in range(len(hulls) if is_hull else len(rows)):
+        row = no_row if is_hull else rows[i]
+        hull = hulls[i] if is_hull else no_hull
+        is_far = False
+        for axis in range(2):
+            low = hull[:, axis].min() if is_hull else row[19 + axis]
+            high = hull[:, axis].max() if is_hull else row[22 + axis]
+            if max(start[axis], end[axis]) + reach < low or min(start[axis], end[axis]) - reach > high:
+                is_far = True
+        if is_far:
+            continue
+        count = half_planes(is_hull, row, hull, part, corners, tolerance, found, after)
+        if count == 0:
+            continue
+        first, last = 0.0, 1.0
+        for k in range(count):
+            ahead = found[k, 0] * start[0] + found[k, 1] * start[1] - found[k, 2]
+            speed = found[k, 0] * (end[0] - start[0]) + found[k, 1] * (end[1] - start[1])
+            # Within the half plane: ahead + t * speed <= 0.
+            if speed == 0.0:
+                if ahead > 0.0:
+                    first = 2.0
+            elif speed > 0.0:
+                last = min(last, -ahead / speed)
+            else:
+                first = max(first, -ahead / speed)
+        if first <= last:
+            return True
+    return False
