@@ -14,6 +14,7 @@ import numpy as np
 
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.fragments import FragmentConfig, concave_creases, fragments_of, support_labels
+from hickory_stream.perception.holes import HoleConfig, filled
 from hickory_stream.perception.join import JoinConfig, join_fragments
 from hickory_stream.perception.pieces import label_boxes
 from hickory_stream.perception.structure import (
@@ -47,6 +48,7 @@ class GeometricConfig:
     structure: StructureConfig = field(default_factory=StructureConfig)
     fragments: FragmentConfig = field(default_factory=FragmentConfig)
     join: JoinConfig = field(default_factory=JoinConfig)
+    holes: HoleConfig = field(default_factory=HoleConfig)
     min_area_px: int = 60
     max_extent_m: float = 3.0
     hidden_share: float = 0.6
@@ -78,6 +80,7 @@ class GeometricSegmenter:
         labels = fragments_of(surface, structure, supports, creases, config.fragments)
         labels = join_fragments(surface, labels, supports, areas_m2, structure, floor_z_m, config.join)
         labels, rejected = _usable(surface, labels, config)
+        labels = filled(labels, np.isfinite(surface.depth_m), config.holes)
         size = (frame.camera.width, frame.camera.height)
         return Segmentation(
             instances=_enlarged(labels, surface.factor, size),

@@ -27,7 +27,11 @@ class RuleConfig:
     Attributes:
         seam_share: a seam must be at least this share of the square root of the smaller fragment's pixels.
         like_color: difference in Lab (lightness at half weight) under which two fragments are of one colour.
-        rim_m: a seam within this distance of a plane's rim lies on the rim (a chair's back on its seat).
+        rim_m: a seam within this distance of a plane's rim lies on the rim (a chair's back on its seat) ...
+        rim_share: ... and within this share of the plane's size.
+        foot_m: what stands with a wider foot than this inside the top of something was put there.
+        enclosed_share: a piece is in a hollow if more than this share of its outline meets one other piece ...
+        hollow_m2, hollow_color: ... which is no larger than this, rises above it, and is of no other colour than shade makes.
         below_m: a fragment whose top is at most this far above a plane hangs below it.
         leg_gap_m: a leg is seen up to this far below the plane that it carries.
         carrier_area_m2: a smaller plane carries nothing.
@@ -40,6 +44,11 @@ class RuleConfig:
     seam_share: float = 0.3
     like_color: float = 11.0
     rim_m: float = 0.07
+    rim_share: float = 0.25
+    foot_m: float = 0.06
+    enclosed_share: float = 0.75
+    hollow_m2: float = 0.15
+    hollow_color: float = 25.0
     below_m: float = 0.012
     leg_gap_m: float = 0.2
     seat_low_m: float = 0.25
@@ -73,7 +82,9 @@ def is_one_thing(scene: Scene, seam: Seam, config: RuleConfig) -> bool:
     if is_plane_a or is_plane_b:
         plane, other = (a, b) if is_plane_a else (b, a)
         return _belongs_to_plane(scene, seam, plane, other, is_long, config)
-    return is_long and color < config.like_color and not _stand_side_by_side(scene.standing, a, b)
+    if not is_long or color >= config.like_color or _stand_side_by_side(scene.standing, a, b):
+        return False
+    return not any(_is_put_on(scene, seam, upper, lower, config) for upper, lower in ((a, b), (b, a)))
 
 
 def seats(pieces: Pieces, floor_z_m: float | None, config: RuleConfig) -> NDArray[np.bool_]:
@@ -110,6 +121,27 @@ def bare_planes(pieces: Pieces, groups: NDArray[np.int64], config: RuleConfig) -
     return np.asarray(area_m2 - pieces.area_m2 < config.body_share * pieces.area_m2)
 
 
+def bottoms(contacts: Contacts, pieces: Pieces, config: RuleConfig) -> list[tuple[int, int]]:
+    """Return (bottom, vessel) pairs: a piece that one other encloses and rises above is the inside of a bowl or a pot.
+
+    What lies in it rises above its rim, or is of another colour.
+    """
+    count = len(pieces.pixels)
+    outline = np.zeros((count, count + 1), dtype=np.int64)
+    for here, there in ((contacts.here, contacts.there), (contacts.there, contacts.here)):
+        own = here < count
+        key = here[own].astype(np.int64) * (count + 1) + there[own]
+        outline += np.bincount(key, minlength=outline.size).reshape(outline.shape)
+    vessel = outline[:, :count].argmax(axis=1)
+    enclosed = outline[np.arange(count), vessel] > config.enclosed_share * np.maximum(outline.sum(axis=1), 1)
+    enclosed &= (pieces.z_high_m < pieces.z_high_m[vessel] - 0.01) & (pieces.area_m2[vessel] < config.hollow_m2)
+    return [
+        (i, int(vessel[i]))
+        for i in map(int, np.flatnonzero(enclosed))
+        if pieces.color_difference(i, int(vessel[i])) < config.hollow_color
+    ]
+
+
 def _belongs_to_plane(scene: Scene, seam: Seam, plane: int, other: int, is_long: bool, config: RuleConfig) -> bool:
     """Return whether a fragment hangs below a plane, or rises from its rim in its colour."""
     pieces = scene.pieces
@@ -119,6 +151,14 @@ def _belongs_to_plane(scene: Scene, seam: Seam, plane: int, other: int, is_long:
     if not is_long or pieces.color_difference(plane, other) >= config.like_color:
         return False
     return _stands_on_rim(scene, seam, plane, config)
+
+
+def _is_put_on(scene: Scene, seam: Seam, upper: int, lower: int, config: RuleConfig) -> bool:
+    """Return whether a fragment stands on another with a wide foot, away from its rim: a box on a box, no pole."""
+    if not scene.standing.stands_on(upper, lower):
+        return False
+    extent = float(np.linalg.norm(np.ptp(seam.points_world[:, :2], axis=0)))
+    return extent > config.foot_m and not _stands_on_rim(scene, seam, lower, config)
 
 
 def _stand_side_by_side(standing: Standing, a: int, b: int) -> bool:
@@ -135,7 +175,8 @@ def _stands_on_rim(scene: Scene, seam: Seam, plane: int, config: RuleConfig) -> 
     inside = np.array([cv2.pointPolygonTest(hull, (float(x), float(y)), True) for x, y, _ in seam.points_world])
     extent = float(np.linalg.norm(np.ptp(seam.points_world[:, :2], axis=0)))
     size = float(np.sqrt(max(cv2.contourArea(hull), 1e-6)))
-    return bool(np.mean(inside < config.rim_m) > 0.8) and extent > 0.5 * size
+    rim_m = min(config.rim_m, config.rim_share * size)
+    return bool(np.mean(inside < rim_m) > 0.8) and extent > 0.5 * size
 
 
 def legs(scene: Scene, contacts: Contacts, groups: NDArray[np.int64], config: RuleConfig) -> list[tuple[int, int]]:

@@ -1,0 +1,129 @@
+"""What goes on behind something nearer: two pieces of one plane on both sides of what hides the rest of it.
+
+From where a piece ends at a nearer thing, its plane is followed along the row or column, behind whatever is nearer or
+gives no return. Where the plane comes into view again, that is a bridge; where something is seen behind it, it ended.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.pieces import Pieces
+    from hickory_stream.perception.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HiddenConfig:
+    """When two pieces are one behind what hides it.
+
+    Attributes:
+        gap_m: as far as a plane is followed.
+        tolerance_m: distance from the plane, beside 3 sigma, at which it comes into view again.
+        min_lines: of every other row and column, so many must bridge two pieces ...
+        min_share: ... and as many as this share of the square root of the smaller one's pixels.
+        like_color: difference in Lab (lightness at half weight) above which pieces are not one, unless ...
+        other_lines: ... so many lines bridge a level plane of theirs and as many an upright one: two sides of a box.
+    """
+
+    gap_m: float = 0.5
+    tolerance_m: float = 0.006
+    min_lines: int = 4
+    min_share: float = 0.12
+    like_color: float = 11.0
+    other_lines: int = 2
+
+
+def bridges(
+    surface: Surface, labels: NDArray[np.int32], pieces: Pieces, config: HiddenConfig
+) -> list[tuple[int, int]]:
+    """Return the pairs of labels that are one thing behind what is before it."""
+    camera = surface.camera
+    found = _bridges(
+        surface.depth_m,
+        surface.points_world,
+        surface.normals_world,
+        surface.sigma_m,
+        labels,
+        surface.world_from_camera[:3, 3].astype(np.float32),
+        surface.world_from_camera[:3, :3].astype(np.float32),
+        (np.float32(camera.fx), np.float32(camera.fy), np.float32(camera.cx), np.float32(camera.cy)),
+        np.float32(config.gap_m),
+        np.float32(config.tolerance_m),
+    )
+    count = len(pieces.pixels)
+    level = found[:, 2] > 0
+    key = np.minimum(found[:, 0], found[:, 1]) * count + np.maximum(found[:, 0], found[:, 1])
+    pairs: list[tuple[int, int]] = []
+    for pair in np.unique(key):
+        of_pair = key == pair
+        a, b = int(pair) // count, int(pair) % count
+        num_level, num_steep = int((of_pair & level).sum()), int((of_pair & ~level).sum())
+        least = max(config.min_lines, config.min_share * float(np.sqrt(min(pieces.pixels[a], pieces.pixels[b]))))
+        is_alike = pieces.color_difference(a, b) < config.like_color
+        if max(num_level, num_steep) >= least and (is_alike or min(num_level, num_steep) >= config.other_lines):
+            pairs.append((a, b))
+    return pairs
+
+
+@numba.njit(cache=True, nogil=True)
+def _bridges(depth, points, normals, sigma, labels, origin, rotation, intrinsics, gap, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (K, 3): two labels and whether their plane is level, for each row and column that bridges them."""
+    height, width = depth.shape
+    fx, fy, cx, cy = intrinsics
+    out = np.empty((height * width, 3), dtype=np.int64)
+    count = 0
+    for side in range(2):
+        lines, length = (height, width) if side == 0 else (width, height)
+        for line in range(0, lines, 2):
+            for start in range(length - 2):
+                y, x = (line, start) if side == 0 else (start, line)
+                label = labels[y, x]
+                if label == 0 or np.isnan(normals[y, x, 0]):
+                    continue
+                ny, nx = (line, start + 1) if side == 0 else (start + 1, line)
+                if labels[ny, nx] == label or depth[ny, nx] > depth[y, x]:
+                    continue
+                n0, n1, n2 = normals[y, x, 0], normals[y, x, 1], normals[y, x, 2]
+                offset = (
+                    (points[y, x, 0] - origin[0]) * n0
+                    + (points[y, x, 1] - origin[1]) * n1
+                    + (points[y, x, 2] - origin[2]) * n2
+                )
+                is_hidden = False
+                for step in range(1, length - start):
+                    yy, xx = (line, start + step) if side == 0 else (start + step, line)
+                    u, v = (xx - cx) / fx, (yy - cy) / fy
+                    along = (
+                        (rotation[0, 0] * u + rotation[0, 1] * v + rotation[0, 2]) * n0
+                        + (rotation[1, 0] * u + rotation[1, 1] * v + rotation[1, 2]) * n1
+                        + (rotation[2, 0] * u + rotation[2, 1] * v + rotation[2, 2]) * n2
+                    )
+                    if offset * along <= 0.0:
+                        break
+                    expected = offset / along
+                    if step * expected / fx > gap or expected > 8.0:
+                        break
+                    z = depth[yy, xx]
+                    if np.isnan(z):
+                        continue
+                    # A distance from the plane is a difference of depth over the ray's slant.
+                    slack = (tolerance + 3.0 * sigma[y, x]) / abs(along)
+                    if z < expected - max(slack, 0.02 * expected):
+                        is_hidden = True
+                        continue
+                    other = labels[yy, xx]
+                    if is_hidden and other != label and other != 0 and z < expected + slack:
+                        agree = normals[yy, xx, 0] * n0 + normals[yy, xx, 1] * n1 + normals[yy, xx, 2] * n2
+                        if agree > 0.95:
+                            out[count, 0], out[count, 1] = label, other
+                            out[count, 2] = 1 if n2 > 0.85 else 0
+                            count += 1
+                    break
+    return out[:count].copy()

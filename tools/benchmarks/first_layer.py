@@ -1,0 +1,109 @@
+"""A log played through perception and the core alone, in one thread: layer 1 as `play` makes it, without shapes.
+
+Masks are scored as they come in playback, each keyframe with the map as it is after the one before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hickory_stream.config import MapperConfig
+from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved, RequestShape, ShapeFailed, SourceEnded
+from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from hickory_stream.perception.descriptor import ColorTextureDescriptor
+from hickory_stream.perception.geometric import GeometricSegmenter
+from hickory_stream.perception.perceive import features_of, perceive
+from players import open_source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from hickory_stream.events import Effect, Event
+    from hickory_stream.perception.perceive import Perceived
+    from hickory_stream.ports import FeatureExtractor, Segmenter
+    from hickory_stream.records import Frame, MapSnapshot
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PlayedKeyframe:
+    """A keyframe as it was perceived, and the map after it."""
+
+    frame: Frame
+    perceived: Perceived
+    core: MapperCore
+    snapshot: MapSnapshot
+
+
+def keyframes_of(log: Path, config: MapperConfig, max_keyframes: int | None = None) -> Iterator[Frame]:
+    """Yield the keyframes of a log, decoded."""
+    source = open_source(str(log))
+    try:
+        last, count = None, 0
+        for raw in source.frames():
+            if not is_keyframe(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
+                continue
+            last = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+            yield raw.decode()
+            count += 1
+            if count == max_keyframes:
+                return
+    finally:
+        source.close()
+
+
+def play_first_layer(
+    log: Path,
+    *,
+    config: MapperConfig | None = None,
+    segmenter: Segmenter | None = None,
+    extractor: FeatureExtractor | None = None,
+    max_keyframes: int | None = None,
+    ends: bool = False,
+) -> Iterator[PlayedKeyframe]:
+    """Yield every keyframe of a log with what perception and the core made of it.
+
+    Shapes are answered with failures. With `ends`, the core is told after the last keyframe that the log has ended.
+    """
+    config = config or MapperConfig()
+    segmenter = segmenter or GeometricSegmenter(config.perception.geometric)
+    extractor = extractor or ColorTextureDescriptor()
+    core = MapperCore(config.mapping)
+    snapshot: MapSnapshot | None = None
+    for frame in keyframes_of(log, config, max_keyframes):
+        prior = snapshot.submaps[0].observed_space if snapshot is not None else None
+        perceived = perceive(frame, prior, None, segmenter, config.perception)
+        event = FrameObserved(
+            frame_index=frame.index,
+            stamp_ns=frame.stamp_ns,
+            world_from_camera=frame.world_from_camera,
+            observations=perceived.observations,
+            space=perceived.space,
+            rejected=perceived.rejected,
+        )
+
+        def features(effect: ComputeFeatures, frame: Frame = frame, perceived: Perceived = perceived) -> FeaturesReady:
+            pooled = features_of(frame, perceived.observations, effect.observation_indices, extractor)
+            return FeaturesReady(frame_index=effect.frame_index, features=pooled)
+
+        _handle(core, event, frame.stamp_ns, features)
+        snapshot = core.snapshot()
+        yield PlayedKeyframe(frame=frame, perceived=perceived, core=core, snapshot=snapshot)
+    if ends and snapshot is not None:
+        core.handle(SourceEnded(stamp_ns=snapshot.stamp_ns))
+
+
+def _handle(
+    core: MapperCore, event: Event, stamp_ns: int, features: Callable[[ComputeFeatures], FeaturesReady]
+) -> None:
+    """Give the core an event and the answers to what it asks for, at once."""
+    waiting: list[Effect] = core.handle(event)
+    while waiting:
+        effect = waiting.pop(0)
+        if isinstance(effect, ComputeFeatures):
+            waiting += core.handle(features(effect))
+        elif isinstance(effect, RequestShape):
+            failed = ShapeFailed(ticket=effect.ticket, object_id=effect.object_id, stamp_ns=stamp_ns, reason="not asked")
+            waiting += core.handle(failed)
