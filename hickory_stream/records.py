@@ -75,6 +75,24 @@ class RawFrame:
             freeze(self, "after_from_before", np.float64, (4, 4))
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Scan:
+    """A sweep of a LiDAR, for odometry: `points` (N, 3) float32 in the sensor's `frame`, all finite.
+
+    `times_s` (N,) float32 is when each was measured, since the stamp; None where the log does not say.
+    """
+
+    stamp_ns: int
+    frame: str
+    points: NDArray[np.float32]
+    times_s: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "points", np.float32, (None, 3))
+        if self.times_s is not None:
+            freeze(self, "times_s", np.float32, (len(self.points),))
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceInfo:
     """What a source found: for the operator, the progress bar and the manifest.
