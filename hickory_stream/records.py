@@ -56,7 +56,8 @@ class RawFrame:
     `decode()` returns the `Frame`, or raises `RecordingError` where an image is torn. `color_bytes` are the log's own
     compressed colour (JPEG or PNG), for the viewer; None when the log had none. `after_from_before` (4, 4) where the
     odometry jumped since the frame before: it takes the old world into the new one. The pose itself does not jump: a
-    source that knows of a jump takes it out, so that all its poses are in the first world.
+    source that knows of a jump takes it out, so that all its poses are in the first world. `goes_back`: somebody went
+    back in the log to this frame, and wants the map as it was known before it.
     """
 
     index: int
@@ -66,11 +67,30 @@ class RawFrame:
     decode: Callable[[], Frame]
     color_bytes: bytes | None = None
     after_from_before: NDArray[np.float64] | None = None
+    goes_back: bool = False
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_camera", np.float64, (4, 4))
         if self.after_from_before is not None:
             freeze(self, "after_from_before", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Scan:
+    """A sweep of a LiDAR, for odometry: `points` (N, 3) float32 in the sensor's `frame`, all finite.
+
+    `times_s` (N,) float32 is when each was measured, since the stamp; None where the log does not say.
+    """
+
+    stamp_ns: int
+    frame: str
+    points: NDArray[np.float32]
+    times_s: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "points", np.float32, (None, 3))
+        if self.times_s is not None:
+            freeze(self, "times_s", np.float32, (len(self.points),))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

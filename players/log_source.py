@@ -7,6 +7,7 @@ will not.
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from dataclasses import dataclass
 from functools import partial
@@ -15,12 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
-from hickory_stream.records import Frame, RawFrame, SourceInfo
+from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
 from players.containers import UnreadableMessageError, deserialize
 from players.counts import Ledger
 from players.identity import files_identity
 from players.images import LogImage, color_of, depth_of, image_of
+from players.messages import POINT_CLOUD
 from players.peek import peek_stamp_ns
+from players.point_clouds import scan_of
 from players.register import Registration, register_depth
 from players.rig import RigReader
 from players.sync import Leftover, Pair, Stamped, pair_epochs
@@ -37,6 +40,8 @@ if TYPE_CHECKING:
     from players.discover import ImageTopics
     from players.rig import PosePlan
     from players.tracks import JumpLimits
+
+logger = logging.getLogger(__name__)
 
 _PATIENCE_NS = 500_000_000
 """So long, beyond the widest gap, a pair waits for poses while the images go on: it bounds what is held in memory."""
@@ -140,6 +145,25 @@ class LogSource:
         for topic, number in reader.rejected.items():
             ledger.rejected[topic, "bad_pose"] += number
         ledger.is_complete = True
+
+    def scans(self, topic_name: str) -> Iterator[Scan]:
+        """Yield the sweeps of a LiDAR's topic (`sensor_msgs/PointCloud2`), in the order of the log, for odometry.
+
+        Mapping uses none. Sweeps that cannot be read are skipped with a warning.
+
+        Raises:
+            RecordingError: there is no such topic; names those that there are.
+        """
+        clouds = {topic.name: topic for topic in self._log.topics if topic.type_name == POINT_CLOUD}
+        if topic_name not in clouds:
+            there = f"those of point clouds are {', '.join(sorted(clouds))}" if clouds else "it has no point clouds"
+            raise RecordingError(f"{self._log.path} has no point clouds in {topic_name}; {there}")
+        for message in self._log.messages([topic_name]):
+            stamp_ns = message.log_ns if self._setup.uses_log_time else None
+            try:
+                yield scan_of(deserialize(clouds[topic_name], message.data), stamp_ns)
+            except (UnreadableMessageError, RecordingError) as error:
+                logger.warning("%s: a sweep at %.3f s is skipped: %s", topic_name, message.log_ns / 1e9, error)
 
     def ledger(self) -> Mapping[str, int]:
         """Return the counts of the latest pass.

@@ -17,6 +17,9 @@ from hickory_stream.mapping.keyframes import Keyframe, KeyframeConfig, is_keyfra
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hickory_stream.ports import Source
     from hickory_stream.records import Frame, RawFrame, SourceInfo
 
@@ -152,9 +155,13 @@ class PlayedSource:
         return info if self._start_s <= 0 and self._end_s is None else replace(info, num_frames=None)
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames when they are due; after a seek back the stamps begin again earlier."""
+        """Yield the frames when they are due; the first after a seek back says so, and the stamps begin again earlier.
+
+        A jump of the odometry in what is skipped comes with the next frame.
+        """
         self._num_skipped = 0
-        index, last = 0, None
+        index, last, goes_back = 0, None, False
+        jump: NDArray[np.float64] | None = None
         target_ns: int | None = None
         is_playing = True
         while is_playing:
@@ -168,6 +175,7 @@ class PlayedSource:
                     break
                 if target_ns is not None and frame.stamp_ns < target_ns:
                     self._num_skipped += 1
+                    jump = None if goes_back else _joined(jump, frame.after_from_before)
                     continue
                 keyframe = is_keyframe(last, frame.stamp_ns, frame.world_from_camera, self._keyframes)
                 self._clock.wait(frame.stamp_ns, is_keyframe=keyframe)
@@ -176,15 +184,22 @@ class PlayedSource:
                     target_ns = sought_ns
                     self._num_seeks += 1
                     if sought_ns < frame.stamp_ns:
-                        last, is_playing = None, True
+                        last, is_playing, goes_back, jump = None, True, True, None
                         break
                     if sought_ns > frame.stamp_ns:
                         self._num_skipped += 1
+                        jump = _joined(jump, frame.after_from_before)
                         continue
                 if keyframe:
                     last = Keyframe(stamp_ns=frame.stamp_ns, world_from_camera=frame.world_from_camera)
-                yield replace(frame, index=index, decode=partial(_renumbered, frame.decode, index))
-                index += 1
+                yield replace(
+                    frame,
+                    index=index,
+                    decode=partial(_renumbered, frame.decode, index),
+                    after_from_before=_joined(jump, frame.after_from_before),
+                    goes_back=goes_back,
+                )
+                index, goes_back, jump = index + 1, False, None
 
     def ledger(self) -> Mapping[str, int]:
         """Return that of the other one, the frames that were skipped over, and how often somebody sought."""
@@ -204,6 +219,11 @@ class PlayedSource:
         """Close the other one."""
         self._clock.stop()
         self._source.close()
+
+
+def _joined(first: NDArray[np.float64] | None, second: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    """Return two jumps of the odometry, one after the other, as one; None where there is none."""
+    return second if first is None else first if second is None else second @ first
 
 
 def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:

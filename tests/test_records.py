@@ -115,6 +115,12 @@ VALID: dict[type, dict[str, Any]] = {
         "world_from_camera": _POSE,
         "color_bytes": None,
     },
+    records.Scan: {
+        "stamp_ns": 1,
+        "frame": "lidar",
+        "points": _CLOUD["points_world"],
+        "times_s": np.zeros(5, np.float32),
+    },
     events.FrameObserved: {
         "frame_index": 0,
         "stamp_ns": 1,

@@ -33,7 +33,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.engine.play import play
-    from hickory_stream.engine.resume import check_interrupted, save_live
+    from hickory_stream.engine.resume import check_interrupted, save_live, was_sought
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import parse_viewer
     from players import open_noted
@@ -41,10 +41,12 @@ def run(options: argparse.Namespace) -> int:
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
     manifest = check_interrupted(options.map)
-    if manifest.run.get("mode") == "live":
+    is_live = manifest.run.get("mode") == "live"
+    if is_live or was_sought(options.map):
         digest = save_live(options.map)
         said = {"event": "saved", "map": str(options.map), "finished_cleanly": False, "digest": digest}
-        print(json.dumps(said) if options.json else f"{options.map}: saved as of its last step; its frames are gone")
+        why = "its frames are gone" if is_live else "the log was sought in, so that it cannot be continued"
+        print(json.dumps(said) if options.json else f"{options.map}: saved as of its last step; {why}")
         return 0
     note = dict(manifest.run.get("source", {}))
     if options.source is not None:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from hickory_stream.engine.continued import Continued
 from hickory_stream.engine.reading import Position
-from hickory_stream.engine.run import Continued
 from hickory_stream.engine.step import OpenJob, StepKind
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import (
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from hickory_stream.engine.journal import Journal
-    from hickory_stream.engine.step import JournalEntry
+    from hickory_stream.engine.step import JournalEntry, Step
     from hickory_stream.mapping.core import MappingConfig
 
 
@@ -75,6 +75,7 @@ class Replay:
         """Go on to before the step `end`, step by step."""
         while self.num_steps < end:
             entry = self._journal.entry(self.num_steps)
+            self._go_back(entry.step)
             published: Publish | None = None
             for event in entry.events:
                 for effect in self._handle(event):
@@ -82,6 +83,16 @@ class Replay:
                         published = effect
             self.num_steps += 1
             yield Replayed(index=self.num_steps - 1, entry=entry, published=published)
+
+    def _go_back(self, step: Step) -> None:
+        """Take up what the run took up where somebody went back in the log."""
+        if step.goes_back_to is None:
+            return
+        then = Replay(self._journal, self._config)
+        if step.goes_back_to > 0:
+            then.seek(step.goes_back_to - 1)
+        self.core = then.core.going_on_after(self.core, step.lost_views)
+        self.open_jobs = then.open_jobs
 
     def _handle(self, event: Event) -> list[Effect]:
         try:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.journal import JournalWriter
 from hickory_stream.engine.resume import recorded_config, reopen
-from hickory_stream.engine.run import Continued, Mode, Progress, Run
+from hickory_stream.engine.run import Mode, Progress, Run
 from hickory_stream.engine.session import create_map_folder
 from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
 from hickory_stream.engine.sink_threads import SinkThread
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from hickory_stream.engine.continued import Continued
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot

@@ -100,6 +100,9 @@ class Reader:
                     index = offset + raw.index
                     if index <= start.last_index:
                         continue
+                    if raw.goes_back:
+                        # The map is another one then: what it has seen last is not this.
+                        keyframe, last_ns = None, None
                     if self._is_late(last_ns, raw.stamp_ns):
                         lost["frames_late"] += 1
                         continue

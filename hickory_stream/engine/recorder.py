@@ -23,12 +23,17 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Unwritten:
-    """What has happened since the last step: events and frames for the journal, and what to remove after it."""
+    """What has happened since the last step: events and frames for the journal, and what to remove after it.
+
+    `goes_back_to` and `lost_views` are those of the `Step`.
+    """
 
     events: list[Event] = field(default_factory=list)
     frames: list[FramePose] = field(default_factory=list)
     dropped_views: list[str] = field(default_factory=list)
     ended_jobs: list[int] = field(default_factory=list)
+    goes_back_to: int | None = None
+    lost_views: tuple[str, ...] = ()
 
 
 class Recorder:

@@ -1,7 +1,7 @@
 """Going on with a run that was interrupted: killed, stopped, or ended by an error.
 
 A playback continues after its last complete step and comes to the same map as one that was never interrupted. Of a live
-run, whose frames are gone, everything up to the last step is saved.
+run, whose frames are gone, everything up to the last step is saved; so it is of one in whose log somebody sought.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hickory_stream.errors import ConfigError, MapFolderError, RecordingError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.run import Continued
+    from hickory_stream.engine.continued import Continued
     from hickory_stream.records import SourceInfo
 
 
@@ -63,6 +63,11 @@ def reopen(path: Path, info: SourceInfo, config: MapperConfig) -> tuple[MapFolde
         raise RecordingError(
             f"{info.uri} is not the log that {path} was made of ({manifest.source['uri']}); give that one"
         )
+    if was_sought(path):
+        raise MapFolderError(
+            f"{path}: somebody went to and fro in the log, so that nobody knows which frames are left; "
+            "`hickory-stream resume` saves what it had, or play the log again"
+        )
     folder = reopen_map_folder(path)
     try:
         with Journal(path) as journal:
@@ -76,8 +81,19 @@ def reopen(path: Path, info: SourceInfo, config: MapperConfig) -> tuple[MapFolde
         raise
 
 
+def was_sought(path: Path) -> bool:
+    """Return whether somebody went to and fro in the log while it was played: such a run cannot be continued.
+
+    Raises:
+        MapFolderError: there is no journal, or it is damaged.
+    """
+    with Journal(path) as journal:
+        journal.cut_to_resumable()
+        return len(journal) > 0 and journal.step(len(journal) - 1).num_seeks > 0
+
+
 def save_live(path: Path) -> str:
-    """Save the map of a live run that was killed, as of its last complete step; return the digest.
+    """Save the map of a run that was killed and cannot be continued, as of its last complete step; return the digest.
 
     Raises:
         MapFolderError: there is no map, nothing to save, or the disk refused.

@@ -26,6 +26,7 @@ import psutil
 
 from hickory_stream.engine.channel import ChannelClosed
 from hickory_stream.engine.crops import write_crop
+from hickory_stream.engine.going_back import known_before
 from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.message_ledger import message_ledger
 from hickory_stream.engine.placing import where_it_lies
@@ -34,7 +35,7 @@ from hickory_stream.engine.reading import Position, Read, Reader, live_channel, 
 from hickory_stream.engine.recorder import Recorder, Unwritten
 from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
 from hickory_stream.engine.shape_queue import ShapeQueue
-from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
+from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, Step, StepKind
 from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.events import (
     CancelShape,
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import JournalConfig, MapperConfig
+    from hickory_stream.engine.continued import Continued
     from hickory_stream.engine.journal import JournalWriter
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.engine.sink_threads import SinkThread
@@ -92,18 +94,6 @@ class Progress:
     keyframes: int
     objects: int
     open_shapes: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Continued:
-    """What a run was when it was interrupted, from its journal: its core, its last step, and the jobs it waited for."""
-
-    core: MapperCore
-    step: Step
-    position: Position
-    open_jobs: tuple[OpenJob, ...]
-    mesh_names: tuple[str, ...]
-    last_frame: FramePose
 
 
 class Run:
@@ -341,6 +331,9 @@ class Run:
         self.counts.update(read.counts)
         self.counts["between_keyframes"] -= read.counts.get("frames_undecodable", 0)
         jump = self._jump(read)
+        if raw.goes_back and self._mode == "playback":
+            await self._go_back(raw.stamp_ns)
+            jump = None
         if jump is not None:
             self.counts["time_jumps"] += 1
             if self._mode == "playback":
@@ -355,6 +348,21 @@ class Run:
         self._first_ns = raw.stamp_ns if self._first_ns is None else self._first_ns
         self._last = FramePose(index=raw.index, stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
         self._unwritten.frames.append(self._last)
+
+    async def _go_back(self, stamp_ns: int) -> None:
+        """Have the map as it was known before a stamp; what was to be written of the part that is left is dropped."""
+        self.counts["went_back"] += 1
+        await self._recorder.written()
+        back = await self._in(self._thinker, known_before, self._folder, self._config.mapping, stamp_ns, self._core)
+        self._core = back.core
+        done = self._unwritten
+        done.events.clear()
+        done.goes_back_to, done.lost_views = back.num_steps, back.lost_views
+        kept = back.core.view_names()
+        done.dropped_views = [name for name in (*done.dropped_views, *back.unused_views) if name not in kept]
+        done.ended_jobs += self._shapes.go_back(back.open_jobs, back.answers)
+        self._snapshot = await self._in(self._thinker, self._core.snapshot)
+        self._publish(self._snapshot)
 
     async def _correct(self, stamp_ns: int) -> None:
         """Place submaps where they were said to lie since the last frame."""
@@ -449,6 +457,9 @@ class Run:
             counts=dict(self.counts),
             shape_counts=self._shape_counts(),
             metrics=metrics,
+            goes_back_to=done.goes_back_to,
+            lost_views=done.lost_views,
+            num_seeks=self._fates().get("seeks", 0),
         )
         every = self._config.journal.checkpoint_keyframes
         checkpoint: Checkpoint | None = None

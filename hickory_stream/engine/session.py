@@ -48,7 +48,7 @@ from hickory_stream.geometry.mesh import read_glb, sha256_of
 from hickory_stream.records import MapSnapshot
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from hickory_stream.engine.time_travel import Change
@@ -186,6 +186,15 @@ class MapFolder:
     def drop_view(self, name: str) -> None:
         """Remove a view's pixels once the saved map does not refer to them."""
         self._drop_requests.extend(crop_files(self.views, name))
+
+    def keep_views(self, names: Iterable[str]) -> set[str]:
+        """Remove these views' pixels no more, though that was asked for; return those that are gone already."""
+        with self._lock:
+            while self._drop_requests:
+                self._dropped.add(self._drop_requests.popleft())
+            files = {name: crop_files(self.views, name) for name in names}
+            self._dropped.difference_update(*files.values())
+            return {name for name, paths in files.items() if not all(path.exists() for path in paths)}
 
     def keep_shape(self, mesh_name: str) -> None:
         """Never remove a mesh: the map was known to have it at some moment."""

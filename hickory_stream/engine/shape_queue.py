@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.engine.jobs import (
@@ -25,6 +25,8 @@ from hickory_stream.errors import MapFolderError, WorkerError
 from hickory_stream.events import ShapeFailed, ShapeReady
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.engine.shape_cache import ShapeCache
     from hickory_stream.engine.workers import ShapeWorkers
@@ -38,6 +40,7 @@ class _Open:
     object_id: int
     answer: asyncio.Future[str | None]
     cache_key: str | None = None
+    known: ShapeReady | ShapeFailed | None = None
 
 
 class ShapeQueue:
@@ -95,6 +98,28 @@ class ShapeQueue:
             raise MapFolderError(f"{folder}, which the map waits for, did not reach the disk; play the log again")
         self._open[job.ticket] = _Open(job.due_ns, job.object_id, answer)
 
+    def go_back(self, jobs: Iterable[OpenJob], answers: Mapping[int, ShapeReady | ShapeFailed]) -> list[int]:
+        """Wait for these jobs and no others; return the tickets of those that are given up.
+
+        `answers` are results that were committed before, and are committed again when they are due. A job that was
+        cancelled since has none.
+        """
+        wanted = {job.ticket: job for job in jobs}
+        given_up = [ticket for ticket in self._open if ticket not in wanted]
+        for ticket in given_up:
+            self.cancel(ticket)
+        for ticket, job in wanted.items():
+            if ticket not in self._open:
+                cancelled = ShapeFailed(
+                    ticket=ticket,
+                    object_id=job.object_id,
+                    stamp_ns=job.due_ns,
+                    reason="cancelled before it was sought back",
+                )
+                known = answers.get(ticket, cancelled)
+                self._open[ticket] = _Open(job.due_ns, job.object_id, _answered(), known=known)
+        return given_up
+
     def forget(self, tickets: list[int]) -> None:
         """Remove the folders of jobs that are over; the input of one that failed is kept."""
         for ticket in tickets:
@@ -132,6 +157,8 @@ class ShapeQueue:
         job = self._open[ticket]
         reason = await job.answer
         del self._open[ticket]
+        if job.known is not None:
+            return replace(job.known, stamp_ns=stamp_ns)
         if reason is None:
             folder = job_folder(self._folder.jobs, ticket)
             try:

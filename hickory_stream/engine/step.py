@@ -49,7 +49,9 @@ class Step:
     `frames` are those that were read since the last step, the keyframe among them last; `round_index` and `first_index`
     the round of the log and the index of its first frame, `first_ns` the stamp of the first of all. `num_frames`,
     `num_keyframes` and the `counts` are totals.
-    `metrics` are the numbers of the report, e.g. seconds per stage. `camera` is that of the frames.
+    `metrics` are the numbers of the report, e.g. seconds per stage. `camera` is that of the frames. `goes_back_to`: the
+    log was sought back in, and the core is that of so many steps again, without the `lost_views`; then came the events.
+    `num_seeks` is how often somebody sought so far, back or ahead.
     """
 
     kind: StepKind
@@ -64,6 +66,9 @@ class Step:
     counts: Mapping[str, int]
     shape_counts: Mapping[str, int]
     metrics: tuple[tuple[str, float], ...] = ()
+    goes_back_to: int | None = None
+    lost_views: tuple[str, ...] = ()
+    num_seeks: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

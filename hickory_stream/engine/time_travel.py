@@ -47,7 +47,7 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
         MapFolderError: there is no map or no journal, or it is damaged or of another version.
     """
     with Journal(path) as journal:
-        index = _step_at(journal.stamps_ns, stamp_ns)
+        index = step_at(journal.stamps_ns, stamp_ns)
         if index is None:
             return MapSnapshot(revision=0, stamp_ns=stamp_ns, submaps=(), objects=())
         replay = Replay(journal, recorded_config(path).mapping)
@@ -116,7 +116,7 @@ def own_clock_s(stamps_ns: NDArray[np.int64], time_jump_s: float) -> NDArray[np.
     return np.cumsum(gaps_ns) / 1e9
 
 
-def _step_at(stamps_ns: NDArray[np.int64], stamp_ns: int) -> int | None:
+def step_at(stamps_ns: NDArray[np.int64], stamp_ns: int) -> int | None:
     """Return the last step that had come by a stamp.
 
     Of a log that was played in rounds that is one of the last round in which the stamp came up.

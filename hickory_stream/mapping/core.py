@@ -81,12 +81,13 @@ from hickory_stream.mapping.track import (
     sketched,
     touching,
     with_cloud,
+    without_views,
 )
 from hickory_stream.mapping.views import ViewConfig, better, covers_better, score, score_bound, sector_of
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -191,6 +192,27 @@ class MapperCore:
             empty = getattr(core, name)
             # A written state has tuples where there were lists.
             setattr(core, name, type(empty)(value) if isinstance(empty, (list, dict, set)) else value)
+        return core
+
+    def view_names(self) -> set[str]:
+        """Return the names of the views that the map has."""
+        return {view.name for track in self._tracks.values() for view in track.views}
+
+    def going_on_after(self, later: MapperCore, lost_views: Collection[str]) -> MapperCore:
+        """Return a core with this one's map that goes on after a later one was left.
+
+        Objects, jobs and revisions are numbered on from the later one's, so that each number means one thing.
+        `lost_views` have no pixels any more: nothing can be made of them.
+        """
+        core = MapperCore.from_state(self._config, self.state())
+        core._next_id = max(self._next_id, later._next_id)
+        core._next_ticket = max(self._next_ticket, later._next_ticket)
+        core._revision = max(self._revision, later._revision)
+        core._kept_views -= set(lost_views)
+        lost = set(lost_views)
+        for track_id, track in self._tracks.items():
+            if not lost.isdisjoint(view.name for view in track.views):
+                core._tracks[track_id] = without_views(track, lost)
         return core
 
     def snapshot(self) -> MapSnapshot:

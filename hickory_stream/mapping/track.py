@@ -11,10 +11,11 @@ from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.voxels import in_company
 from hickory_stream.mapping.cloud import Cloud, fuse, solid_part
+from hickory_stream.mapping.views import better
 from hickory_stream.records import Phase, TrackedObject, View
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
 
@@ -125,6 +126,17 @@ def sketched(track: Track, config: TrackConfig) -> Track:
     if abs(count - before) <= config.sketch_growth * before:
         return track
     return replace(track, sketch=sketch(track.solid.points, track.box), sketched_points=count)
+
+
+def without_views(track: Track, names: Collection[str]) -> Track:
+    """Return the track without some of its views; the best of the others is its best view."""
+    coverage = tuple((sector, view) for sector, view in track.coverage if view.name not in names)
+    best = track.best_view
+    if best is not None and best.name in names:
+        best = None
+        for _, view in coverage:
+            best = better(best, view) if view.score is not None else best
+    return replace(track, coverage=coverage, best_view=best)
 
 
 def bounds_of(points: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,0 +1,23 @@
+"""Where an interrupted run goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hickory_stream.engine.reading import Position
+    from hickory_stream.engine.step import FramePose, OpenJob, Step
+    from hickory_stream.mapping.core import MapperCore
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Continued:
+    """What a run was when it was interrupted, from its journal: its core, its last step, and the jobs it waited for."""
+
+    core: MapperCore
+    step: Step
+    position: Position
+    open_jobs: tuple[OpenJob, ...]
+    mesh_names: tuple[str, ...]
+    last_frame: FramePose

@@ -1,0 +1,207 @@
+"""Somebody goes back in a log that is being played: the map is as it was known then, and goes on from there."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.replay import replay
+from hickory_stream.engine.resume import save_live, was_sought
+from hickory_stream.engine.session import open_map
+from hickory_stream.errors import MapFolderError
+from hickory_stream.testing import PERIOD_NS, START_NS, RememberingSink, SceneSource
+from players.playback import PlaybackClock, PlayedSource
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.ports import Sink
+    from hickory_stream.records import Frame, MapSnapshot, RawFrame, TrackedObject
+
+pytestmark = pytest.mark.timeout(120)
+
+# Up to the sixth frame, and from the third on again.
+BACK_AT, BACK_TO = 6, 2
+
+
+class SoughtSource(SceneSource):
+    """The scene, in which somebody went back: the frames in an order, the first of each new run of them told so."""
+
+    def __init__(self, order: Sequence[int]) -> None:
+        super().__init__(NUM_FRAMES)
+        self._order = list(order)
+        self._seeks = 0
+
+    def frames(self) -> Iterator[RawFrame]:
+        scene, last = list(super().frames()), -1
+        for index, number in enumerate(self._order):
+            goes_back = number < last
+            self._seeks += goes_back
+            decode = partial(_renumbered, scene[number].decode, index)
+            yield replace(scene[number], index=index, decode=decode, goes_back=goes_back)
+            last = number
+
+    def ledger(self) -> Mapping[str, int]:
+        return {**super().ledger(), **({"seeks": self._seeks} if self._seeks else {})}
+
+
+def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:
+    return replace(decode(), index=index)
+
+
+def sought(path: Path, order: Sequence[int], *overrides: str, sink: Sink | None = None, name: str = "map") -> SceneRun:
+    from hickory_stream.sinks.disk_sink import DiskSink
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        return [(DiskSink(folder), True), *([(sink, True)] if sink is not None else [])]
+
+    every = "journal.checkpoint_keyframes=3"
+    return map_scene(path, every, *overrides, source=SoughtSource(order), sinks=sinks, name=name)
+
+
+def there_and_back() -> list[int]:
+    return [*range(BACK_AT), *range(BACK_TO, NUM_FRAMES)]
+
+
+def shown_as(snapshot: MapSnapshot) -> list[tuple[object, ...]]:
+    """What a map says of its objects, whatever their numbers and those of the frames."""
+
+    def of(item: TrackedObject) -> tuple[object, ...]:
+        known = (item.phase, item.sightings, item.first_seen_ns, item.last_seen_ns)
+        arrays = (item.points_world.tobytes(), item.box.world_from_box.tobytes())
+        best_ns = None if item.best_view is None else item.best_view.stamp_ns
+        return (*known, *arrays, [view.stamp_ns for view in item.views], best_ns, item.shape is not None)
+
+    return [of(item) for item in snapshot.objects]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+    return map_scene(tmp_path_factory.mktemp("undisturbed"), *NO_SHAPES)
+
+
+def test_the_map_is_that_of_before_and_in_the_end_that_of_a_run_in_which_nobody_sought(
+    tmp_path: Path, undisturbed: SceneRun
+) -> None:
+    sink = RememberingSink()
+    run = sought(tmp_path, there_and_back(), *NO_SHAPES, sink=sink)
+    known = [report.snapshot for report in sink.reports if report.snapshot is not None]
+    # Seen a third time, and not a seventh: what the first pass knew of the third frame is forgotten.
+    assert shown_as(known[BACK_AT]) == shown_as(known[BACK_TO])
+    assert shown_as(known[-1]) == shown_as(open_map(undisturbed.folder.path).snapshot)
+    revisions = [snapshot.revision for snapshot in known[:-1]]
+    assert revisions == sorted(set(revisions))
+    assert run.digest == map_digest(known[-1])
+
+
+def test_the_journal_replays_it_and_knows_both_pasts(tmp_path: Path) -> None:
+    sink = RememberingSink()
+    run = sought(tmp_path, there_and_back(), *NO_SHAPES, sink=sink)
+    assert map_digest(replay(run.folder.path)) == run.digest
+    with Journal(run.folder.path) as journal:
+        steps = [journal.step(i) for i in range(len(journal))]
+    assert [step.goes_back_to for step in steps[: BACK_AT + 2]] == [*[None] * BACK_AT, BACK_TO, None]
+    # Of a moment that came twice, the second time counts.
+    known = [report.snapshot for report in sink.reports if report.snapshot is not None]
+    saved = open_map(run.folder.path)
+    at_four = saved.as_known_at(START_NS + 4 * PERIOD_NS)
+    assert map_digest(at_four) == map_digest(known[BACK_AT + 2])
+    assert map_digest(saved.as_known_at(START_NS + PERIOD_NS)) == map_digest(known[1])
+
+
+def test_going_back_again_and_to_the_very_beginning(tmp_path: Path, undisturbed: SceneRun) -> None:
+    order = [*there_and_back()[:-2], *range(3, 5), *range(NUM_FRAMES)]
+    run = sought(tmp_path, order, *NO_SHAPES)
+    assert shown_as(open_map(run.folder.path).snapshot) == shown_as(open_map(undisturbed.folder.path).snapshot)
+    assert map_digest(replay(run.folder.path)) == run.digest
+    ids = [item.id for item in open_map(run.folder.path).snapshot.objects]
+    assert min(ids) > max(item.id for item in open_map(undisturbed.folder.path).snapshot.objects)
+
+
+def test_shapes_that_were_open_then_are_committed_again_when_they_are_due(tmp_path: Path) -> None:
+    plain = map_scene(tmp_path, name="plain")
+    run = sought(tmp_path, there_and_back())
+    saved = open_map(run.folder.path)
+    assert [o.shape is not None for o in saved.snapshot.objects] == [
+        o.shape is not None for o in open_map(plain.folder.path).snapshot.objects
+    ]
+    assert map_digest(replay(run.folder.path)) == run.digest
+    for item in saved.snapshot.objects:
+        assert item.shape is not None
+        assert len(saved.mesh(item.shape).vertices) > 0
+        assert all((saved.views / f"{view.name}.json").is_file() for view in item.views)
+
+
+def test_such_a_run_is_not_reproducible_and_says_how_often(tmp_path: Path) -> None:
+    run = sought(tmp_path, there_and_back(), *NO_SHAPES)
+    saved = open_map(run.folder.path)
+    assert not saved.manifest.is_reproducible
+    assert saved.ledger["frames"]["went_back"] == 1
+
+
+def test_a_run_that_was_sought_in_and_stopped_cannot_be_resumed_but_saved(tmp_path: Path) -> None:
+    stopped: list[MapSnapshot] = []
+
+    async def stop(mapper: Mapper, snapshot: MapSnapshot) -> None:
+        stopped.append(snapshot)
+        if snapshot.revision == BACK_AT + 2:
+            mapper.stop()
+
+    path = map_scene(
+        tmp_path, *NO_SHAPES, source=SoughtSource(there_and_back()), on_snapshot=stop, rate=2.0
+    ).folder.path
+    assert was_sought(path)
+
+    async def resume() -> None:
+        async with Mapper.resuming(path) as mapper:
+            async for _ in mapper.run(SceneSource(NUM_FRAMES)):
+                pass
+
+    with pytest.raises(MapFolderError, match="somebody went to and fro in the log"):
+        asyncio.run(resume())
+    assert save_live(path) == map_digest(open_map(path).snapshot)
+    assert len(open_map(path).snapshot.objects) > 0
+
+
+def test_a_source_that_is_sought_by_its_clock_says_so_and_keeps_the_jumps_that_are_skipped() -> None:
+    clock, jump = PlaybackClock(), np.eye(4)
+    jump[0, 3] = 0.5
+
+    class Jumping(SceneSource):
+        def frames(self) -> Iterator[RawFrame]:
+            for raw in super().frames():
+                yield replace(raw, after_from_before=jump) if raw.index in (2, 4) else raw
+
+    shown: list[tuple[int, bool, float | None]] = []
+    for frame in PlayedSource(Jumping(8), clock).frames():
+        x_m = None if frame.after_from_before is None else float(frame.after_from_before[0, 3])
+        shown.append(((frame.stamp_ns - START_NS) // PERIOD_NS, frame.goes_back, x_m))
+        if len(shown) == 2:
+            clock.seek(6 * PERIOD_NS / 1e9)
+        if len(shown) == 3:
+            clock.seek(3 * PERIOD_NS / 1e9)
+    back = [(3, True, None), (4, False, 0.5), (5, False, None), (6, False, None), (7, False, None)]
+    assert shown == [(0, False, None), (1, False, None), (6, False, 1.0), *back]
+
+
+def test_pixels_that_are_gone_are_known_to_be_gone_and_the_others_are_kept(tmp_path: Path) -> None:
+    run = sought(tmp_path, range(NUM_FRAMES), *NO_SHAPES)
+    folder, snapshot = run.folder, open_map(run.folder.path).snapshot
+    (first, second, *_) = sorted({view.name for item in snapshot.objects for view in item.views})
+    folder.drop_view(first)
+    folder.drop_view(second)
+    assert folder.keep_views([first, "000099-000"]) == {"000099-000"}
+    folder.save(replace(snapshot, objects=()))
+    assert (folder.views / f"{first}.json").exists()
+    assert not (folder.views / f"{second}.json").exists()
