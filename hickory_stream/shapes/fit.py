@@ -61,7 +61,7 @@ class FitConfig:
     coarse_iterations: int = 5
     fine_samples: int = 800
     fine_iterations: int = 8
-    gain_samples: int = 10_000
+    gain_samples: int = 6000
     merge_loss: float = 0.02
     num_rounds: int = 1
     joint_samples: int = 4500
@@ -136,17 +136,24 @@ def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]
     """Return the rows (`quadric_lm`) of the primitives, in units of cells."""
     field = FitField(grid, config.waste_weight)
     rows: list[NDArray[np.float64]] = []
-    while len(rows) < config.max_primitives:
+    least = config.min_gain * field.volume
+    # No primitive gains more than what is left.
+    while len(rows) < config.max_primitives and field.unexplained() >= least:
         best = best_candidate(field, config)
-        if best is None or field.gain(best, config.gain_samples) < config.min_gain * field.volume:
+        if best is None or field.gain(best, config.gain_samples) < least:
             break
         rows.append(best)
         field.consume(best)
+    before = rows
     for _ in range(config.num_rounds):
-        rows = polished(field, rows, config)
+        before = rows = polished(field, rows, config)
         rows = pruned(field, merged(field, rows, config), config)
     rows = with_protruding(field, rows, config)
-    return polished(field, rows, config)
+    return rows if _are_same(rows, before) else polished(field, rows, config)
+
+
+def _are_same(rows: list[NDArray[np.float64]], others: list[NDArray[np.float64]]) -> bool:
+    return len(rows) == len(others) and all(row is other for row, other in zip(rows, others, strict=True))
 
 
 def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
@@ -283,6 +290,7 @@ def pruned(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) 
 def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
     """Return starts over the largest components of what is left, and over boxes grown from its deepest cells."""
     left = field.left
+    first_cell, left = _cropped(left)
     labels, count = ndimage.label(left)
     if count == 0:
         return []
@@ -293,7 +301,7 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
     depth = ndimage.distance_transform_cdt(left, "chessboard")
     for label in np.argsort(-sizes, kind="stable")[: min(count, num_seeds)]:
         window = windows[label - 1]
-        first = np.array([part.start for part in window])
+        first = np.array([part.start for part in window]) + first_cell
         mine = labels[window] == label
         starts += _component_starts(np.argwhere(mine) + first)
         depth_here = depth[window] * mine
@@ -308,6 +316,19 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
             (a, b, c), (d, e, f) = np.maximum(box[0] - first, 0), np.maximum(box[1] - first + 1, 0)
             depth_here[a:d, b:e, c:f] = 0
     return starts
+
+
+def _cropped(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the first cell of the box around what is set, with one cell of room, and the part within it."""
+    first, window = np.zeros(3, np.int64), []
+    for axis in range(3):
+        others = tuple(other for other in range(3) if other != axis)
+        used = np.flatnonzero(cells.any(axis=others))
+        if len(used) == 0:
+            return first, cells[:0]
+        first[axis] = max(int(used[0]) - 1, 0)
+        window.append(slice(int(first[axis]), int(used[-1]) + 2))
+    return first, cells[tuple(window)]
 
 
 def _best_by_gain(

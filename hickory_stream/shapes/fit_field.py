@@ -60,6 +60,10 @@ class FitField:
         """The logarithm of the longest semi-axis that makes sense, in cells."""
         return float(np.log(max(self._object.shape)))
 
+    def unexplained(self) -> float:
+        """Return the volume of the object that no primitive explains, in cells."""
+        return float(np.maximum(self._object - self._covered, 0).sum(dtype=np.float64))
+
     def samples(self, max_samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the (N, 3) cells within the band of the surface, evenly thinned out, and their (N,) distances."""
         if self._band_cells is None:
@@ -155,8 +159,14 @@ class FitField:
 
 
 @numba.njit(cache=True, nogil=True)
-def _occupancy(row, x, y, z, axes, within, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the share of a cell within a primitive, linear near its surface.
+def _occupancy(d):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the share of a cell within a primitive, linear near its surface."""
+    return min(max(0.5 - d, 0.0), 1.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _distance(row, x, y, z, axes, within, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the signed distance of a cell to a primitive; beyond half a cell no more than a lower bound of its size.
 
     `axes` = exp(row[2:5]); `within` is the inscribed box, in shares of them.
     """
@@ -166,18 +176,20 @@ def _occupancy(row, x, y, z, axes, within, local, gradient, shape):  # type: ign
     w = abs(row[10] * dx + row[13] * dy + row[16] * dz)
     # Most cells need no logarithm: outside the box is outside; deep in the inscribed box or octahedron (exponents up
     # to 1, ellipsoid) is inside. A gauge changes by at most 1 / inradius per cell.
-    if u > axes[0] + 0.5 or v > axes[1] + 0.5 or w > axes[2] + 0.5:
-        return 0.0
-    if min(within * axes[0] - u, within * axes[1] - v, within * axes[2] - w) > 0.5:
-        return 1.0
+    outside = max(u - axes[0], v - axes[1], w - axes[2])
+    if outside > 0.5:
+        return outside
+    inside = min(within * axes[0] - u, within * axes[1] - v, within * axes[2] - w)
     u, v, w = u / axes[0], v / axes[1], w / axes[2]
     smallest = min(axes[0], axes[1], axes[2])
     if row[0] <= 1.0 and row[1] <= 1.0:
-        if (1.0 - np.sqrt(u * u + v * v + w * w)) * smallest > 0.5:
-            return 1.0
-    elif (1.0 - u - v - w) * smallest / 1.7320508 > 0.5:
-        return 1.0
-    return min(max(0.5 - tangent_distance(row, x, y, z, local, gradient, shape, False), 0.0), 1.0)
+        inside = max(inside, (1.0 - np.sqrt(u * u + v * v + w * w)) * smallest)
+    else:
+        inside = max(inside, (1.0 - u - v - w) * smallest / 1.7320508)
+    if inside > 0.5:
+        return -inside
+    # Inside, the distance to a tangent plane is no lower bound.
+    return max(tangent_distance(row, x, y, z, local, gradient, shape, False, 0.5), -0.5)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -193,9 +205,13 @@ def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no c
     axes, within = np.exp(row[2:5]), _inscribed(row)
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
-            for k in range(low[2], high[2]):
-                occupied = _occupancy(row, i, j, k, axes, within, local, gradient, shape)
-                out[i - low[0], j - low[1], k - low[2]] = occupied
+            k = low[2]
+            while k < high[2]:
+                d = _distance(row, i, j, k, axes, within, local, gradient, shape)
+                # From one cell to the next a distance changes by at most 1: what is far stays on its side for a while.
+                end = min(k + 1 + int(max(abs(d) - 0.5, 0.0)), high[2])
+                out[i - low[0], j - low[1], k - low[2] : end - low[2]] = _occupancy(d)
+                k = end
     return out
 
 
@@ -217,7 +233,7 @@ def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignor
         before = covered[i, j, k]
         if before >= 1.0:
             continue
-        after = max(_occupancy(row, i, j, k, axes, within, local, gradient, shape), before)
+        after = max(_occupancy(_distance(row, i, j, k, axes, within, local, gradient, shape)), before)
         share = inside[i, j, k]
         total += min(after, share) - min(before, share)
         total -= waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))

@@ -71,7 +71,7 @@ def owners_of(points, rows):  # type: ignore[no-untyped-def] # pragma: no cover
 def _distances(point, rows, out):  # type: ignore[no-untyped-def] # pragma: no cover
     local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
     for k in range(len(rows)):
-        out[k] = tangent_distance(rows[k], point[0], point[1], point[2], local, gradient, shape, False)
+        out[k] = tangent_distance(rows[k], point[0], point[1], point[2], local, gradient, shape, False, np.inf)
 
 
 @numba.njit(cache=True, nogil=True)

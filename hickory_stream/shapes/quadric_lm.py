@@ -61,7 +61,7 @@ def refined(
 
 def distances_to(row: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (N,) signed tangent-plane distances of (N, 3) points to a primitive, in the units of its row."""
-    return np.asarray(_distances(row, points))
+    return np.asarray(_distances(row, points, np.inf))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -118,17 +118,24 @@ def _entropy(p, q):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def tangent_distance(row, x, y, z, local, gradient, shape, with_shape):  # type: ignore[no-untyped-def] # pragma: no cover
+def tangent_distance(  # type: ignore[no-untyped-def] # pragma: no cover
+    row, x, y, z, local, gradient, shape, with_shape, depth
+):
     """Return the signed distance of a point to a tangent plane near it; fill the local point and the derivatives there.
 
     A convex body lies behind its tangent planes: the distance to one bounds the true distance from below outside, from
     above inside. Outside the plane is that of the ray from the centre; inside it is the closest of that and of those
-    met along the three axes, or else the rim of a plate would seem to be nearer than its faces.
+    met along the three axes, or else the rim of a plate would seem to be nearer than its faces. For points that are
+    deeper than `depth` a bound is returned that is deeper, too.
     """
     log_h = _log_gauge(row, x, y, z, local, gradient, shape, with_shape)
     slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
     if log_h >= 0.0:
         return (1.0 - np.exp(-log_h)) / slope
+    # The body holds the ellipsoid, or else the octahedron, of its semi-axes; 1 - h is the share of the way out.
+    smallest = np.exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
+    if (1.0 - np.exp(log_h)) * smallest > depth:
+        return -(1.0 - np.exp(log_h)) * smallest
     best = (np.exp(min(-log_h, 500.0)) - 1.0) / slope
     p0, p1, p2 = local[0], local[1], local[2]
     axis, reach = _nearest_along_axes(row, p0, p1, p2)
@@ -171,11 +178,11 @@ def _nearest_along_axes(row, x, y, z):  # type: ignore[no-untyped-def] # pragma:
 
 
 @numba.njit(cache=True, nogil=True)
-def _distances(row, points):  # type: ignore[no-untyped-def] # pragma: no cover
+def _distances(row, points, depth):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty(points.shape[0])
     local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
     for n in range(points.shape[0]):
-        out[n] = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False)
+        out[n] = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False, depth)
     return out
 
 
@@ -199,7 +206,7 @@ def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ign
     jacobian = np.empty(11)
     local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
     for n in range(points.shape[0]):
-        d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True)
+        d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True, band)
         if d > OUTER_BAND or d < -band:
             continue
         r = d - targets[n]
@@ -269,7 +276,7 @@ def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
     row, points, distances, weights, band, iterations, max_log_axis
 ):
     targets = np.minimum(np.maximum(distances, -band), OUTER_BAND)
-    d = _distances(row, points)
+    d = _distances(row, points, band)
     sigma2 = _sigma2(d, targets, weights, band, band * band)
     cost = _cost(d, targets, weights, band, sigma2)
     damping = 1e-3
@@ -281,7 +288,7 @@ def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
             for p in range(11):
                 lhs[p, p] += damping * a[p, p] + 1e-6 * (a[0, 0] + a[5, 5] + 1.0)
             candidate = _stepped(row, np.linalg.solve(lhs, b), max_log_axis)
-            d = _distances(candidate, points)
+            d = _distances(candidate, points, band)
             new_cost = _cost(d, targets, weights, band, sigma2)
             if new_cost < cost:
                 gain = (cost - new_cost) / max(cost, 1e-12)
@@ -313,7 +320,7 @@ def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: 
             and abs(row[9] * dx + row[12] * dy + row[15] * dz) < reach[1]
             and abs(row[10] * dx + row[13] * dy + row[16] * dz) < reach[2]
         ):
-            d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False)
+            d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False, band)
             out[n] = min(max(d, -band), OUTER_BAND)
     return out
 
@@ -335,7 +342,7 @@ def normal_step(  # type: ignore[no-untyped-def] # pragma: no cover
         cost += _loss(r)
         if found[n] > others[n] or found[n] >= OUTER_BAND or found[n] <= -band:
             continue
-        tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True)
+        tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True, band)
         w = 1.0 if r <= _HUBER else _HUBER / r
         scale = 1.0 / np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
         for p in range(5):
