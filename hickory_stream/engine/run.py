@@ -360,8 +360,9 @@ class Run:
         await self._commit_due(frame.stamp_ns)
         waited = time.perf_counter()
         prior = self._snapshot.submaps[-1].observed_space if self._snapshot is not None else None
+        known = self._snapshot.objects if self._snapshot is not None else ()
         perceived = await self._in(
-            self._thinker, perceive, frame, prior, prepared, self._segmenter, self._config.perception
+            self._thinker, perceive, frame, prior, prepared, self._segmenter, self._config.perception, known
         )
         if not np.isfinite(frame.depth_m).any():
             self.counts["keyframes_without_depth"] += 1
