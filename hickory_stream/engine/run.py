@@ -431,7 +431,10 @@ class Run:
             await self._show(self._report(read.raw, frame, perceived, published, metrics))
 
     def _perceived(self, frame: Frame, prepared: object) -> Perceived:
-        return perceive(frame, self._core.observed_space(), prepared, self._segmenter, self._config.perception)
+        core = self._core
+        return perceive(
+            frame, core.observed_space(), prepared, self._segmenter, self._config.perception, core.known_objects()
+        )
 
     async def _commit(
         self,

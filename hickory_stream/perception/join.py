@@ -13,7 +13,17 @@ import numpy as np
 from hickory_stream.perception.floating import FloatConfig, Loose, holders
 from hickory_stream.perception.hidden import HiddenConfig, bridges
 from hickory_stream.perception.pieces import measure
-from hickory_stream.perception.rules import RuleConfig, Scene, bare_planes, bottoms, carriers, is_back, is_one_thing, legs, seats
+from hickory_stream.perception.rules import (
+    RuleConfig,
+    Scene,
+    bare_planes,
+    bottoms,
+    carriers,
+    is_back,
+    is_one_thing,
+    legs,
+    seats,
+)
 from hickory_stream.perception.seams import contacts_of, seams_of
 from hickory_stream.perception.standing import standing_of
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from hickory_stream.perception.descriptor import mask_feature
 from hickory_stream.perception.geometric import GeometricConfig
+from hickory_stream.perception.known import KnownConfig, with_known
 from hickory_stream.perception.observe import ObserveConfig, observe
 from hickory_stream.perception.space import SpaceConfig, observe_space
 
@@ -24,16 +25,18 @@ if TYPE_CHECKING:
         RejectedMask,
         Segmentation,
         SpaceObservation,
+        TrackedObject,
     )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PerceptionConfig:
-    """The segmenter, the lifting of masks, and the rays of the observed space."""
+    """The segmenter, the lifting of masks, the rays of the observed space, and the objects that the map knows."""
 
     geometric: GeometricConfig = field(default_factory=GeometricConfig)
     observe: ObserveConfig = field(default_factory=ObserveConfig)
     space: SpaceConfig = field(default_factory=SpaceConfig)
+    known: KnownConfig = field(default_factory=KnownConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -47,13 +50,18 @@ class Perceived:
 
 
 def perceive(
-    frame: Frame, prior: ObservedSpace | None, prepared: object, segmenter: Segmenter, config: PerceptionConfig
+    frame: Frame,
+    prior: ObservedSpace | None,
+    prepared: object,
+    segmenter: Segmenter,
+    config: PerceptionConfig,
+    known: Sequence[TrackedObject] = (),
 ) -> Perceived:
-    """Return what a keyframe shows, seen with the space that the map knows so far.
+    """Return what a keyframe shows, seen with the space and the objects that the map knows so far.
 
     `prepared` is what the segmenter's `prepare` gave for this frame, None if it was not called.
     """
-    segmentation = segmenter.segment(frame, prior, prepared)
+    segmentation = with_known(frame, segmenter.segment(frame, prior, prepared), known, config.known)
     observations, rejected = observe(frame, segmentation, config.observe)
     return Perceived(
         segmentation=segmentation,

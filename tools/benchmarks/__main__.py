@@ -11,7 +11,10 @@ from pathlib import Path
 import tools.benchmarks
 from tools.benchmarks.figures import Options, print_table, write_json
 
-_HELPERS = {"__main__", "figures", "live_scene", "processes", "shape_meshes", "shape_truth", "small_logs"}
+_HELPERS = {
+    *("__main__", "figures", "first_layer", "labelled_clouds", "live_scene", "mask_scores", "perception_models"),
+    *("processes", "shape_meshes", "shape_truth", "small_logs"),
+}
 
 
 def main() -> int:
@@ -26,6 +29,7 @@ def main() -> int:
         "--scenes", type=Path, nargs="+", default=[], metavar="DIR", help="truth folders with their logs beside them"
     )
     parser.add_argument("--meshes", type=Path, metavar="DIR", help="shapes: measure on the meshes of a folder instead")
+    parser.add_argument("--clouds", type=Path, metavar="DIR", help="perception: labelled clouds, *.pcd, of a folder")
     parser.add_argument("--render", type=Path, metavar="DIR", help="shapes: write a picture of each object")
     arguments = parser.parse_args()
     module = importlib.import_module(f"tools.benchmarks.{arguments.name}")
@@ -36,6 +40,7 @@ def main() -> int:
         quick=arguments.quick,
         scenes=tuple(arguments.scenes),
         meshes=arguments.meshes,
+        clouds=arguments.clouds,
         render=arguments.render,
     )
     figures = module.measure(options)

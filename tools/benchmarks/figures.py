@@ -31,13 +31,14 @@ class Options:
     """What a benchmark may be told.
 
     `quick` asks for a smaller sample in under 50 s; `scenes` are truth folders to measure on instead of its own,
-    `meshes` a folder of meshes; pictures go to `render`.
+    `meshes` a folder of meshes, `clouds` one of labelled clouds; pictures go to `render`.
     """
 
     seed: int
     quick: bool
     scenes: tuple[Path, ...] = ()
     meshes: Path | None = None
+    clouds: Path | None = None
     render: Path | None = None
 
 

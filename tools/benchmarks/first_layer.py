@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved, RequestShape, ShapeFailed, SourceEnded
+from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved, Publish, RequestShape, ShapeFailed
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
@@ -18,7 +18,7 @@ from hickory_stream.perception.perceive import features_of, perceive
 from players import open_source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from hickory_stream.events import Effect, Event
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlayedKeyframe:
-    """A keyframe as it was perceived, and the map after it."""
+    """A keyframe as it was perceived, and the map after it with what the core says of itself."""
 
     frame: Frame
     perceived: Perceived
-    core: MapperCore
     snapshot: MapSnapshot
+    metrics: Mapping[str, float]
 
 
 def keyframes_of(log: Path, config: MapperConfig, max_keyframes: int | None = None) -> Iterator[Frame]:
@@ -61,12 +61,8 @@ def play_first_layer(
     segmenter: Segmenter | None = None,
     extractor: FeatureExtractor | None = None,
     max_keyframes: int | None = None,
-    ends: bool = False,
 ) -> Iterator[PlayedKeyframe]:
-    """Yield every keyframe of a log with what perception and the core made of it.
-
-    Shapes are answered with failures. With `ends`, the core is told after the last keyframe that the log has ended.
-    """
+    """Yield every keyframe of a log with what perception and the core made of it; shapes are answered with failures."""
     config = config or MapperConfig()
     segmenter = segmenter or GeometricSegmenter(config.perception.geometric)
     extractor = extractor or ColorTextureDescriptor()
@@ -74,7 +70,8 @@ def play_first_layer(
     snapshot: MapSnapshot | None = None
     for frame in keyframes_of(log, config, max_keyframes):
         prior = snapshot.submaps[0].observed_space if snapshot is not None else None
-        perceived = perceive(frame, prior, None, segmenter, config.perception)
+        known = snapshot.objects if snapshot is not None else ()
+        perceived = perceive(frame, prior, None, segmenter, config.perception, known)
         event = FrameObserved(
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
@@ -88,18 +85,19 @@ def play_first_layer(
             pooled = features_of(frame, perceived.observations, effect.observation_indices, extractor)
             return FeaturesReady(frame_index=effect.frame_index, features=pooled)
 
-        _handle(core, event, frame.stamp_ns, features)
-        snapshot = core.snapshot()
-        yield PlayedKeyframe(frame=frame, perceived=perceived, core=core, snapshot=snapshot)
-    if ends and snapshot is not None:
-        core.handle(SourceEnded(stamp_ns=snapshot.stamp_ns))
+        published = _handle(core, event, frame.stamp_ns, features)
+        snapshot = published.snapshot
+        yield PlayedKeyframe(
+            frame=frame, perceived=perceived, snapshot=snapshot, metrics=dict(published.metrics)
+        )
 
 
 def _handle(
     core: MapperCore, event: Event, stamp_ns: int, features: Callable[[ComputeFeatures], FeaturesReady]
-) -> None:
-    """Give the core an event and the answers to what it asks for, at once."""
+) -> Publish:
+    """Give the core an event and the answers to what it asks for, at once; return what it published last."""
     waiting: list[Effect] = core.handle(event)
+    published: Publish | None = None
     while waiting:
         effect = waiting.pop(0)
         if isinstance(effect, ComputeFeatures):
@@ -107,3 +105,7 @@ def _handle(
         elif isinstance(effect, RequestShape):
             failed = ShapeFailed(ticket=effect.ticket, object_id=effect.object_id, stamp_ns=stamp_ns, reason="not asked")
             waiting += core.handle(failed)
+        elif isinstance(effect, Publish):
+            published = effect
+    assert published is not None, "every keyframe ends with a publication"
+    return published
