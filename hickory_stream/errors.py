@@ -6,6 +6,7 @@
     |   |-- RecordingError          a log that cannot be read or lacks what mapping needs
     |   |-- CalibrationError        intrinsics or extrinsics that are missing or contradict the images
     |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
+    |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
     |   `-- ViewerError             a viewer that was asked for and cannot be had
     `-- WorkerError                 a shape worker that could not be started or broke its protocol
 
@@ -41,6 +42,10 @@ class CalibrationError(InputError):
 
 class MapFolderError(InputError):
     """A map folder that cannot be written, opened or overwritten."""
+
+
+class ModelError(InputError):
+    """A network that is missing, damaged, of another kind, or that cannot run here."""
 
 
 class ViewerError(InputError):

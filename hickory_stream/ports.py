@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         ObservedSpace,
         RawFrame,
         Segmentation,
+        SemanticImage,
         SourceInfo,
     )
 
@@ -82,6 +83,19 @@ class FeatureExtractor(Protocol):
 
     def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return (h, w, D) float32 features of unit norm, one per patch; h = ceil(H / patch), w = ceil(W / patch)."""
+        ...
+
+
+class SemanticModel(Protocol):
+    """Names what pixels show: what is structure, and what moves of itself."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The names of its classes, by their ids."""
+        ...
+
+    def classify(self, rgb: NDArray[np.uint8]) -> SemanticImage:
+        """Return the class of every pixel of an image (H, W, 3)."""
         ...
 
 

@@ -114,12 +114,32 @@ class SourceInfo:
 # ---- perception -----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RejectedMask:
-    """A mask that became no observation, and why; `box_px` = (x0, y0, x1, y1), the ends exclusive."""
+    """A mask that became no observation, and why; `box_px` = (x0, y0, x1, y1), the ends exclusive.
+
+    `mask` (h, w) bool within the box, None where only the box is known.
+    """
 
     box_px: tuple[int, int, int, int]
     reason: str
+    mask: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        x0, y0, x1, y1 = self.box_px
+        if self.mask is not None:
+            freeze(self, "mask", np.bool_, (y1 - y0, x1 - x0))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SemanticImage:
+    """Which class each pixel is of: `classes` (H, W) int32, places in `labels`, -1 where the model does not say."""
+
+    classes: NDArray[np.int32]
+    labels: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self, "classes", np.int32, (None, None))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -383,8 +403,9 @@ class FrameReport:
     """Everything about one frame that a sink may show.
 
     `keyframe_index` is None between keyframes; then there is no `frame`, no `segmentation`, no `snapshot`.
-    `object_ids` (per observation) says which object each observation went to. `metrics` are named numbers for plots:
-    stage timings in seconds under `time/...`, queue lengths under `queue/...`, S under `score/ID`.
+    `object_ids` (per observation) says which object each observation went to; `rejected` are the masks that became
+    none. `patches` (h, w, D) are the patch features of the frame, None where none were computed. `metrics` are named
+    numbers for plots: stage timings in seconds under `time/...`, queue lengths under `queue/...`, S under `score/ID`.
     """
 
     index: int
@@ -397,9 +418,13 @@ class FrameReport:
     segmentation: Segmentation | None = None
     observations: tuple[Observation, ...] = ()
     object_ids: tuple[int | None, ...] = ()
+    rejected: tuple[RejectedMask, ...] = ()
+    patches: NDArray[np.float32] | None = None
     decisions: tuple[Decision, ...] = ()
     snapshot: MapSnapshot | None = None
     metrics: tuple[tuple[str, float], ...] = field(default=())
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_camera", np.float64, (4, 4))
+        if self.patches is not None:
+            freeze(self, "patches", np.float32, (None, None, None))

@@ -50,6 +50,8 @@ VALID: dict[type, dict[str, Any]] = {
         "decode": lambda: None,
         "after_from_before": _POSE,
     },
+    records.RejectedMask: {"box_px": (2, 3, 6, 5), "reason": "too small", "mask": np.ones((2, 4), bool)},
+    records.SemanticImage: {"classes": np.zeros((3, 4), np.int32), "labels": ("wall",)},
     records.Segmentation: {"instances": np.zeros((3, 4), np.int32), "structure": np.zeros((3, 4), bool)},
     records.Observation: {
         "index": 0,
@@ -163,6 +165,8 @@ FREE_LENGTH = {
     (mesh.Mesh, "faces"),
     (records.SpaceObservation, "free_keys"),
     (records.SpaceObservation, "structure_keys"),
+    (records.SemanticImage, "classes"),
+    (records.FrameReport, "patches"),
     (records.MaskFeature, "pooled"),
     (records.View, "feature"),
     (records.TrackedObject, "feature"),

@@ -22,8 +22,7 @@ from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
 from hickory_stream.errors import InputError, MapFolderError, RecordingError
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.perception.descriptor import ColorTextureDescriptor
-from hickory_stream.perception.geometric import GeometricSegmenter
+from hickory_stream.perception.choose import make_extractor, make_segmenter
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
@@ -45,13 +44,14 @@ class Mapper:
         config: everything that the mapper is configured by.
         out: the map folder to make; None makes one that is removed on leaving.
         overwrite: replace a map that is in `out`.
-        segmenter, extractor: other perception than the embedded one.
+        segmenter, extractor: other perception than the configured one.
         workers: other shape workers than child processes of this machine.
 
     Entering makes the shape workers available; leaving ends them. One `run` per mapper.
 
     Raises:
         ConfigError: the configuration asks for what is not there.
+        ModelError: it asks for a network that is missing, damaged, or cannot run here.
     """
 
     def __init__(
@@ -67,8 +67,8 @@ class Mapper:
         self.config = config or MapperConfig()
         self._out = Path(out) if out is not None else None
         self._overwrite = overwrite
-        self._segmenter = segmenter or GeometricSegmenter(self.config.perception.geometric)
-        self._extractor = extractor or ColorTextureDescriptor()
+        self._segmenter = segmenter or make_segmenter(self.config.perception)
+        self._extractor = extractor or make_extractor(self.config.perception)
         self._workers = workers or make_workers(self.config)
         self._resumes = False
         self._temporary: Path | None = None

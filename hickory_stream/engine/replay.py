@@ -99,6 +99,7 @@ def _reports(replayed: Replayed, journal: Journal, keyframe_index: int) -> list[
                 segmentation=_segmentation(observed, step.camera),
                 observations=observed.observations,
                 object_ids=published.object_ids,
+                rejected=observed.rejected,
                 decisions=published.decisions,
                 snapshot=published.snapshot,
                 metrics=(*step.metrics, *published.metrics),

@@ -145,6 +145,7 @@ class Run:
         self._camera: Camera | None = None
         self._last: FramePose | None = None
         self._mapped: Keyframe | None = None
+        self._patches: NDArray[np.float32] | None = None
         self._first_ns: int | None = None
         self._num_frames = 0
         self._num_keyframes = 0
@@ -419,6 +420,7 @@ class Run:
             space=perceived.space,
             rejected=perceived.rejected,
         )
+        self._patches = None
         published = await self._handle(event, frame, perceived.observations)
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
@@ -524,7 +526,7 @@ class Run:
         self, effect: ComputeFeatures, frame: Frame | None, observations: Sequence[Observation]
     ) -> FeaturesReady:
         assert frame is not None, "features are asked for while the frame is at hand"
-        features = await self._in(
+        features, self._patches = await self._in(
             self._thinker, features_of, frame, observations, effect.observation_indices, self._extractor
         )
         return FeaturesReady(frame_index=effect.frame_index, features=features)
@@ -654,6 +656,8 @@ class Run:
             segmentation=perceived.segmentation,
             observations=perceived.observations,
             object_ids=published.object_ids,
+            rejected=perceived.rejected,
+            patches=self._patches,
             decisions=published.decisions,
             snapshot=published.snapshot,
             metrics=(*metrics, *published.metrics),

@@ -53,7 +53,7 @@ def observe(
     for box_px, mask in _masks(segmentation.instances):
         lifted = _lift(frame, box_px, mask, config)
         if isinstance(lifted, str):
-            rejected.append(RejectedMask(box_px=box_px, reason=lifted))
+            rejected.append(RejectedMask(box_px=box_px, reason=lifted, mask=mask))
             continue
         points, colors, valid_share = lifted
         observations.append(

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from hickory_stream.perception.descriptor import mask_feature
 from hickory_stream.perception.geometric import GeometricConfig
 from hickory_stream.perception.known import KnownConfig, with_known
+from hickory_stream.perception.masks import MaskConfig
+from hickory_stream.perception.models.dinov2 import DinoConfig
+from hickory_stream.perception.models.fastsam import FastSamConfig
+from hickory_stream.perception.models.network import NetworkConfig
+from hickory_stream.perception.models.semantic_graph import SemanticConfig
 from hickory_stream.perception.observe import ObserveConfig, observe
 from hickory_stream.perception.space import SpaceConfig, observe_space
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from hickory_stream.ports import FeatureExtractor, Segmenter
     from hickory_stream.records import (
@@ -31,9 +38,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PerceptionConfig:
-    """The segmenter, the lifting of masks, the rays of the observed space, and the objects that the map knows."""
+    """The segmenter, the lifting of masks, the rays of the observed space, and the objects that the map knows.
 
+    Attributes:
+        segmenter: `geometric` needs no weights; `fastsam` is a network in the folder of models.
+        extractor: what gives patch features: `color_texture` needs no weights; `dinov2` is a network.
+        semantics: whose classes masks are rejected by: `none`, `oneformer`, or another `graph` of scores or class ids.
+    """
+
+    segmenter: Literal["geometric", "fastsam"] = "geometric"
+    extractor: Literal["color_texture", "dinov2"] = "color_texture"
+    semantics: Literal["none", "oneformer", "graph"] = "none"
     geometric: GeometricConfig = field(default_factory=GeometricConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    fastsam: FastSamConfig = field(default_factory=FastSamConfig)
+    dinov2: DinoConfig = field(default_factory=DinoConfig)
+    semantic: SemanticConfig = field(default_factory=SemanticConfig)
+    masks: MaskConfig = field(default_factory=MaskConfig)
     observe: ObserveConfig = field(default_factory=ObserveConfig)
     space: SpaceConfig = field(default_factory=SpaceConfig)
     known: KnownConfig = field(default_factory=KnownConfig)
@@ -73,7 +94,7 @@ def perceive(
 
 def features_of(
     frame: Frame, observations: Sequence[Observation], indices: Sequence[int], extractor: FeatureExtractor
-) -> tuple[MaskFeature, ...]:
-    """Return the pooled features of the observations at `indices`."""
+) -> tuple[tuple[MaskFeature, ...], NDArray[np.float32]]:
+    """Return the pooled features of the observations at `indices`, and the (h, w, D) patches they were pooled from."""
     patches = extractor.extract(np.asarray(frame.rgb))
-    return tuple(mask_feature(observations[i], patches, extractor.patch_px) for i in indices)
+    return tuple(mask_feature(observations[i], patches, extractor.patch_px) for i in indices), patches

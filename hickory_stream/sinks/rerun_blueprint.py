@@ -36,7 +36,12 @@ def default_blueprint(bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | 
                 row_shares=[5, 3],
             ),
             rrb.Vertical(
-                rrb.Tabs(_camera_view("Camera", ["color", "masks", "boxes"]), _camera_view("Depth", ["depth"])),
+                rrb.Tabs(
+                    _camera_view("Camera", ["color", "masks", "boxes"]),
+                    _camera_view("Rejected masks", ["color", "rejected/masks", "rejected/boxes"]),
+                    _camera_view("Features", ["features"]),
+                    _camera_view("Depth", ["depth"]),
+                ),
                 rrb.Tabs(
                     rrb.Spatial2DView(
                         origin=VIEWS,
@@ -45,6 +50,9 @@ def default_blueprint(bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | 
                         visual_bounds=rrb.VisualBounds2D(x_range=(-16, SHEET_PX[0]), y_range=(-16, SHEET_PX[1])),
                     ),
                     _plot("Score S", "score"),
+                    _plot("S: variance", "variance"),
+                    _plot("S: area", "area"),
+                    _plot("S: depth", "depth"),
                     _plot("Stage times [s]", "time"),
                     _plot("Objects by phase", "objects"),
                     _plot("Queues", "queue"),

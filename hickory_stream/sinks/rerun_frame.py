@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
+from hickory_stream.geometry.components import Components, main_components
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
 
@@ -28,6 +29,8 @@ _UNASSIGNED = 65535
 _GREY = (150, 150, 150)
 _MILLIMETRES = 1000.0
 _SEGMENT_LENGTH = 64
+# More reasons than this on one image hide one another; they show when a box is pointed at.
+_MOST_LABELS = 12
 
 
 def camera_items(report: FrameReport) -> list[LogItem]:
@@ -86,6 +89,52 @@ def mask_items(report: FrameReport) -> list[LogItem]:
         LogItem(path=f"{CAMERA}/masks", archetypes=(masks,), weight=Weight.HEAVY),
         LogItem(path=f"{CAMERA}/boxes", archetypes=(boxes,)),
     ]
+
+
+def rejected_items(report: FrameReport) -> list[LogItem]:
+    """Return the masks of a keyframe that became no observation: where they are, and as boxes with the reasons."""
+    image = np.zeros((report.camera.height, report.camera.width), dtype=np.uint16)
+    for rejected in report.rejected:
+        x0, y0, x1, y1 = rejected.box_px
+        if rejected.mask is not None:
+            image[y0:y1, x0:x1][rejected.mask] = _UNASSIGNED
+    boxes = rr.Boxes2D(
+        array=np.array([r.box_px for r in report.rejected], dtype=np.float32).reshape(-1, 4),
+        array_format=rr.Box2DFormat.XYXY,
+        labels=[r.reason for r in report.rejected],
+        colors=[_GREY] * len(report.rejected),
+        radii=-1.0,
+        show_labels=len(report.rejected) <= _MOST_LABELS,
+    )
+    return [
+        LogItem(
+            path=f"{CAMERA}/rejected/masks",
+            archetypes=(rr.SegmentationImage(image, opacity=0.6),),
+            weight=Weight.HEAVY,
+        ),
+        LogItem(path=f"{CAMERA}/rejected/boxes", archetypes=(boxes,)),
+    ]
+
+
+class FeatureColors:
+    """Shows patch features as colour: their three main components, found in the first frame and kept from then on.
+
+    The same feature then has the same colour in every frame.
+    """
+
+    def __init__(self) -> None:
+        self._components: Components | None = None
+
+    def items(self, report: FrameReport) -> list[LogItem]:
+        """Return the features of a keyframe as an image of its size; nothing where none were computed."""
+        if report.patches is None or report.patches.size == 0:
+            return []
+        if self._components is None or self._components.dim != report.patches.shape[2]:
+            self._components = main_components(report.patches)
+        small = self._components.colors(report.patches)
+        size = (report.camera.width, report.camera.height)
+        image = encoded_jpeg(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), 80)
+        return [LogItem(path=f"{CAMERA}/features", archetypes=(image,), weight=Weight.HEAVY)]
 
 
 class ClassColors:

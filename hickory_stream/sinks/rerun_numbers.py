@@ -12,9 +12,11 @@ from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_items import LogItem, Span
 
 if TYPE_CHECKING:
-    from hickory_stream.records import Decision, FrameReport
+    from hickory_stream.records import Decision, FrameReport, TrackedObject
 
 PLOTS, DECISIONS = "plots", "decisions"
+# The groups of curves that there is one of per object, and what they show: S = ln(1 + sigma^2) R_area^a R_depth^b.
+_PER_OBJECT = {"score": "S", "variance": "sigma^2", "area": "R_area", "depth": "R_depth"}
 _LEVELS = {
     "associate": rr.TextLogLevel.DEBUG,
     "view": rr.TextLogLevel.DEBUG,
@@ -35,6 +37,8 @@ class Plots:
         if report.snapshot is not None:
             phases = Counter(o.phase for o in report.snapshot.objects)
             metrics += [(f"objects/{phase}", float(phases[phase])) for phase in Phase]
+            for seen in report.snapshot.objects:
+                metrics += _factors(seen)
         items = []
         for name, value in metrics:
             path = f"{PLOTS}/{name}"
@@ -62,6 +66,18 @@ def decision_items(decisions: tuple[Decision, ...]) -> list[LogItem]:
     ]
 
 
+def _factors(seen: TrackedObject) -> list[tuple[str, float]]:
+    """Return the factors of S of an object's best view."""
+    view = seen.best_view
+    if view is None or view.variance is None:
+        return []
+    return [
+        (f"variance/{seen.id}", view.variance),
+        (f"area/{seen.id}", view.r_area),
+        (f"depth/{seen.id}", view.r_depth),
+    ]
+
+
 def _sentence(decision: Decision) -> str:
     about = "" if decision.object_id is None else f" {decision.object_id}"
     return f"{decision.kind}{about}: {decision.text}"
@@ -69,6 +85,6 @@ def _sentence(decision: Decision) -> str:
 
 def _curve(name: str) -> rr.SeriesLines:
     group, _, last = name.rpartition("/")
-    if group == "score" and last.isdecimal():
-        return rr.SeriesLines(names=f"S of {last}", colors=color_of_id(int(last)), widths=1.5)
+    if group in _PER_OBJECT and last.isdecimal():
+        return rr.SeriesLines(names=f"{_PER_OBJECT[group]} of {last}", colors=color_of_id(int(last)), widths=1.5)
     return rr.SeriesLines(names=last, widths=1.5)

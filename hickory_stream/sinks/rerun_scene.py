@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.sinks.rerun_blueprint import default_blueprint
 from hickory_stream.sinks.rerun_frame import (
     ClassColors,
+    FeatureColors,
     Trajectory,
     camera_items,
     color_items,
     depth_items,
     mask_items,
+    rejected_items,
 )
 from hickory_stream.sinks.rerun_items import LogItem, Span
 from hickory_stream.sinks.rerun_numbers import Plots, decision_items
@@ -42,6 +44,7 @@ class RerunScene:
         self._plots = Plots()
         self._trajectory = Trajectory()
         self._class_colors = ClassColors()
+        self._feature_colors = FeatureColors()
         self._last_snapshot: MapSnapshot | None = None
         self._num_frames = 0
 
@@ -75,6 +78,7 @@ class RerunScene:
         if report.frame is not None:
             items += depth_items(report.frame)
         items += self._class_colors.items(report.object_ids) + mask_items(report) + self._views.items(report)
+        items += rejected_items(report) + self._feature_colors.items(report)
         if report.snapshot is not None:
             self._last_snapshot = report.snapshot
             items += self._layers.update(report.snapshot.objects, report.stamp_ns)

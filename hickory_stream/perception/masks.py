@@ -1,0 +1,323 @@
+"""The mask pipeline: from overlapping masks, however they were found, to the instances of a frame.
+
+What is too small, structure, the same again, or a part of another mask is rejected, and says why. A smaller mask inside
+a larger one is a thing of its own where it stands out from the surface around it, as a cup on a table does, or lies flat
+on something level, as a magazine does; a label on a box is a part. Masks at the border of the image are used: `observe`
+marks them as cut.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numba
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.perception.pieces import label_boxes
+from hickory_stream.records import RejectedMask
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+# Overlaps are counted on every so manieth pixel in both directions: a mask worth keeping has hundreds.
+_STRIDE = 2
+_RING_PX = 3
+_LEAST_RING = 12
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class InstanceMask:
+    """A mask that may overlap others: `mask` (h, w) bool within `box_px` = (x0, y0, x1, y1), ends exclusive."""
+
+    box_px: tuple[int, int, int, int]
+    mask: NDArray[np.bool_]
+    score: float = 1.0
+
+    def __post_init__(self) -> None:
+        x0, y0, x1, y1 = self.box_px
+        freeze(self, "mask", np.bool_, (y1 - y0, x1 - x0))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MaskConfig:
+    """What becomes of masks that overlap.
+
+    Attributes:
+        min_area_px: smaller masks are rejected, in pixels of the frame.
+        max_share: a mask with more of the image than this is the scene.
+        structure_share: a mask with more of it than this on floor, walls or ceiling is rejected.
+        duplicate_iou: two masks that overlap more are the same one; the better scored is kept.
+        inside_share: a mask with more of it than this in a larger one is inside it.
+        stands_out_m: what is inside another mask and stands out from the surface around it by this, beside three sigma
+            of depth, is a thing of its own ...
+        flat_area_m2: ... and so is something flat on a level surface, from this area on.
+        visible_share: a mask of which less than this is left by the smaller ones on it is made up of them.
+        max_extent_m: longer things are no objects.
+        hidden_share: a small mask with more of its outline than this behind something nearer is rejected.
+    """
+
+    min_area_px: int = 240
+    max_share: float = 0.6
+    structure_share: float = 0.5
+    duplicate_iou: float = 0.8
+    inside_share: float = 0.85
+    stands_out_m: float = 0.008
+    flat_area_m2: float = 0.008
+    visible_share: float = 0.25
+    max_extent_m: float = 3.0
+    hidden_share: float = 0.6
+
+    def __post_init__(self) -> None:
+        for name in ("max_share", "structure_share", "duplicate_iou", "inside_share", "visible_share", "hidden_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be from 0 to 1, found {getattr(self, name)}")
+
+
+def compose(
+    masks: Sequence[InstanceMask], surface: Surface, structure: NDArray[np.bool_], config: MaskConfig
+) -> tuple[NDArray[np.int32], tuple[RejectedMask, ...]]:
+    """Return the instances (H, W) int32, numbered from 1, and the rejected masks with their reasons.
+
+    `surface` is that of the frame, `structure` (H, W) what is none of an object.
+    """
+    reasons: list[str | None] = [_why_unusable(mask, structure, config) for mask in masks]
+    _reject_duplicates(masks, reasons, config)
+    _reject_parts(masks, reasons, surface, config)
+    order = sorted((i for i, reason in enumerate(reasons) if reason is None), key=lambda i: -_area(masks[i]))
+    painted = _painted(masks, order, structure.shape)
+    left = np.bincount(painted.ravel(), minlength=len(masks) + 1)[1:]
+    for i in order:
+        if left[i] < config.visible_share * _area(masks[i]):
+            reasons[i] = f"{1 - left[i] / _area(masks[i]):.0%} of it is made up of smaller masks"
+    kept = [i for i in order if reasons[i] is None]
+    labels = _painted(masks, kept, structure.shape)
+    for i, why in _why_no_objects(labels, surface, config):
+        reasons[i - 1] = why
+        labels[labels == i] = 0
+    return _renumbered(labels, [i for i in kept if reasons[i] is None]), _rejected(masks, reasons)
+
+
+def why_no_object(
+    surface: Surface, labels: NDArray[np.int32], label: int, box: NDArray[np.int64], max_extent_m: float
+) -> str | None:
+    """Return why a label at working resolution is too long for an object, None where it is not."""
+    x0, y0, x1, y1 = box
+    part = surface.points_world[y0:y1, x0:x1][labels[y0:y1, x0:x1] == label]
+    part = part[np.isfinite(part[:, 2])]
+    extent = float(np.ptp(part, axis=0).max()) if len(part) else 0.0
+    if extent > max_extent_m:  # only then is it worth the time to leave strays out
+        extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
+    return f"{extent:.1f} m long: structure" if extent > max_extent_m else None
+
+
+def hidden_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+    """Return the share of each label's outline where the neighbour is nearer: where something hides the rest of it."""
+    outline, hidden = np.zeros(count), np.zeros(count)
+    height, width = labels.shape
+    for dy, dx in ((0, 1), (1, 0)):
+        a = (slice(0, height - dy), slice(0, width - dx))
+        b = (slice(dy, height), slice(dx, width))
+        for here, there in ((a, b), (b, a)):
+            edge = (labels[here] != labels[there]) & (labels[here] > 0)
+            names = labels[here][edge]
+            outline += np.bincount(names, minlength=count)
+            nearer = depth_m[there][edge] < depth_m[here][edge] * 0.97 - 0.01
+            hidden += np.bincount(names, weights=nearer, minlength=count)
+    return hidden / np.maximum(outline, 1)
+
+
+def enlarged(labels: NDArray[np.int32] | NDArray[np.uint8], factor: int, size: tuple[int, int]) -> NDArray[np.int32]:
+    """Return labels at the size of the frame (width, height); what the reduction cut off has label 0."""
+    if factor == 1:
+        return labels.astype(np.int32)
+    large = np.zeros((size[1], size[0]), dtype=np.int32)
+    big = cv2.resize(
+        labels.astype(np.int32).view(np.float32),  # nearest neighbour copies bits, and cv2 resizes no int32
+        (labels.shape[1] * factor, labels.shape[0] * factor),
+        interpolation=cv2.INTER_NEAREST,
+    ).view(np.int32)
+    large[: big.shape[0], : big.shape[1]] = big
+    return large
+
+
+def _area(mask: InstanceMask) -> int:
+    return int(np.count_nonzero(mask.mask))
+
+
+def _why_unusable(mask: InstanceMask, structure: NDArray[np.bool_], config: MaskConfig) -> str | None:
+    x0, y0, x1, y1 = mask.box_px
+    area = _area(mask)
+    if area < max(config.min_area_px, 1):
+        return f"{area} pixels, fewer than {max(config.min_area_px, 1)}"
+    if area > config.max_share * structure.size:
+        return f"{area / structure.size:.0%} of the image: the scene"
+    on_structure = np.count_nonzero(structure[y0:y1, x0:x1] & mask.mask) / area
+    if on_structure > config.structure_share:
+        return f"{on_structure:.0%} of it is floor, wall or ceiling"
+    return None
+
+
+def _reject_duplicates(masks: Sequence[InstanceMask], reasons: list[str | None], config: MaskConfig) -> None:
+    kept = sorted((i for i, reason in enumerate(reasons) if reason is None), key=lambda i: (-masks[i].score, i))
+    shared = _shared_pixels([masks[i] for i in kept])
+    areas = shared.diagonal()
+    for j in range(len(kept)):
+        better = [k for k in range(j) if reasons[kept[k]] is None]
+        iou = shared[better, j] / np.maximum(areas[better] + areas[j] - shared[better, j], 1)
+        if len(better) and iou.max() > config.duplicate_iou:
+            reasons[kept[j]] = f"a better mask covers the same (IoU {iou.max():.2f})"
+
+
+def _reject_parts(
+    masks: Sequence[InstanceMask], reasons: list[str | None], surface: Surface, config: MaskConfig
+) -> None:
+    kept = sorted((i for i, reason in enumerate(reasons) if reason is None), key=lambda i: -_area(masks[i]))
+    shared = _shared_pixels([masks[i] for i in kept])
+    areas = np.maximum(shared.diagonal(), 1)
+    for j in range(len(kept)):
+        around = [k for k in range(j) if reasons[kept[k]] is None and shared[k, j] > config.inside_share * areas[j]]
+        # The smallest mask around it is the one that it may be a part of.
+        if around and not _is_own_thing(masks[kept[j]], masks[kept[around[-1]]], surface, config):
+            reasons[kept[j]] = "part of a larger mask: nothing stands out"
+
+
+def _is_own_thing(inner: InstanceMask, outer: InstanceMask, surface: Surface, config: MaskConfig) -> bool:
+    """Return whether a mask inside another one stands out from the surface around it, or lies flat on a level one."""
+    x0, y0, x1, y1 = outer.box_px
+    whole, part = np.zeros((y1 - y0, x1 - x0), dtype=bool), np.zeros((y1 - y0, x1 - x0), dtype=bool)
+    whole[...] = outer.mask
+    u0, v0, u1, v1 = max(inner.box_px[0], x0), max(inner.box_px[1], y0), min(inner.box_px[2], x1), inner.box_px[3]
+    v1 = min(v1, y1)
+    part[v0 - y0 : v1 - y0, u0 - x0 : u1 - x0] = inner.mask[
+        v0 - inner.box_px[1] : v1 - inner.box_px[1], u0 - inner.box_px[0] : u1 - inner.box_px[0]
+    ]
+    rows, columns = _working_lattice(y0, y1, surface.factor), _working_lattice(x0, x1, surface.factor)
+    at = np.ix_(rows * surface.factor + surface.factor // 2 - y0, columns * surface.factor + surface.factor // 2 - x0)
+    inside = (rows < surface.depth_m.shape[0])[:, None] & (columns < surface.depth_m.shape[1])
+    whole, part = whole[at] & inside, part[at] & inside
+    points = np.full((*whole.shape, 3), np.nan, dtype=np.float32)
+    depth_sigma = np.full(whole.shape, np.nan, dtype=np.float32)
+    y, x = np.nonzero(inside)
+    points[y, x], depth_sigma[y, x] = surface.points_world[rows[y], columns[x]], surface.sigma_m[rows[y], columns[x]]
+    known = np.isfinite(points[..., 2])
+    kernel = np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), dtype=np.uint8)
+    ring = (cv2.dilate(part.astype(np.uint8), kernel) > 0) & ~part & whole & known
+    seen = part & known
+    if np.count_nonzero(ring) < _LEAST_RING or not seen.any():
+        return False
+    normal, offset = _plane_of(points[ring].astype(np.float64))
+    distance = np.abs(points[seen] @ normal - offset)
+    tolerance = config.stands_out_m + 3 * float(np.median(depth_sigma[seen]))
+    # Three tenths of it are enough: of a bowl it is the rim, of a cup behind its own handle the body.
+    if np.quantile(distance, 0.7) > tolerance:
+        return True
+    is_level = abs(normal[2]) > 0.95
+    return is_level and _area_m2(points, seen, surface) > config.flat_area_m2
+
+
+def _working_lattice(first: int, last: int, factor: int) -> NDArray[np.int64]:
+    """Return the working pixels whose middle is among the frame's pixels from `first` to `last`."""
+    middle = factor // 2
+    return np.arange(-(-(first - middle) // factor), -(-(last - middle) // factor))
+
+
+def _plane_of(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the unit normal and offset of the plane of most of (N, 3) points: twice, without the worst third."""
+    normal, offset = _least_squares_plane(points)
+    distance = np.abs(points @ normal - offset)
+    return _least_squares_plane(points[distance <= np.quantile(distance, 0.67)])
+
+
+def _least_squares_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    middle = points.mean(axis=0)
+    normal = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 0]
+    return normal, float(middle @ normal)
+
+
+def _area_m2(points: NDArray[np.float32], seen: NDArray[np.bool_], surface: Surface) -> float:
+    """Return the area of a level part, from the pixels that show it and their depth."""
+    camera = surface.camera
+    place = points[seen] - surface.world_from_camera[:3, 3]
+    depth = place @ surface.world_from_camera[:3, 2]
+    slant = np.abs(place[:, 2]) / np.maximum(np.linalg.norm(place, axis=1), 1e-6)
+    return float((depth**2 / (camera.fx * camera.fy) / np.maximum(slant, 0.1)).sum())
+
+
+def _shared_pixels(masks: Sequence[InstanceMask]) -> NDArray[np.int64]:
+    """Return (N, N) the pixels that two masks share, of every `_STRIDE`-th; the diagonal is their area."""
+    if not masks:
+        return np.zeros((0, 0), dtype=np.int64)
+    boxes = np.array([m.box_px for m in masks], dtype=np.int64)
+    starts = np.concatenate([[0], np.cumsum([m.mask.size for m in masks])]).astype(np.int64)
+    shared: NDArray[np.int64] = _count_shared(boxes, starts, np.concatenate([m.mask.ravel() for m in masks]), _STRIDE)
+    return shared
+
+
+@numba.njit(cache=True, nogil=True)
+def _count_shared(boxes, starts, pixels, stride):  # type: ignore[no-untyped-def] # pragma: no cover
+    count = len(boxes)
+    shared = np.zeros((count, count), dtype=np.int64)
+    for i in range(count):
+        for j in range(i, count):
+            x0, y0 = max(boxes[i, 0], boxes[j, 0]), max(boxes[i, 1], boxes[j, 1])
+            x1, y1 = min(boxes[i, 2], boxes[j, 2]), min(boxes[i, 3], boxes[j, 3])
+            total = 0
+            width_i, width_j = boxes[i, 2] - boxes[i, 0], boxes[j, 2] - boxes[j, 0]
+            for y in range(-(-y0 // stride) * stride, y1, stride):
+                at_i = starts[i] + (y - boxes[i, 1]) * width_i - boxes[i, 0]
+                at_j = starts[j] + (y - boxes[j, 1]) * width_j - boxes[j, 0]
+                for x in range(-(-x0 // stride) * stride, x1, stride):
+                    total += pixels[at_i + x] & pixels[at_j + x]
+            shared[i, j] = shared[j, i] = total
+    return shared
+
+
+def _painted(masks: Sequence[InstanceMask], order: Sequence[int], shape: tuple[int, ...]) -> NDArray[np.int32]:
+    """Return labels i + 1, the masks laid on one another in this order."""
+    labels = np.zeros(shape, dtype=np.int32)
+    for i in order:
+        x0, y0, x1, y1 = masks[i].box_px
+        labels[y0:y1, x0:x1][masks[i].mask] = i + 1
+    return labels
+
+
+def _why_no_objects(labels: NDArray[np.int32], surface: Surface, config: MaskConfig) -> list[tuple[int, str]]:
+    """Return the labels that geometry speaks against, with what it says."""
+    factor, (height, width) = surface.factor, surface.depth_m.shape
+    middle = factor // 2
+    small = np.ascontiguousarray(labels[middle::factor, middle::factor][:height, :width])
+    count = int(labels.max()) + 1
+    hidden = hidden_shares(surface.depth_m, small, count)
+    pixels = np.bincount(small.ravel(), minlength=count)
+    boxes = label_boxes(small, count)
+    small_area = 12 * config.min_area_px / factor**2
+    found = []
+    for label in map(int, np.flatnonzero(pixels[1:]) + 1):
+        why = why_no_object(surface, small, label, boxes[label], config.max_extent_m)
+        if hidden[label] > config.hidden_share and pixels[label] < small_area:
+            why = f"{hidden[label]:.0%} of the outline is hidden by nearer things"
+        if why is not None:
+            found.append((label, why))
+    return found
+
+
+def _renumbered(labels: NDArray[np.int32], kept: Sequence[int]) -> NDArray[np.int32]:
+    numbers = np.zeros(int(labels.max()) + 1, dtype=np.int32)
+    visible = [i for i in sorted(kept) if i + 1 < len(numbers)]
+    numbers[[i + 1 for i in visible]] = np.arange(1, len(visible) + 1)
+    return numbers[labels]
+
+
+def _rejected(masks: Sequence[InstanceMask], reasons: Sequence[str | None]) -> tuple[RejectedMask, ...]:
+    return tuple(
+        RejectedMask(box_px=mask.box_px, reason=reason, mask=mask.mask)
+        for mask, reason in zip(masks, reasons, strict=True)
+        if reason is not None
+    )

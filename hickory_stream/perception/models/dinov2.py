@@ -1,0 +1,129 @@
+"""DINOv2: patch features of unit norm by a vision transformer's graph, for images of any size.
+
+The graph takes (1, 3, H, W) with H and W multiples of its patch, normalised as for ImageNet, and gives tokens (1, T, D)
+whose last ones are the patches row by row (what comes before them, the class and the registers, is dropped), or a map
+(1, D, h, w).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from hickory_stream.errors import ModelError
+from hickory_stream.perception.models.imagenet import normalised
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.models.network import Network
+
+_MOST_EXTRA_TOKENS = 16
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DinoConfig:
+    """How features are taken.
+
+    Attributes:
+        model: its name in the folder of models.
+        patch_px: the side of a patch of the network.
+        reduce: frames are made smaller by this whole factor first; a patch then covers so much more of them.
+    """
+
+    model: str = "dinov2-small"
+    patch_px: int = 14
+    reduce: int = 1
+
+    def __post_init__(self) -> None:
+        if self.patch_px < 1 or self.reduce < 1:
+            raise ValueError("patch_px and reduce must be at least 1")
+
+
+class DinoExtractor:
+    """A `FeatureExtractor`.
+
+    Raises:
+        ModelError: the graph is not of this kind.
+    """
+
+    def __init__(self, network: Network, config: DinoConfig, *, warm_up: bool = True) -> None:
+        self._network = network
+        self._config = config
+        self._fixed = network.require_image_input("DINOv2")
+        shape = network.outputs[0].shape
+        if len(shape) not in (3, 4):
+            raise network.mismatch("DINOv2", "tokens (1, T, D) or a map (1, D, h, w) as its first output")
+        dim = shape[2] if len(shape) == 3 else shape[1]
+        if dim is None or warm_up:
+            side = 4 * config.patch_px
+            height, width = self._fixed[0] or side, self._fixed[1] or side
+            tokens = self._features(np.zeros((height, width, 3), dtype=np.uint8), is_warm_up=True)
+            dim = tokens.shape[-1]
+        self._dim = dim
+
+    @property
+    def patch_px(self) -> int:
+        """The side of a patch in pixels of the frame."""
+        return self._config.patch_px * self._config.reduce
+
+    @property
+    def dim(self) -> int:
+        """The length D of a feature."""
+        return self._dim
+
+    def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return (h, w, D) float32 features of unit norm, one per patch; h = ceil(H / patch), w = ceil(W / patch).
+
+        What the last patches have beyond the image repeats its border.
+
+        Raises:
+            ModelError: the graph is of another fixed size, or gives tensors of another shape or that are not finite.
+        """
+        height, width, _ = rgb.shape
+        rows, columns = -(-height // self.patch_px), -(-width // self.patch_px)
+        padded = cv2.copyMakeBorder(
+            rgb,
+            0,
+            rows * self.patch_px - height,
+            0,
+            columns * self.patch_px - width,
+            cv2.BORDER_REPLICATE,
+        )
+        if self._config.reduce > 1:
+            size = (columns * self._config.patch_px, rows * self._config.patch_px)
+            padded = cv2.resize(padded, size, interpolation=cv2.INTER_AREA)
+        for given, fixed, side in zip(padded.shape, self._fixed, ("height", "width"), strict=False):
+            if fixed not in (None, given):
+                raise ModelError(
+                    f"{self._network.path} takes images of {side} {fixed} only, and the frames give {given} (made "
+                    f"whole patches of {self._config.patch_px}); export it with sizes left open, as tools/export_onnx does"
+                )
+        return self._features(padded, is_warm_up=False)
+
+    def _features(self, rgb: NDArray[np.uint8], *, is_warm_up: bool) -> NDArray[np.float32]:
+        rows, columns = rgb.shape[0] // self._config.patch_px, rgb.shape[1] // self._config.patch_px
+        image = normalised(rgb)
+        if is_warm_up:
+            self._network.warm_up(image)
+        tokens = self._network.run(image)[0]
+        if tokens.ndim == 4 and tokens.shape[0] == 1 and tokens.shape[2:] == (rows, columns):
+            patches = tokens[0].transpose(1, 2, 0)
+        elif tokens.ndim == 3 and tokens.shape[0] == 1 and 0 <= tokens.shape[1] - rows * columns <= _MOST_EXTRA_TOKENS:
+            patches = tokens[0, tokens.shape[1] - rows * columns :].reshape(rows, columns, -1)
+        else:
+            raise self._network.mismatch(
+                "DINOv2",
+                f"{rows * columns} patch tokens of {self._config.patch_px} px for an image of {rgb.shape[1]} x "
+                f"{rgb.shape[0]}, got {tokens.shape}",
+            )
+        if not np.isfinite(patches.sum()):
+            raise ModelError(
+                f"{self._network.path} gave features with NaN or infinity on {self._network.provider}; a graph in "
+                "float16 overflows on some devices: export it in float32, or choose another provider"
+            )
+        norm = np.linalg.norm(patches, axis=-1, keepdims=True)
+        return np.ascontiguousarray(patches / np.maximum(norm, 1e-12), dtype=np.float32)

@@ -1,0 +1,199 @@
+"""FastSAM: class-agnostic instance masks by any YOLOv8-seg style graph, of one class or more.
+
+The graph takes (1, 3, S, S) colour in 0..1 and gives (1, 4 + classes + C, anchors) and prototypes (1, C, h, w); what
+the masks become is the business of the mask pipeline that every segmenter shares.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged
+from hickory_stream.perception.models.letterbox import letterbox_of, letterboxed
+from hickory_stream.perception.models.yolo_masks import detections_of, masks_of
+from hickory_stream.perception.scenery import scenery_of
+from hickory_stream.perception.surface import Surface, surface_of
+from hickory_stream.records import RejectedMask, Segmentation
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.models.network import Network
+    from hickory_stream.perception.structure import StructureConfig
+    from hickory_stream.perception.surface import SurfaceConfig
+    from hickory_stream.records import Frame, ObservedSpace
+
+logger = logging.getLogger(__name__)
+
+_SUPPORT_AREA_M2 = 0.03
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FastSamConfig:
+    """How masks are taken from the network.
+
+    Attributes:
+        model: its name in the folder of models.
+        confidence: detections that score less are left out.
+        nms_iou: of two boxes that overlap more, the better one stays.
+        max_masks: at most this many, the best.
+        input_px: the side of the network's image where the graph leaves it open.
+        mask_px: the longer side at which masks are decoded; 0: that of the frame.
+    """
+
+    model: str = "fastsam-s"
+    confidence: float = 0.4
+    nms_iou: float = 0.9
+    max_masks: int = 300
+    input_px: int = 640
+    mask_px: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("confidence", "nms_iou"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be from 0 to 1, found {getattr(self, name)}")
+        if self.max_masks < 1 or self.input_px < 32 or self.mask_px < 0:
+            raise ValueError("max_masks must be at least 1, input_px at least 32 and mask_px not negative")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Found:
+    """What was computed of a frame without the map: its surface, its masks, and how many detections were damaged."""
+
+    surface: Surface
+    masks: list[InstanceMask]
+    num_not_finite: int
+
+
+class FastSam:
+    """The network alone: from an image to masks that may overlap.
+
+    Raises:
+        ModelError: the graph is not of this kind.
+    """
+
+    def __init__(self, network: Network, config: FastSamConfig, *, warm_up: bool = True) -> None:
+        self._network = network
+        self._config = config
+        height, width = network.require_image_input("YOLOv8-seg")
+        self._size = (width or config.input_px, height or config.input_px)
+        self._predictions, self._prototypes = _outputs_of(network)
+        if warm_up:
+            network.warm_up(np.zeros((1, 3, self._size[1], self._size[0]), dtype=np.float32))
+
+    def masks(self, rgb: NDArray[np.uint8]) -> tuple[list[InstanceMask], int]:
+        """Return the masks of an image (H, W, 3), the best first, and how many detections were not finite.
+
+        Raises:
+            ModelError: the network fails, or gives tensors that are not of this kind.
+        """
+        height, width, _ = rgb.shape
+        letterbox = letterbox_of(width, height, *self._size)
+        outputs = self._network.run(letterboxed(rgb, letterbox))
+        return self.decode(outputs[self._predictions], outputs[self._prototypes], width, height)
+
+    def decode(
+        self, predictions: NDArray[np.float32], prototypes: NDArray[np.float32], width: int, height: int
+    ) -> tuple[list[InstanceMask], int]:
+        """Return the masks in an image of this size, and how many detections were not finite, from the two tensors."""
+        config = self._config
+        if predictions.shape[1] < 5 + prototypes.shape[1]:
+            raise self._network.mismatch(
+                "YOLOv8-seg", f"4 + classes + {prototypes.shape[1]} rows in its predictions, as it has prototypes"
+            )
+        found = detections_of(
+            predictions[0],
+            prototypes.shape[1],
+            confidence=config.confidence,
+            nms_iou=config.nms_iou,
+            max_masks=config.max_masks,
+        )
+        letterbox = letterbox_of(width, height, *self._size)
+        scale = min(1.0, config.mask_px / max(width, height)) if config.mask_px else 1.0
+        if scale < 1.0:
+            small = letterbox_of(max(1, round(width * scale)), max(1, round(height * scale)), *self._size)
+            boxes = small.to_image(found.boxes)
+            decoded = masks_of(boxes, found.scores, found.coefficients, prototypes[0], small)
+            return [
+                _stretched(mask, small.width, small.height, width, height) for mask in decoded
+            ], found.num_not_finite
+        boxes = letterbox.to_image(found.boxes)
+        return masks_of(boxes, found.scores, found.coefficients, prototypes[0], letterbox), found.num_not_finite
+
+
+class FastSamSegmenter:
+    """A `Segmenter`: the network's masks, with structure from geometry."""
+
+    def __init__(
+        self,
+        network: FastSam,
+        *,
+        masks: MaskConfig,
+        surface: SurfaceConfig,
+        structure: StructureConfig,
+    ) -> None:
+        self._network = network
+        self._masks = masks
+        self._surface = surface
+        self._structure = structure
+        self._was_told = False
+
+    def prepare(self, frame: Frame) -> Found:
+        """Return the surface and the masks of a frame; raises `ModelError`."""
+        masks, num_not_finite = self._network.masks(np.asarray(frame.rgb))
+        if num_not_finite and not self._was_told:
+            self._was_told = True
+            logger.warning(
+                "the network gave %d detections with NaN or infinity in frame %d; they are left out (said once)",
+                num_not_finite,
+                frame.index,
+            )
+        return Found(surface=surface_of(frame, self._surface), masks=masks, num_not_finite=num_not_finite)
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+        """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
+        found = prepared if isinstance(prepared, Found) else self.prepare(frame)
+        surface = found.surface
+        size = (frame.camera.width, frame.camera.height)
+        scenery = scenery_of(surface, prior, self._structure, _SUPPORT_AREA_M2)
+        structure = enlarged(scenery.structure.astype(np.uint8), surface.factor, size) > 0
+        instances, rejected = compose(found.masks, surface, structure, self._masks)
+        if found.num_not_finite:
+            whole = (0, 0, *size)
+            reason = f"{found.num_not_finite} detections of the network are not finite"
+            rejected = (*rejected, RejectedMask(box_px=whole, reason=reason))
+        return Segmentation(
+            instances=instances,
+            structure=structure & (instances == 0),
+            floor_z_m=scenery.floor_z_m,
+            rejected=rejected,
+        )
+
+
+def _outputs_of(network: Network) -> tuple[int, int]:
+    """Return the places of the predictions and the prototypes among the outputs, told by their ranks."""
+    ranks = [len(output.shape) for output in network.outputs]
+    if ranks.count(3) != 1 or ranks.count(4) != 1:
+        expected = "predictions (1, 4 + classes + C, anchors) and prototypes (1, C, h, w) as its outputs"
+        raise network.mismatch("YOLOv8-seg", expected)
+    predictions, prototypes = ranks.index(3), ranks.index(4)
+    rows, channels = network.outputs[predictions].shape[1], network.outputs[prototypes].shape[1]
+    if rows is not None and channels is not None and rows < 5 + channels:
+        raise network.mismatch("YOLOv8-seg", f"4 + classes + {channels} rows in its predictions, as it has prototypes")
+    return predictions, prototypes
+
+
+def _stretched(mask: InstanceMask, width: int, height: int, full_width: int, full_height: int) -> InstanceMask:
+    """Return a mask of a reduced image (width, height) in the full one."""
+    x0, y0, x1, y1 = mask.box_px
+    u0, u1 = (round(x * full_width / width) for x in (x0, x1))
+    v0, v1 = (round(y * full_height / height) for y in (y0, y1))
+    if mask.mask.size == 0 or u1 <= u0 or v1 <= v0:
+        return InstanceMask(box_px=(u0, v0, u0, v0), mask=np.zeros((0, 0), dtype=bool), score=mask.score)
+    large = cv2.resize(mask.mask.astype(np.uint8), (u1 - u0, v1 - v0), interpolation=cv2.INTER_NEAREST) > 0
+    return InstanceMask(box_px=(u0, v0, u1, v1), mask=large, score=mask.score)

@@ -1,0 +1,71 @@
+"""An image in the frame of a network: scaled to fit, in the middle, grey around it; and the way back.
+
+The rounding is that of YOLOv8's own pre-processing, to the pixel: half a pixel moves every mask.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_GREY = 114
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Letterbox:
+    """Where an image (`width`, `height`) lies in a network's frame (`frame_width`, `frame_height`), all in pixels.
+
+    It is scaled by `scale` to (`inner_width`, `inner_height`) and begins at (`left`, `top`).
+    """
+
+    width: int
+    height: int
+    frame_width: int
+    frame_height: int
+    scale: float
+    inner_width: int
+    inner_height: int
+    left: int
+    top: int
+
+    def to_image(self, boxes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return boxes (N, 4) x0, y0, x1, y1 of the network's frame in the image, clipped to it."""
+        shifted = boxes - np.array([self.left, self.top, self.left, self.top], dtype=np.float32)
+        limits = np.array([self.width, self.height, self.width, self.height], dtype=np.float32)
+        return np.clip(shifted / np.float32(self.scale), 0, limits).astype(np.float32)
+
+
+def letterbox_of(width: int, height: int, frame_width: int, frame_height: int) -> Letterbox:
+    """Return how an image is laid into a network's frame."""
+    scale = min(frame_height / height, frame_width / width)
+    inner_width, inner_height = max(1, round(width * scale)), max(1, round(height * scale))
+    return Letterbox(
+        width=width,
+        height=height,
+        frame_width=frame_width,
+        frame_height=frame_height,
+        scale=scale,
+        inner_width=inner_width,
+        inner_height=inner_height,
+        # An odd pixel goes to the right and the bottom.
+        left=round((frame_width - inner_width) / 2 - 0.1),
+        top=round((frame_height - inner_height) / 2 - 0.1),
+    )
+
+
+def letterboxed(rgb: NDArray[np.uint8], box: Letterbox) -> NDArray[np.float32]:
+    """Return (1, 3, frame height, frame width) float32 in 0..1."""
+    inner = rgb
+    if (box.inner_width, box.inner_height) != (box.width, box.height):
+        inner = cv2.resize(rgb, (box.inner_width, box.inner_height), interpolation=cv2.INTER_LINEAR)
+    out = np.full((1, 3, box.frame_height, box.frame_width), np.float32(_GREY / 255), dtype=np.float32)
+    rows, columns = slice(box.top, box.top + box.inner_height), slice(box.left, box.left + box.inner_width)
+    for channel in range(3):
+        np.multiply(inner[..., channel], np.float32(1 / 255), out=out[0, channel, rows, columns])
+    return out

@@ -1,0 +1,199 @@
+"""The folder of networks: which files there are, and what is known of each.
+
+A file is believed only with an entry in `manifest.json`: its sha256, where it comes from, its licence and the size that
+it takes. Nothing is ever downloaded; what is missing is answered with what to do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import re
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from platformdirs import user_data_path
+
+from hickory_stream.errors import ModelError
+
+Kind = Literal["fastsam", "dinov2", "oneformer", "semantic"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+MANIFEST = "manifest.json"
+_FORMAT = 1
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+# Where the weights are published, and what `tools/export_onnx` calls them.
+_ORIGINS: dict[Kind, str] = {
+    "fastsam": "weights FastSAM-s.pt from https://docs.ultralytics.com/models/fast-sam/",
+    "dinov2": "weights facebook/dinov2-small from https://huggingface.co/facebook/dinov2-small",
+    "oneformer": "weights shi-labs/oneformer_ade20k_swin_tiny from "
+    "https://huggingface.co/shi-labs/oneformer_ade20k_swin_tiny",
+    "semantic": "any graph that gives class scores per pixel (1, K, h, w), or class ids (1, h, w)",
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ModelEntry:
+    """What the manifest says of a network.
+
+    Attributes:
+        name: what the configuration calls it; also the stem of its file.
+        kind: what it computes, and thereby how its tensors are read.
+        file: its file in the folder; `sha256` of its bytes.
+        source, licence: where the weights come from, and on what terms.
+        input_px: width and height that the graph takes, 0 for any.
+        labels: names of its classes in the order of their ids; empty where it has none.
+    """
+
+    name: str
+    kind: Kind
+    file: str
+    sha256: str
+    source: str
+    licence: str
+    input_px: tuple[int, int] = (0, 0)
+    labels: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(f"the name {self.name!r} is not made of letters, digits, points, hyphens and underscores")
+        if self.kind not in KINDS:
+            raise ValueError(f"found kind {self.kind!r}, expected one of {', '.join(KINDS)}")
+        if Path(self.file).name != self.file or not self.file:
+            raise ValueError(f"found file {self.file!r}, expected a file's name without a folder")
+        if not re.fullmatch(r"[0-9a-f]{64}", self.sha256):
+            raise ValueError(f"found sha256 {self.sha256!r}, expected 64 hexadecimal digits")
+        if len(self.input_px) != 2 or not all(isinstance(n, int) and n >= 0 for n in self.input_px):
+            raise ValueError(f"found input_px {self.input_px!r}, expected width and height in pixels, 0 for any")
+
+
+def models_folder() -> Path:
+    """Return where networks are kept: $HICKORY_MODELS, or `models` in the user's data folder."""
+    named = os.environ.get("HICKORY_MODELS")
+    return Path(named) if named else user_data_path("hickory-stream", appauthor=False) / "models"
+
+
+def read_manifest(folder: Path) -> dict[str, ModelEntry]:
+    """Return the networks of a folder by name, sorted; none where there is no manifest.
+
+    Raises:
+        ModelError: the manifest cannot be read, or says what it must not.
+    """
+    path = folder / MANIFEST
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise ModelError(f"cannot read {path}: {error.strerror}") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path} is no JSON ({error}); mend it, or remove it and add the models again") from error
+    if not isinstance(data, dict) or data.get("format") != _FORMAT or not isinstance(data.get("models"), dict):
+        raise ModelError(f'{path} is no manifest of models; expected {{"format": {_FORMAT}, "models": {{...}}}}')
+    return {name: _entry(path, name, fields) for name, fields in sorted(data["models"].items())}
+
+
+def add_model(folder: Path, file: Path, entry: ModelEntry) -> None:
+    """Copy a network into a folder and write its entry; one of the same name is replaced.
+
+    Raises:
+        ModelError: the file's hash is not the entry's, or the folder cannot be written.
+    """
+    entries = read_manifest(folder)
+    target = folder / entry.file
+    taken = next((e.name for e in entries.values() if e.file == entry.file and e.name != entry.name), None)
+    if taken is not None:
+        raise ModelError(f"{target} belongs to the model {taken} already; give the new file another name")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (target.exists() and target.samefile(file)):
+            _replace(target, lambda temporary: shutil.copyfile(file, temporary))
+        if (found := sha256_of(target)) != entry.sha256:
+            raise ModelError(f"{file} has sha256 {found}, its entry says {entry.sha256}; it was changed in between")
+        entries[entry.name] = entry
+        _write_manifest(folder, entries)
+    except OSError as error:
+        raise ModelError(f"cannot write the model {entry.name} into {folder}: {error.strerror}") from error
+
+
+def find_model(name: str, kind: Kind, *, folder: Path | None = None) -> tuple[ModelEntry, Path]:
+    """Return the entry of a network and the path of its file, whose hash was checked.
+
+    Raises:
+        ModelError: there is none of this name and kind, or its file is missing or another one.
+    """
+    folder = folder if folder is not None else models_folder()
+    entries = read_manifest(folder)
+    entry = entries.get(name)
+    if entry is None:
+        stray = folder / f"{name}.onnx"
+        if stray.is_file():
+            raise ModelError(
+                f"{stray} has no entry in {MANIFEST}; make one with `hickory-stream models add {stray} --kind {kind}`"
+            )
+        there = f"it holds {', '.join(entries)}" if entries else "it holds none"
+        raise ModelError(f"no model {name} in {folder} ({there}); {how_to_get(name, kind)}")
+    if entry.kind != kind:
+        raise ModelError(f"the model {name} in {folder} is of kind {entry.kind}, expected {kind}")
+    path = folder / entry.file
+    if not path.is_file():
+        raise ModelError(f"{path} is missing, though {MANIFEST} names it; {how_to_get(name, kind)}")
+    try:
+        found = sha256_of(path)
+    except OSError as error:
+        raise ModelError(f"cannot read {path}: {error.strerror}") from error
+    if found != entry.sha256:
+        raise ModelError(
+            f"{path} has sha256 {found}, {MANIFEST} says {entry.sha256}: the file is damaged or another one; "
+            f"export it again, or accept it with `hickory-stream models add {path} --kind {kind} --name {name}`"
+        )
+    return entry, path
+
+
+def how_to_get(name: str, kind: Kind) -> str:
+    """Return what to do to have a model of this name and kind."""
+    adds = f"`hickory-stream models add {name}.onnx --kind {kind}`"
+    if kind == "semantic":
+        return f"add {_ORIGINS[kind]}, with {adds}"
+    return f"export it with `tools/export_onnx {kind} --name {name}` ({_ORIGINS[kind]}), or add a file with {adds}"
+
+
+def sha256_of(path: Path) -> str:
+    """Return the sha256 of a file as 64 hexadecimal digits."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _entry(path: Path, name: str, fields: Any) -> ModelEntry:
+    expected = {f.name for f in dataclasses.fields(ModelEntry)} - {"name"}
+    if not isinstance(fields, dict) or not set(fields) <= expected:
+        raise ModelError(f"{path}: the model {name} has other fields than {', '.join(sorted(expected))}")
+    given: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}
+    try:
+        return ModelEntry(name=name, **given)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{path}: the model {name}: {error}") from error
+
+
+def _write_manifest(folder: Path, entries: dict[str, ModelEntry]) -> None:
+    models = {name: dataclasses.asdict(entry) for name, entry in sorted(entries.items())}
+    for fields in models.values():
+        del fields["name"]
+    text = json.dumps({"format": _FORMAT, "models": models}, indent=1) + "\n"
+    _replace(folder / MANIFEST, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _replace(target: Path, write: Any) -> None:
+    """Write a file whole or not at all."""
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    os.close(handle)
+    try:
+        write(Path(name))
+        Path(name).replace(target)
+    finally:
+        Path(name).unlink(missing_ok=True)

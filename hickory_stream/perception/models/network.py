@@ -1,0 +1,193 @@
+"""One network in onnxruntime: opened on the accelerator that is there, checked, warmed up, timed.
+
+onnxruntime falls back to the processor without a word when an accelerator's libraries are missing. Asked for by name,
+an accelerator is had or refused; `auto` takes the best there is and says which.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hickory_stream.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+logger = logging.getLogger(__name__)
+
+Provider = Literal["auto", "tensorrt", "cuda", "cpu"]
+
+_NAMES = {"tensorrt": "TensorrtExecutionProvider", "cuda": "CUDAExecutionProvider", "cpu": "CPUExecutionProvider"}
+# An engine of TensorRT takes minutes to build: only who asks for it gets it.
+_CHAINS = {"auto": ("cuda", "cpu"), "tensorrt": ("tensorrt", "cuda", "cpu"), "cuda": ("cuda", "cpu"), "cpu": ("cpu",)}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NetworkConfig:
+    """How networks are run.
+
+    Attributes:
+        provider: `cuda`, `tensorrt` or `cpu`; `auto` takes CUDA where there is one.
+        threads: threads of one network on the processor, 0 = one per core.
+        device: which accelerator, where there are several.
+        warm_up: whether a network runs once on nothing when it is opened, so that the first frame is no slower.
+    """
+
+    provider: Provider = "auto"
+    threads: int = 0
+    device: int = 0
+    warm_up: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("threads", "device"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} must not be negative, found {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tensor:
+    """An input or output of a graph: None in `shape` is any length."""
+
+    name: str
+    shape: tuple[int | None, ...]
+    dtype: str
+
+    def __str__(self) -> str:
+        return f"{self.name} ({', '.join('any' if n is None else str(n) for n in self.shape)}) {self.dtype}"
+
+
+class Network:
+    """An ONNX graph that is loaded and ready.
+
+    Args:
+        path: the graph.
+        config: how it is run.
+
+    Raises:
+        ModelError: the file is missing, damaged, or of an operator set that this onnxruntime does not know; the
+            provider is not there.
+    """
+
+    def __init__(self, path: Path, config: NetworkConfig) -> None:
+        self.path = path
+        self._session = _session(path, config)
+        self.inputs = tuple(_tensor(i) for i in self._session.get_inputs())
+        self.outputs = tuple(_tensor(o) for o in self._session.get_outputs())
+        self.provider = _short(self._session.get_providers()[0])
+        self.warm_up_s: float | None = None
+        self.num_runs = 0
+        self.total_s = 0.0
+        self.last_s = 0.0
+        logger.info("%s runs on %s", path.name, self.provider)
+
+    def require_image_input(self, kind: str) -> tuple[int | None, int | None]:
+        """Return the height and width (None: any) of the single image that the graph takes, (1, 3, H, W) float.
+
+        Raises:
+            ModelError: the graph takes something else.
+        """
+        shape = self.inputs[0].shape if len(self.inputs) == 1 else ()
+        is_image = len(shape) == 4 and shape[0] in (1, None) and shape[1] in (3, None)
+        if not is_image or self.inputs[0].dtype not in ("float", "float16"):
+            raise self.mismatch(kind, "one image (1, 3, H, W) float or float16 as its input")
+        return shape[2], shape[3]
+
+    def mismatch(self, kind: str, expected: str) -> ModelError:
+        """Return the error for a graph that is not of a kind; `expected` says what that one has."""
+        found = f"inputs {', '.join(map(str, self.inputs))}; outputs {', '.join(map(str, self.outputs))}"
+        return ModelError(f"{self.path} is no {kind} graph: expected {expected}; found {found}")
+
+    def warm_up(self, image: NDArray[np.float32]) -> None:
+        """Run once, and note how long that took apart from the rest; raises `ModelError`."""
+        self.run(image)
+        self.warm_up_s = self.last_s
+        self.num_runs, self.total_s = 0, 0.0
+
+    def run(self, image: NDArray[np.float32]) -> list[NDArray[Any]]:
+        """Return the outputs, in the graph's order, for an image (1, 3, H, W) float32; float16 comes back as float32.
+
+        Raises:
+            ModelError: the graph fails on it.
+        """
+        given = image.astype(np.float16) if self.inputs[0].dtype == "float16" else image
+        started = time.perf_counter()
+        try:
+            outputs: Sequence[Any] = self._session.run(None, {self.inputs[0].name: given})
+        except Exception as error:  # its exceptions have no common base
+            raise ModelError(
+                f"{self.path} fails on an image of {image.shape[3]} x {image.shape[2]}: {error}"
+            ) from error
+        self.last_s = time.perf_counter() - started
+        self.total_s += self.last_s
+        self.num_runs += 1
+        return [o.astype(np.float32) if o.dtype == np.float16 else o for o in map(np.asarray, outputs)]
+
+
+def available_providers() -> tuple[str, ...]:
+    """Return which of `tensorrt`, `cuda`, `cpu` this onnxruntime was built with, the fastest first."""
+    import onnxruntime
+
+    built = onnxruntime.get_available_providers()
+    return tuple(short for short, name in _NAMES.items() if name in built)
+
+
+def _session(path: Path, config: NetworkConfig) -> Any:
+    import onnxruntime
+
+    built = available_providers()
+    if config.provider != "auto" and config.provider not in built:
+        raise ModelError(
+            f"this onnxruntime has no provider {config.provider}, only {', '.join(built)}; install onnxruntime-gpu in "
+            "its place, or choose --set mapper.perception.network.provider=auto"
+        )
+    chain = [short for short in _CHAINS[config.provider] if short in built]
+    providers: list[Any] = [
+        _NAMES[short] if short == "cpu" else (_NAMES[short], {"device_id": config.device}) for short in chain
+    ]
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = config.threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # what matters comes as an exception, and the rest would go past the log
+    if not path.is_file():
+        raise ModelError(f"{path} is missing")
+    try:
+        session = onnxruntime.InferenceSession(str(path), options, providers=providers)
+    except Exception as error:  # its exceptions have no common base
+        raise ModelError(_why_not_opened(path, error)) from error
+    got = _short(session.get_providers()[0])
+    if config.provider not in ("auto", got):
+        raise ModelError(
+            f"onnxruntime could not start the provider {config.provider} for {path.name} and offers {got}: its "
+            "libraries or the device are missing; see onnxruntime's installation notes, or choose provider auto"
+        )
+    if got != chain[0]:
+        logger.warning("%s runs on %s: %s could not be started", path.name, got, chain[0])
+    return session
+
+
+def _why_not_opened(path: Path, error: Exception) -> str:
+    text = str(error)
+    if "opset" in text.lower():
+        what = "was exported for an operator set that this onnxruntime does not know; export it for opset 17"
+    elif type(error).__name__ == "InvalidProtobuf" or "protobuf parsing failed" in text.lower():
+        what = f"is no whole ONNX file ({path.stat().st_size} bytes): truncated or something else; export it again"
+    else:
+        what = "is a graph that cannot be run here; export it again"
+    return f"{path} {what}; onnxruntime says: {text}"
+
+
+def _tensor(value: Any) -> Tensor:
+    shape = tuple(n if isinstance(n, int) and n > 0 else None for n in value.shape or ())
+    return Tensor(name=value.name, shape=shape, dtype=value.type.removeprefix("tensor(").removesuffix(")"))
+
+
+def _short(name: str) -> str:
+    return next((short for short, long in _NAMES.items() if long == name), name)

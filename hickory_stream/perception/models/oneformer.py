@@ -1,0 +1,84 @@
+"""OneFormer's post-processing: from queries, each with class logits and a mask, to the class of every pixel.
+
+The steps and thresholds are those of its panoptic and semantic post-processing in transformers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PanopticConfig:
+    """How queries become classes.
+
+    Attributes:
+        output: `panoptic` gives a pixel to the query that claims it most, `semantic` to the class with the most votes.
+        threshold: queries that are less sure of their class are left out.
+        mask_threshold: probability from which a pixel is in a query's mask.
+        overlap: a query that is left with less than this share of its mask by the others is left out.
+    """
+
+    output: Literal["panoptic", "semantic"] = "panoptic"
+    threshold: float = 0.5
+    mask_threshold: float = 0.5
+    overlap: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name in ("threshold", "mask_threshold", "overlap"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be from 0 to 1, found {getattr(self, name)}")
+
+
+def panoptic_classes(
+    class_logits: NDArray[np.float32],
+    mask_logits: NDArray[np.float32],
+    size: tuple[int, int],
+    config: PanopticConfig,
+) -> NDArray[np.int32]:
+    """Return (H, W) class ids, -1 where no query is sure, from (Q, K + 1) and (Q, h, w) at `size` (W, H)."""
+    probabilities = _softmax(class_logits)
+    labels, scores = probabilities.argmax(axis=1), probabilities.max(axis=1)
+    # Comparisons with NaN are false: a query that is not finite is left out.
+    chosen = np.flatnonzero((labels != class_logits.shape[1] - 1) & (scores > config.threshold))
+    classes = np.full((size[1], size[0]), -1, dtype=np.int32)
+    if len(chosen) == 0:
+        return classes
+    owner = np.zeros(classes.shape, dtype=np.int32)
+    best = np.full(classes.shape, -np.inf, dtype=np.float32)
+    areas = np.zeros(len(chosen), dtype=np.int64)
+    for i, query in enumerate(chosen):
+        claim = cv2.resize(_sigmoid(mask_logits[query]), size, interpolation=cv2.INTER_LINEAR) * scores[query]
+        areas[i] = np.count_nonzero(claim >= config.mask_threshold)
+        wins = claim > best
+        owner[wins], best[wins] = i, claim[wins]
+    left = np.bincount(owner[np.isfinite(best)], minlength=len(chosen))
+    for i, query in enumerate(chosen):
+        if left[i] > 0 and areas[i] > 0 and left[i] / areas[i] > config.overlap:
+            classes[(owner == i) & np.isfinite(best)] = labels[query]
+    return classes
+
+
+def query_scores(class_logits: NDArray[np.float32], mask_logits: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (K, h, w) the votes of all queries for each class."""
+    classes = _softmax(class_logits)[:, :-1]
+    num, height, width = mask_logits.shape
+    votes = classes.T @ _sigmoid(mask_logits).reshape(num, -1)
+    return np.asarray(votes.reshape(-1, height, width), dtype=np.float32)
+
+
+def _softmax(logits: NDArray[np.float32]) -> NDArray[np.float32]:
+    with np.errstate(invalid="ignore"):
+        powers = np.exp(logits - logits.max(axis=-1, keepdims=True))
+        return np.asarray(powers / powers.sum(axis=-1, keepdims=True), dtype=np.float32)
+
+
+def _sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -80, 80))), dtype=np.float32)

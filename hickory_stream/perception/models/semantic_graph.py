@@ -1,0 +1,140 @@
+"""A semantic model by a graph: class scores per pixel, class ids, or the queries of OneFormer.
+
+Three kinds of output, told apart by their ranks, and one answer: an image of class ids.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from hickory_stream.errors import ModelError
+from hickory_stream.perception.models.imagenet import normalised
+from hickory_stream.perception.models.oneformer import PanopticConfig, panoptic_classes, query_scores
+from hickory_stream.perception.semantic_filter import FilterConfig
+from hickory_stream.records import SemanticImage
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.models.network import Network
+
+_MULTIPLE = 32
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SemanticConfig:
+    """Which semantic model, and what it takes away.
+
+    Attributes:
+        model: its name in the folder of models.
+        short_px: the shorter side of the network's image where the graph leaves it open.
+    """
+
+    model: str = "oneformer-ade20k-swin-tiny"
+    short_px: int = 512
+    panoptic: PanopticConfig = field(default_factory=PanopticConfig)
+    exclude: FilterConfig = field(default_factory=FilterConfig)
+
+    def __post_init__(self) -> None:
+        if self.short_px < 32:
+            raise ValueError(f"short_px must be at least 32, found {self.short_px}")
+
+
+class GraphSemantics:
+    """A `SemanticModel`.
+
+    Args:
+        network: (1, 3, H, W), normalised as for ImageNet, in; out come class scores (1, K, h, w), class ids (1, h, w),
+            or class and mask logits of queries, (1, Q, K + 1) and (1, Q, h, w).
+        labels: the names of the K classes.
+        short_px: the shorter side that images are scaled to where the graph leaves its size open.
+        panoptic: how queries become classes.
+
+    Raises:
+        ModelError: the graph is not of this kind, or has not as many classes as names.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        labels: tuple[str, ...],
+        *,
+        short_px: int,
+        panoptic: PanopticConfig,
+        warm_up: bool = True,
+    ) -> None:
+        self._network = network
+        self._labels = labels
+        self._short_px = short_px
+        self._panoptic = panoptic
+        self._fixed = network.require_image_input("semantic")
+        ranks = sorted(len(output.shape) for output in network.outputs)
+        if ranks not in ([3], [4], [3, 4]):
+            expected = "class scores (1, K, h, w), class ids (1, h, w), or logits (1, Q, K + 1) and masks (1, Q, h, w)"
+            raise network.mismatch("semantic", expected)
+        if warm_up:
+            side = -(-short_px // _MULTIPLE) * _MULTIPLE
+            network.warm_up(np.zeros((1, 3, self._fixed[0] or side, self._fixed[1] or side), dtype=np.float32))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The names of the classes, by their ids."""
+        return self._labels
+
+    def classify(self, rgb: NDArray[np.uint8]) -> SemanticImage:
+        """Return the class of every pixel of an image (H, W, 3); raises `ModelError`."""
+        size = (rgb.shape[1], rgb.shape[0])
+        outputs = self._network.run(normalised(self._resized(rgb)))
+        by_rank = {output.ndim: output[0] for output in outputs}
+        if len(by_rank) == 2:
+            self._check(by_rank[3].shape[1] - 1)
+            classes = self._of_queries(by_rank[3], by_rank[4], size)
+        elif 4 in by_rank:
+            self._check(by_rank[4].shape[0])
+            classes = best_classes(by_rank[4], size)
+        else:
+            ids = by_rank[3].astype(np.int32)
+            self._check(max(int(ids.max()) + 1, len(self._labels)))
+            classes = cv2.resize(ids.astype(np.float32), size, interpolation=cv2.INTER_NEAREST).astype(np.int32)
+        return SemanticImage(classes=classes, labels=self._labels)
+
+    def _of_queries(
+        self, class_logits: NDArray[np.float32], mask_logits: NDArray[np.float32], size: tuple[int, int]
+    ) -> NDArray[np.int32]:
+        if self._panoptic.output == "semantic":
+            return best_classes(query_scores(class_logits, mask_logits), size)
+        return panoptic_classes(class_logits, mask_logits, size, self._panoptic)
+
+    def _check(self, num_classes: int) -> None:
+        if num_classes != len(self._labels):
+            raise ModelError(
+                f"{self._network.path} has {num_classes} classes, the manifest names {len(self._labels)}; give it the "
+                "right table with `hickory-stream models add --labels FILE`"
+            )
+
+    def _resized(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        height, width = rgb.shape[:2]
+        scale = self._short_px / min(height, width)
+        # Whole multiples of 32: every backbone halves its image five times.
+        wanted = [max(_MULTIPLE, round(n * scale / _MULTIPLE) * _MULTIPLE) for n in (height, width)]
+        target = (self._fixed[1] or wanted[1], self._fixed[0] or wanted[0])
+        if target == (width, height):
+            return rgb
+        is_smaller = target[0] < width or target[1] < height
+        return cv2.resize(rgb, target, interpolation=cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR)
+
+
+def best_classes(scores: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.int32]:
+    """Return (H, W) the class with the highest of (K, h, w) scores, read bilinearly at `size` (W, H); NaN loses."""
+    classes = np.full((size[1], size[0]), -1, dtype=np.int32)
+    best = np.full(classes.shape, -np.inf, dtype=np.float32)
+    for i, plane in enumerate(scores):
+        # One class at a time: 150 of them at the size of the frame would take 180 MB.
+        large = cv2.resize(np.ascontiguousarray(plane), size, interpolation=cv2.INTER_LINEAR)
+        wins = large > best
+        classes[wins], best[wins] = i, large[wins]
+    return classes

@@ -1,0 +1,63 @@
+"""What of a frame is the room and none of its things: every segmenter asks for it, whatever it finds its masks with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.perception.pieces import lab_of
+from hickory_stream.perception.structure import (
+    HorizontalPlane,
+    StructureConfig,
+    floor_height_m,
+    horizontal_planes,
+    pixel_areas_m2,
+    structure_mask,
+    without_backs,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+    from hickory_stream.records import ObservedSpace
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Scenery:
+    """The room in a frame, at working resolution (h, w).
+
+    `areas_m2` (h, w) of the surface in each pixel; `planes`: its level surfaces; `structure` (h, w) bool: floor, walls
+    and ceiling, by this frame or by what the map knows.
+    """
+
+    areas_m2: NDArray[np.float32]
+    planes: list[HorizontalPlane]
+    floor_z_m: float | None
+    structure: NDArray[np.bool_]
+
+
+def scenery_of(
+    surface: Surface, prior: ObservedSpace | None, config: StructureConfig, support_area_m2: float
+) -> Scenery:
+    """Return the room in a frame; `prior` is the space as the map knows it."""
+    areas_m2 = pixel_areas_m2(surface)
+    planes = horizontal_planes(surface, areas_m2, min_area_m2=support_area_m2)
+    known_floor = prior.floor_z_m if prior is not None else None
+    floor_z_m = floor_height_m(surface, planes, known_floor, config)
+    structure = structure_mask(surface, areas_m2, floor_z_m, config) | _known_structure(surface, prior)
+    structure = without_backs(surface, structure, lab_of(surface.rgb), config)
+    return Scenery(areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, structure=structure)
+
+
+def _known_structure(surface: Surface, prior: ObservedSpace | None) -> NDArray[np.bool_]:
+    """Return (h, w) the pixels in voxels that the map knows as structure: a wall seen in part is still a wall."""
+    mask = np.zeros(surface.depth_m.shape, dtype=bool)
+    if prior is None or len(prior.structure) == 0:
+        return mask
+    valid = np.isfinite(surface.depth_m)
+    mask[valid] = contains(prior.structure, keys_of_points(surface.points_world[valid], prior.voxel_m))
+    return mask

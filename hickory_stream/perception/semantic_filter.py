@@ -1,0 +1,161 @@
+"""What a semantic model says of the masks of any segmenter: walls and people are no objects.
+
+It only takes away. The pixels of structure become structure of the frame, as far as no object claims them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import find_objects
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.records import RejectedMask, Segmentation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import Segmenter, SemanticModel
+    from hickory_stream.records import Frame, ObservedSpace, SemanticImage
+
+# The classes of ADE20K and COCO that the paper leaves out, by any of their names.
+STRUCTURE = (
+    *("wall", "floor", "ceiling", "ground", "earth", "grass", "road", "route", "sidewalk", "pavement", "stairs"),
+    *("stairway", "steps", "door", "double door", "screen door", "window", "windowpane", "curtain", "column", "pillar"),
+    # No "glass": ADE20K calls a tumbler so.
+    *("building", "edifice", "house", "fence", "sky", "light", "light source"),
+)
+DYNAMIC = ("person", "animal", "car", "dog", "cat", "bicycle", "bike", "motorbike", "minibike")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FilterConfig:
+    """Which classes are no objects.
+
+    Attributes:
+        structure: names of classes that are part of the room; their pixels become structure.
+        dynamic: names of classes that move of themselves; their pixels are nothing at all.
+        share: a mask with at least this share of it on one of these classes is rejected ...
+        iou: ... and one that overlaps the whole of such a class so much.
+    """
+
+    structure: tuple[str, ...] = STRUCTURE
+    dynamic: tuple[str, ...] = DYNAMIC
+    share: float = 0.3
+    iou: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name in ("share", "iou"):
+            if not 0 < getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be above 0 and at most 1, found {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExcludedClasses:
+    """The ids of classes that are no objects."""
+
+    structure: frozenset[int]
+    dynamic: frozenset[int]
+
+
+class FilteredSegmenter:
+    """A `Segmenter` whose masks were shown to a semantic model.
+
+    Raises:
+        ConfigError: a class that was asked for by name is not in the model's table.
+    """
+
+    def __init__(self, segmenter: Segmenter, model: SemanticModel, config: FilterConfig) -> None:
+        self._segmenter = segmenter
+        self._model = model
+        self._config = config
+        self._excluded = excluded_classes(model.labels, config)
+
+    def prepare(self, frame: Frame) -> tuple[object, SemanticImage]:
+        """Return what needs no map: that of the segmenter, and the classes of the pixels."""
+        return self._segmenter.prepare(frame), self._model.classify(np.asarray(frame.rgb))
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+        """Return the segmenter's instances without those of excluded classes."""
+        inner, semantics = prepared if isinstance(prepared, tuple) else self.prepare(frame)
+        segmentation = self._segmenter.segment(frame, prior, inner)
+        return without_classes(segmentation, semantics, self._excluded, self._config)
+
+
+def excluded_classes(labels: tuple[str, ...], config: FilterConfig) -> ExcludedClasses:
+    """Return the ids of the classes that a configuration names.
+
+    A label may list several names (`door, double door`): one is enough, and case does not matter. The names of the
+    default need not all be in a table.
+
+    Raises:
+        ConfigError: another name is not, or none is.
+    """
+    structure, missing_structure = _ids_of(labels, config.structure)
+    dynamic, missing_dynamic = _ids_of(labels, config.dynamic)
+    unknown = sorted((missing_structure | missing_dynamic) - set(STRUCTURE) - set(DYNAMIC))
+    if unknown or not structure | dynamic:
+        what = f"no class is called {', '.join(unknown)}" if unknown else "none of the excluded classes is in it"
+        raise ConfigError(
+            f"the semantic model's table of {len(labels)} names: {what}; it has {', '.join(labels)[:600]}"
+        )
+    return ExcludedClasses(structure=structure, dynamic=dynamic)
+
+
+def without_classes(
+    segmentation: Segmentation, semantics: SemanticImage, excluded: ExcludedClasses, config: FilterConfig
+) -> Segmentation:
+    """Return a segmentation without the instances that lie on excluded classes; those are rejected, with the class."""
+    instances = segmentation.instances.copy()
+    rejected = list(segmentation.rejected)
+    count = len(semantics.labels)
+    is_excluded = np.zeros(count + 1, dtype=bool)
+    is_excluded[sorted(excluded.structure | excluded.dynamic)] = True
+    totals = np.bincount(semantics.classes.ravel() + 1, minlength=count + 1)[1:]
+    for i, place in enumerate(find_objects(segmentation.instances)):
+        if place is None:
+            continue
+        mask = segmentation.instances[place] == i + 1
+        on = np.bincount(semantics.classes[place][mask] + 1, minlength=count + 1)[1:] * is_excluded[:-1]
+        reason = _why_excluded(on, totals, int(mask.sum()), semantics.labels, config)
+        if reason is not None:
+            rows, columns = place
+            box_px = (columns.start, rows.start, columns.stop, rows.stop)
+            rejected.append(RejectedMask(box_px=box_px, reason=reason, mask=mask))
+            instances[place][mask] = 0
+    is_structure = np.isin(semantics.classes, sorted(excluded.structure))
+    is_dynamic = np.isin(semantics.classes, sorted(excluded.dynamic))
+    labels = np.unique(instances)
+    return replace(
+        segmentation,
+        instances=np.searchsorted(np.union1d(labels, [0]), instances).astype(np.int32),
+        structure=(segmentation.structure | is_structure) & ~is_dynamic & (instances == 0),
+        rejected=tuple(rejected),
+    )
+
+
+def _ids_of(labels: tuple[str, ...], names: Iterable[str]) -> tuple[frozenset[int], set[str]]:
+    """Return the ids of the classes that have one of the names, and the names that no class has."""
+    wanted = {name.strip().lower() for name in names}
+    ids, met = set(), set()
+    for i, label in enumerate(labels):
+        said = {part.strip().lower() for part in label.split(",")} & wanted
+        if said:
+            ids.add(i)
+            met |= said
+    return frozenset(ids), wanted - met
+
+
+def _why_excluded(
+    on: NDArray[np.int64], totals: NDArray[np.int64], area: int, labels: tuple[str, ...], config: FilterConfig
+) -> str | None:
+    most = int(on.argmax())
+    if on[most] >= config.share * area:
+        return f"{on[most] / area:.0%} of it is {labels[most]}"
+    iou = on / np.maximum(totals + area - on, 1)
+    most = int(iou.argmax())
+    return f"overlaps {labels[most]} (IoU {iou[most]:.2f})" if iou[most] >= config.iou else None
