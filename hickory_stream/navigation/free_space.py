@@ -62,6 +62,7 @@ class FreeSpace:
             [Occupancy(frame, parts, hull_margin_m=hull_margin_m) for parts in headings] for headings in self.parts
         ]
         self._blocked: NDArray[np.bool_] | None = None
+        self._bounded: list[tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
         self._labels: NDArray[np.int32] | None = None
         self._reachable: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
 
@@ -113,6 +114,17 @@ class FreeSpace:
             self._labels = _connected(~self.blocked())
         return self._labels
 
+    def hulls_with_bounds(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Return all hulls (N, M, 3), walls and the unknown among them, with their bounds (N, 2, 2) in the plane."""
+        if self._bounded is None:
+            groups = [self.walls, self.unknown, *(self.hulls[i] for i in sorted(self.hulls))]
+            self._bounded = [
+                (hulls, np.stack([hulls[..., :2].min(axis=1), hulls[..., :2].max(axis=1)], axis=1))
+                for hulls in groups
+                if len(hulls)
+            ]
+        return self._bounded
+
     def reachable_cells(self, place_cells: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return rows and columns (N, 2) of the cells that are connected with a place, in cells; the narrow ones.
 
@@ -139,6 +151,7 @@ class FreeSpace:
     def _forget(self) -> None:
         self._blocked = self._labels = None
         self._reachable = {}
+        self._bounded = None
 
     def _all_layers(self) -> list[Occupancy]:
         return [layer for headings in self.layers for layer in headings]
