@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hickory_stream.records import MapSnapshot
 
 _TITLE_PX, _MARGIN_PX, _LONG_SIDE_PX = 44, 30, 1000
-_FREE, _OCCUPIED, _UNKNOWN = (250, 250, 248), (74, 80, 92), (196, 199, 206)
+_FREE, _OCCUPIED, _UNKNOWN, _WALL = (250, 250, 248), (148, 154, 166), (208, 210, 216), (44, 48, 58)
 _LOW = (222, 235, 247)
 _PATH, _DUCKED, _START, _GOAL = (28, 98, 196), (206, 52, 110), (24, 140, 84), (206, 66, 40)
 _BODY_STEP_M = 0.35
@@ -38,6 +38,7 @@ def render_plan(
 ) -> NDArray[np.uint8]:
     """Return an (H, W, 3) uint8 picture of a plan, or of where there is none; pale blue is for lowered postures only."""
     canvas = _Canvas.of(space)
+    _draw_walls(canvas, space)
     _draw_objects(canvas, snapshot)
     if isinstance(answer, Path):
         _draw_path(canvas, space, answer)
@@ -95,6 +96,15 @@ def _colored(space: FreeSpace) -> NDArray[np.uint8]:
     image[is_free.any(axis=0)] = _LOW
     image[is_free[0]] = _FREE
     return image
+
+
+def _draw_walls(canvas: _Canvas, space: FreeSpace) -> None:
+    """Draw the walls themselves, darker than what they keep the robot out of."""
+    import cv2
+
+    for hull in space.walls:
+        corners = cv2.convexHull(np.ascontiguousarray(hull[:, :2], dtype=np.float32))[:, 0]
+        cv2.fillPoly(canvas.image, [canvas.fixed(corners)], _WALL, cv2.LINE_8, shift=4)
 
 
 def _draw_objects(canvas: _Canvas, snapshot: MapSnapshot) -> None:
