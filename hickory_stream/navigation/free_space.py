@@ -19,7 +19,7 @@ from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import MOST_BYTES, Cell, GridFrame, Occupancy, distance_field_m, frame_around
-from hickory_stream.navigation.robot import Part, Robot, raised, turned
+from hickory_stream.navigation.robot import Part, Posture, Robot, raised, turned
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -190,6 +190,25 @@ def free_space_of(
     dark = unknown_hulls(seen.is_known, frame, band) if unknown == "blocked" else np.empty((0, 8, 3))
     space.observe(seen.walls, dark)
     return space
+
+
+def obstacle_grid(snapshot: MapSnapshot, posture: Posture, *, cell_m: float, most_bytes: int = MOST_BYTES) -> Occupancy:
+    """Return the cells that hold an obstacle at the heights of a posture, without its footprint: for other planners.
+
+    Raises:
+        InputError: the map is empty, or the grid would take too much memory.
+    """
+    low, high = _extent(snapshot)
+    frame = frame_around(low, high, cell_m, most_bytes=most_bytes)
+    floor = floor_of(snapshot)
+    part = Part(low_m=floor + min(part.low_m - part.ball_m for part in posture.parts), high_m=floor + posture.height_m)
+    grid = Occupancy(frame, [part])
+    for tracked in obstacles_of(snapshot):
+        grid.put(tracked.id, layer_four_of(tracked))
+    band = Band(low_m=part.low_m, high_m=part.high_m)
+    seen = seen_columns(snapshot.submaps, frame, band, floor)
+    grid.observe(seen.walls, unknown_hulls(seen.is_known, frame, band))
+    return grid
 
 
 def obstacles_of(snapshot: MapSnapshot) -> list[TrackedObject]:
