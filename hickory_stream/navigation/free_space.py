@@ -170,7 +170,7 @@ def free_space_of(
     Raises:
         InputError: the map is empty, the robot does not fit into it, or the grid would take too much memory.
     """
-    low, high = _extent(snapshot)
+    low, high = extent_of(snapshot)
     layers = len(robot.postures) * robot.num_headings
     frame = frame_around(low, high, cell_m, num_layers=layers, most_bytes=most_bytes)
     room_m = float(np.min(high - low))
@@ -198,7 +198,7 @@ def obstacle_grid(snapshot: MapSnapshot, posture: Posture, *, cell_m: float, mos
     Raises:
         InputError: the map is empty, or the grid would take too much memory.
     """
-    low, high = _extent(snapshot)
+    low, high = extent_of(snapshot)
     frame = frame_around(low, high, cell_m, most_bytes=most_bytes)
     floor = floor_of(snapshot)
     part = Part(low_m=floor + min(part.low_m - part.ball_m for part in posture.parts), high_m=floor + posture.height_m)
@@ -250,7 +250,7 @@ def floor_of(snapshot: MapSnapshot) -> float:
     return min((float(tracked.box.corners_world()[:, 2].min()) for tracked in snapshot.objects), default=0.0)
 
 
-def _extent(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def extent_of(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the low and high corner (2,) of what was seen and of all objects."""
     places = [np.empty((0, 2))]
     for submap in snapshot.submaps:
