@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
     """Add the command to the command line."""
     evaluate = commands.add_parser(
-        "evaluate-navigation", parents=[common], help="plan on a map's boxes, meshes and layer 4, and compare with truth"
+        "evaluate-navigation",
+        parents=[common],
+        help="plan on a map's boxes, meshes and layer 4, and compare with truth",
     )
     evaluate.set_defaults(run=run)
     evaluate.add_argument("map", type=Path, metavar="MAP")

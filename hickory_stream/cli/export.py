@@ -30,8 +30,8 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         "--format",
         choices=sorted((*_WRITERS, *_SEVERAL)),
         default="json",
-        help="json (default): all records; ply: layer 1 of all objects; glb: layer 2, one named node an object; nav2: a "
-        "grid for map_server (YAML and PGM); mjcf, urdf: a folder for a simulator, layer 2 to see and layer 4 to touch",
+        help="json (default): all records; ply: layer 1 of all objects; glb: layer 2, one named node an object; nav2: "
+        "a grid for map_server (YAML and PGM); mjcf, urdf: a folder for a simulator, layer 2 to see and layer 4 to touch",
     )
     export.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="default: MAP with the ending of the format, yaml for nav2"
@@ -39,7 +39,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     export.add_argument(
         "--robot", default="point", metavar="NAME|FILE", help="nav2: whose height counts; its footprint does not"
     )
-    export.add_argument("--cell", type=float, default=0.05, metavar="M", help="nav2: the side of a cell, default 0.05 m")
+    export.add_argument(
+        "--cell", type=float, default=0.05, metavar="M", help="nav2: the side of a cell, default 0.05 m"
+    )
     export.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )

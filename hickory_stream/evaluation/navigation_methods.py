@@ -80,4 +80,3 @@ def built(
 def triangles(mesh: Mesh) -> NDArray[np.float64]:
     """Return the (F, 3, 3) corners of a mesh's faces."""
     return np.asarray(mesh.vertices.astype(np.float64)[mesh.faces])
-

@@ -44,7 +44,7 @@ def truth_of(truth: Truth, robot: Robot, *, cell_m: float, floor_z_m: float, r_s
 
 
 def true_obstacles(truth: Truth, inflated: Mapping[int, Superquadrics]) -> Obstacles:
-    """Return the true objects as obstacles, with a layer 4 that was made of their true meshes; walls are the true ones."""
+    """Return the true objects as obstacles, with a layer 4 made of their true meshes; walls are the true ones."""
     walls = [np.empty((0, 3, 3)), *(triangles(mesh) for mesh in structure_meshes(truth))]
     return Obstacles(
         load=lambda: {item.id: true_mesh_world(truth, item) for item in truth.objects},

@@ -36,7 +36,7 @@ def render_plan(
     start: NDArray[np.float64],
     goal: NDArray[np.float64],
 ) -> NDArray[np.uint8]:
-    """Return an (H, W, 3) uint8 picture of a plan, or of where there is none; pale blue is for lowered postures only."""
+    """Return an (H, W, 3) uint8 picture of a plan, or of where there is none; pale blue: lowered postures only."""
     canvas = _Canvas.of(space)
     _draw_walls(canvas, space)
     _draw_objects(canvas, snapshot)

@@ -88,9 +88,7 @@ class Costmap:
         """Return a new, larger grid, or one for another height of the floor."""
         if self._grid is not None:
             low, high = np.minimum(low, self._grid.frame.origin_m), np.maximum(high, self._grid.frame.high_m)
-        frame = frame_around(
-            np.floor(low / _ROOM_M) * _ROOM_M, np.ceil(high / _ROOM_M) * _ROOM_M, self._cell_m
-        )
+        frame = frame_around(np.floor(low / _ROOM_M) * _ROOM_M, np.ceil(high / _ROOM_M) * _ROOM_M, self._cell_m)
         bottom = min(part.low_m - part.ball_m for part in self._posture.parts)
         part = Part(low_m=floor_m + bottom, high_m=floor_m + self._posture.height_m)
         self._grid = Occupancy(frame, [part])

@@ -135,7 +135,7 @@ class FreeSpace:
         key = tuple(sorted({int(piece) for piece in labels[:, :, row, column].ravel() if piece}))
         if key not in self._reachable:
             layers = np.isin(labels, key)
-            inside = layers.any(axis=(0, 1))
+            inside = np.asarray(layers.any(axis=(0, 1)))
             is_beside = distance_field_m(~inside, 1.0) <= _NARROW_CELLS
             is_rare = layers[0].mean(axis=0) < _FEW_HEADINGS
             self._reachable[key] = (
@@ -262,9 +262,8 @@ def extent_of(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.fl
             corners = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
             world = corners @ submap.world_from_submap[:3, :3].T + submap.world_from_submap[:3, 3]
             places.append(world[:, :2])
-    for tracked in obstacles_of(snapshot):
-        places.append(world_bounds(layer_four_of(tracked)).reshape(-1, 3)[:, :2])
-    found = np.concatenate(places)
+    bounds = [world_bounds(layer_four_of(tracked)).reshape(-1, 3)[:, :2] for tracked in obstacles_of(snapshot)]
+    found = np.concatenate([*places, *bounds])
     if len(found) == 0:
         raise InputError("the map is empty: it has neither objects nor observed space to plan in")
     if not np.isfinite(found).all():
@@ -280,11 +279,8 @@ def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
     postures, headings = is_free.shape[:2]
     seams = [(pieces[p], pieces[q]) for p in range(postures) for q in range(p)]
     seams += [(pieces[:, 0], pieces[:, -1])] if headings > 1 else []
-    pairs = [np.empty((2, 0), np.int64)]
-    for first, second in seams:
-        both = (first > 0) & (second > 0)
-        pairs.append(np.unique(np.stack([first[both], second[both]]), axis=1))
-    a, b = np.concatenate(pairs, axis=1)
+    pairs = [_touching_pairs(first, second) for first, second in seams]
+    a, b = np.concatenate([np.empty((2, 0), np.int64), *pairs], axis=1)
     graph = coo_array((np.ones(len(a), bool), (a, b)), shape=(count + 1, count + 1))
     _, merged = connected_components(graph, directed=False)
     # Piece 0, what is blocked, touches nothing: its number moves to the front.
@@ -292,3 +288,7 @@ def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
     return np.asarray(numbers[pieces])
 
 
+def _touching_pairs(first: NDArray[np.int32], second: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return (2, N) the pieces of two layers that share a cell."""
+    both = (first > 0) & (second > 0)
+    return np.unique(np.stack([first[both], second[both]]), axis=1).astype(np.int64)

@@ -75,8 +75,10 @@ def wall_hulls(submap: Submap, band: Band, floor_z_m: float) -> NDArray[np.float
         flat[tuple((cells[:, :2] - first[:2]).T)] = True
         low, high = cells[:, 2].min(), cells[:, 2].max() + 1
         boxes = [(*box, low, high) for box in rectangles(flat)]
-        corners = np.array([[x0 + first[0], y0 + first[1], z0, x1 + first[0], y1 + first[1], z1]
-                            for x0, y0, x1, y1, z0, z1 in boxes], dtype=np.float64)
+        corners = np.array(
+            [[x0 + first[0], y0 + first[1], z0, x1 + first[0], y1 + first[1], z1] for x0, y0, x1, y1, z0, z1 in boxes],
+            dtype=np.float64,
+        )
     else:
         corners = np.concatenate([cells, cells + 1], axis=1).astype(np.float64)
     hulls = box_corners(corners * space.voxel_m)
@@ -102,8 +104,8 @@ def rectangles(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
         if i < len(mask):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], mask[i], [False]]).astype(np.int8)))
             runs = {(int(a), int(b)) for a, b in edges.reshape(-1, 2)}
-        for run in [run for run in open_runs if run not in runs]:
-            found.append((open_runs.pop(run), run[0], i, run[1]))
+        ended = [run for run in open_runs if run not in runs]
+        found += [(open_runs.pop(run), run[0], i, run[1]) for run in ended]
         for run in sorted(runs):
             open_runs.setdefault(run, i)
     return found
@@ -120,7 +122,10 @@ def _known_in(submap: Submap, frame: GridFrame, band: Band) -> NDArray[np.bool_]
     space = submap.observed_space
     # Upright or nearly so: the height in the submap is that in the world, but for its own height.
     low, high = np.array([band.low_m, band.high_m]) - submap.world_from_submap[2, 3]
-    first_layer, last_layer = round(low / space.voxel_m), max(round(high / space.voxel_m), round(low / space.voxel_m) + 1)
+    first_layer, last_layer = (
+        round(low / space.voxel_m),
+        max(round(high / space.voxel_m), round(low / space.voxel_m) + 1),
+    )
     first, seen = _seen_per_column(space.free, space.structure, first_layer, last_layer)
     if seen.size == 0:
         return np.zeros(frame.shape, bool)

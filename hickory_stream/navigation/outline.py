@@ -152,11 +152,7 @@ def _between(first, second, new):  # type: ignore[no-untyped-def] # pragma: no c
     length = np.sqrt(dx * dx + dy * dy)
     if length > 1e-9:
         dx, dy = dx / length, dy / length
-    if (
-        length <= 1e-9
-        or first[_DX] * dy - first[_DY] * dx < 1e-4
-        or dx * second[_DY] - dy * second[_DX] < 1e-4
-    ):
+    if length <= 1e-9 or first[_DX] * dy - first[_DY] * dx < 1e-4 or dx * second[_DY] - dy * second[_DX] < 1e-4:
         dx, dy = first[_DX] + second[_DX], first[_DY] + second[_DY]
         length = np.sqrt(dx * dx + dy * dy)
         dx, dy = dx / length, dy / length

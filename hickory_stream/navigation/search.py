@@ -145,8 +145,12 @@ def plan(
     return Path(
         points=points,
         postures=states // headings,
-        headings_rad=np.array([_driven_heading(leg, int(s) % headings, headings)
-                               for leg, s in zip(np.diff(points, axis=0), states, strict=True)]),
+        headings_rad=np.array(
+            [
+                _driven_heading(leg, int(s) % headings, headings)
+                for leg, s in zip(np.diff(points, axis=0), states, strict=True)
+            ]
+        ),
         length_m=float(lengths.sum()),
         cost_m=float((lengths * costs[states // headings]).sum()),
         num_iterations=iterations,
@@ -187,7 +191,7 @@ def _refused(space: FreeSpace, ends: NDArray[np.float64]) -> NoPath | None:
         if len(here) == 0:
             return _in_the_way(space, name, int(row), int(column), place)
         pieces.append(here)
-    if len(np.intersect1d(*pieces)):
+    if np.isin(pieces[0], pieces[1]).any():
         return None
     return NoPath(
         reason=NoPathReason.UNREACHABLE,

@@ -50,7 +50,12 @@ def mjcf_files(
     world = ElementTree.SubElement(root, "worldbody")
     ElementTree.SubElement(world, "light", pos=f"0 0 {floor_z_m + 6:g}", dir="0 0 -1", directional="true")
     ElementTree.SubElement(
-        world, "geom", name="floor", type="plane", pos=f"0 0 {floor_z_m:g}", size=f"{_FLOOR_HALF_M:g} {_FLOOR_HALF_M:g} 1"
+        world,
+        "geom",
+        name="floor",
+        type="plane",
+        pos=f"0 0 {floor_z_m:g}",
+        size=f"{_FLOOR_HALF_M:g} {_FLOOR_HALF_M:g} 1",
     )
     for i, (center, half, quaternion) in enumerate(_boxes(walls)):
         place = {"pos": _numbers(center), "quat": _numbers(quaternion), "size": _numbers(half)}
@@ -145,7 +150,7 @@ def _support(primitives: Superquadrics, index: int, directions: NDArray[np.float
 def _boxes(
     hulls: NDArray[np.float64],
 ) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
-    """Return centre, half extents and quaternion (w first) of boxes given by their corners, as `box_corners` has them."""
+    """Return centre, half extents and quaternion (w first) of boxes given by corners as `box_corners` has them."""
     out = []
     for corners in hulls:
         edges = corners[[1, 2, 4]] - corners[0]

@@ -195,9 +195,7 @@ def grow_connect(blocked, start, goal, start_state, goal_state, samples, step): 
             if length <= step:
                 break
             bx, by = points[two, at, 0] + dx * step / length, points[two, at, 1] + dy * step / length
-            reached = state_after(
-                blocked, points[two, at, 0], points[two, at, 1], states[two, at], bx, by, two == 1
-            )
+            reached = state_after(blocked, points[two, at, 0], points[two, at, 1], states[two, at], bx, by, two == 1)
             if reached < 0:
                 break
             after = counts[two]
@@ -212,8 +210,8 @@ def grow_connect(blocked, start, goal, start_state, goal_state, samples, step): 
 def _link(blocked, points, parents, states, count, near, x, y, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
     """Append the way from a node to a place; return how many nodes that took, 0 where there is no way.
 
-    Straight, or where the heading does not fit at the place, as in a doorway, by a turn onto a line that does: the robot
-    drives to where that line is nearest, turns, and follows it.
+    Straight, or where the heading does not fit at the place, as in a doorway, by a turn onto a line that does: the
+    robot drives to where that line is nearest, turns, and follows it.
     """
     ax, ay = points[near, 0], points[near, 1]
     state = state_after(blocked, ax, ay, states[near], x, y, is_backward)

@@ -6,6 +6,7 @@ column, anywhere in the closed square of the cell, and is as high as the layer, 
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,7 +51,7 @@ class VoxelOccupancy:
         heights = low_m + layer_m * np.arange(num_layers + 1)
         self._layers = [
             Occupancy(frame, [Part(low_m=float(low), high_m=float(high), disc_m=radius_m)])
-            for low, high in zip(heights[:-1], heights[1:], strict=True)
+            for low, high in pairwise(heights)
         ]
 
     def put(self, object_id: int, inflated: Superquadrics) -> None:

@@ -1,4 +1,4 @@
-"""A plan as a Rerun recording: layer 4, the grid on the floor, the path and the robot that drives it along a timeline."""
+"""A plan as a Rerun recording: layer 4, the grid on the floor, the path, and the robot that drives it on a timeline."""
 
 from __future__ import annotations
 
@@ -95,5 +95,9 @@ def _body(posture: Posture, place: NDArray[np.float64], heading_rad: float, floo
         halves.append([*((high - low) / 2), (top - bottom) / 2])
     turn = rr.Quaternion(xyzw=[0.0, 0.0, np.sin(heading_rad / 2), np.cos(heading_rad / 2)])
     return rr.Boxes3D(
-        centers=centers, half_sizes=halves, quaternions=[turn] * len(centers), colors=(238, 138, 48), labels=posture.name
+        centers=centers,
+        half_sizes=halves,
+        quaternions=[turn] * len(centers),
+        colors=(238, 138, 48),
+        labels=posture.name,
     )

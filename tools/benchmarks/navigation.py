@@ -1,4 +1,4 @@
-"""Planning on boxes, meshes and layer 4 of the four apartments, and how fast grids and paths are. Seconds are CPU seconds.
+"""Planning on boxes, meshes and layer 4 of the four apartments; how fast grids and paths are, in CPU seconds.
 
 Layer 4 is made of the true meshes, so that what is compared is the shapes; then, where the whole pipeline's maps are at
 hand (a full run plays the logs for them), the same table of those, with what was not seen as unknown.
@@ -30,6 +30,7 @@ from tools.benchmarks.true_shapes import true_inflated
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.navigation_methods import Obstacles
@@ -174,9 +175,7 @@ def _speeds(obstacles: Obstacles, scene: TrueScene, robot: Robot, pairs: NDArray
     return Speeds(
         grid_s=_best_of(stamped, 9),
         field_s=_best_of(lambda: distance_field_m(grid.is_occupied(), frame.cell_m), 5),
-        update_s=[
-            _best_of(lambda i=i, q=q: grid.put(i, q), 7) for i, q in obstacles.inflated.items()
-        ],
+        update_s=[_best_of(lambda i=i, q=q: grid.put(i, q), 7) for i, q in obstacles.inflated.items()],
         first_path_s=first,
     )
 

@@ -23,9 +23,7 @@ _NO_POINTS = np.empty((0, 3))
 
 def true_inflated(truth: Truth, config: InflateConfig) -> dict[int, Superquadrics]:
     """Return layer 4 of every true object, in the world, by id."""
-    return {
-        item.id: _cached(mesh_of(truth, item), item.world_from_object, config) for item in truth.objects
-    }
+    return {item.id: _cached(mesh_of(truth, item), item.world_from_object, config) for item in truth.objects}
 
 
 def _cached(mesh: Mesh, world_from_object: np.ndarray, config: InflateConfig) -> Superquadrics:
