@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from hickory_stream.engine.session import SavedMap
 
 
+# Structure above is ceiling to a robot.
+_WALL_HEIGHT_M = 2.0
+
+
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
     """Add the command to the command line."""
     export = commands.add_parser("export", parents=[common], help="write a map in another format")
@@ -24,11 +28,20 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     export.add_argument("map", type=Path, metavar="MAP")
     export.add_argument(
         "--format",
-        choices=sorted(_WRITERS),
+        choices=sorted((*_WRITERS, *_SEVERAL)),
         default="json",
-        help="json (default): all records; ply: layer 1 of all objects; glb: layer 2, one named node an object",
+        help="json (default): all records; ply: layer 1 of all objects; glb: layer 2, one named node an object; nav2: "
+        "a grid for map_server (YAML and PGM); mjcf, urdf: a folder for a simulator, layer 2 to see and layer 4 to touch",
     )
-    export.add_argument("-o", "--out", type=Path, metavar="FILE", help="default: MAP with the ending of the format")
+    export.add_argument(
+        "-o", "--out", type=Path, metavar="FILE", help="default: MAP with the ending of the format, yaml for nav2"
+    )
+    export.add_argument(
+        "--robot", default="point", metavar="NAME|FILE", help="nav2: whose height counts; its footprint does not"
+    )
+    export.add_argument(
+        "--cell", type=float, default=0.05, metavar="M", help="nav2: the side of a cell, default 0.05 m"
+    )
     export.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )
@@ -37,14 +50,21 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     saved = open_map_at(options.map, options.at)
-    out = options.out or options.map.with_suffix(f".{options.format}")
-    data = _WRITERS[options.format](saved)
+    ending = "yaml" if options.format == "nav2" else options.format
+    out = options.out or options.map.with_suffix(f".{ending}")
+    if options.format in _SEVERAL:
+        files = _SEVERAL[options.format](saved, out, options)
+    else:
+        files = {out: _WRITERS[options.format](saved)}
     try:
-        out.write_bytes(data)
+        for path, data in files.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
     except OSError as error:
         raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     if options.json:
-        print(json.dumps({"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}))
+        told = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
+        print(json.dumps(told if len(files) == 1 else told | {"files": len(files)}))
     return 0
 
 
@@ -85,4 +105,46 @@ def _glb(saved: SavedMap) -> bytes:
     return exported
 
 
+def _nav2(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path, bytes]:
+    from hickory_stream.navigation.free_space import obstacle_grid
+    from hickory_stream.navigation.nav2 import pgm_of, yaml_of
+    from hickory_stream.navigation.robot import load_robot
+
+    grid = obstacle_grid(saved.snapshot, load_robot(options.robot).postures[0], cell_m=options.cell)
+    picture = out.with_suffix(".pgm")
+    if picture == out:
+        raise InputError(f"found --out {out}, expected the name of the YAML file; the picture lies beside it")
+    return {picture: pgm_of(grid.states()), out: yaml_of(grid.frame, picture.name).encode()}
+
+
+def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path, bytes]:
+    import numpy as np
+
+    from hickory_stream.navigation.free_space import floor_of, layer_four_of, obstacles_of
+    from hickory_stream.navigation.observed import Band, wall_hulls
+    from hickory_stream.navigation.simulators import SimulatedObject, mjcf_files, urdf_files
+
+    snapshot = saved.snapshot
+    objects = [
+        SimulatedObject(
+            name=f"object-{tracked.id}",
+            mesh=None if tracked.shape is None else saved.mesh(tracked.shape),
+            world_from_object=tracked.box.world_from_box if tracked.shape is None else tracked.shape.world_from_object,
+            inflated=layer_four_of(tracked),
+        )
+        for tracked in obstacles_of(snapshot)
+    ]
+    floor = floor_of(snapshot)
+    band = Band(low_m=floor, high_m=floor + _WALL_HEIGHT_M)
+    walls = [np.empty((0, 8, 3)), *(wall_hulls(submap, band, floor) for submap in snapshot.submaps)]
+    files = mjcf_files if options.format == "mjcf" else urdf_files
+    made = files(objects, np.concatenate(walls), floor, out.stem)
+    return {out / name: data for name, data in made.items()}
+
+
 _WRITERS: dict[str, Callable[[SavedMap], bytes]] = {"json": _json, "ply": _ply, "glb": _glb}
+_SEVERAL: dict[str, Callable[[SavedMap, Path, argparse.Namespace], dict[Path, bytes]]] = {
+    "nav2": _nav2,
+    "mjcf": _simulated,
+    "urdf": _simulated,
+}

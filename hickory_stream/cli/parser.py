@@ -14,10 +14,12 @@ from hickory_stream.cli import (
     doctor,
     evaluate,
     evaluate_alignment,
+    evaluate_navigation,
     evaluate_views,
     export,
     inspect,
     merge,
+    plan,
     play,
     reconstruct,
     relocalise,
@@ -37,6 +39,7 @@ _COMMANDS = (
     render,
     export,
     diff,
+    plan,
     align,
     merge,
     relocalise,
@@ -44,6 +47,7 @@ _COMMANDS = (
     evaluate,
     evaluate_views,
     evaluate_alignment,
+    evaluate_navigation,
     config,
 )
 

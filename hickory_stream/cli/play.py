@@ -54,6 +54,12 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     )
     play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     play.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
+    play.add_argument(
+        "--costmap", type=Path, metavar="FILE", help="write the growing grid as ROS 2 messages (MCAP) for Nav2"
+    )
+    play.add_argument(
+        "--costmap-robot", default="point", metavar="NAME|FILE", help="at whose height obstacles count there"
+    )
     play.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
     add_source_options(play)
 
@@ -91,8 +97,10 @@ def run(options: argparse.Namespace) -> int:
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
-        return make_sinks(folder, settings, viewer, options.rrd, options.metrics_port)
+        made = make_sinks(folder, settings, viewer, options.rrd, options.metrics_port)
+        return made if costmap is None else [*made, (costmap, False)]
 
+    costmap = _costmap(options)
     printer = ProgressPrinter(style, clock.describe)
     keys = Keys(clock)
     if style == "bar" and sys.stdin.isatty():
@@ -115,6 +123,16 @@ def run(options: argparse.Namespace) -> int:
         printer.close()
         source.close()
     return finish(options, out, played)
+
+
+def _costmap(options: argparse.Namespace) -> Sink | None:
+    """Return the sink of `--costmap`, None without it; raises `InputError`."""
+    if options.costmap is None:
+        return None
+    from hickory_stream.navigation.robot import load_robot
+    from hickory_stream.sinks.costmap_sink import CostmapSink
+
+    return CostmapSink(load_robot(options.costmap_robot).postures[0], path=options.costmap)
 
 
 def make_style(options: argparse.Namespace) -> Style:

@@ -82,6 +82,17 @@ def parse_nanoseconds(tolerance_ms: float | None) -> int | None:
     return round(tolerance_ms * 1e6)
 
 
+def parse_place(text: str, option: str) -> tuple[float, float]:
+    """Return the x and y of a text like 1.5,-2, metres; raises `InputError`."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(f"found {option} {text}, expected X,Y in metres, e.g. {option}=1.5,-2") from error
+    if not (abs(x) < float("inf") and abs(y) < float("inf")):
+        raise InputError(f"found {option} {text}, expected two finite numbers")
+    return x, y
+
+
 def parse_layers(text: str) -> set[int]:
     """Return the layers that a text like 1,2 names; raises `InputError`."""
     parts = {part.strip() for part in text.split(",")}

@@ -176,15 +176,16 @@ def table_json(rows: Sequence[MethodScore]) -> list[dict[str, Any]]:
 def format_table(rows: Sequence[MethodScore]) -> str:
     """Return the rows for people."""
     lines = [
-        f"{'method':<10} {'success':>8} {'straight/path':>14} {'path/optimum':>13} {'free':>6} {'missed':>7} {'lost':>6}"
-        f" {'load s':>8} {'build s':>8} {'query ms':>9}"
+        f"{'method':<10} {'success':>8} {'straight/path':>14} {'path/optimum':>13} {'free':>6} {'missed':>7}"
+        f" {'lost':>6} {'load s':>8} {'build s':>8} {'query ms':>9}"
     ]
     for row in rows:
         efficiency = "-" if row.efficiency is None else f"{row.efficiency:.3f}"
         over = "-" if row.over_optimum is None else f"{row.over_optimum:.3f}"
         lines.append(
             f"{row.name:<10} {100 * row.success:>7.1f}% {efficiency:>14} {over:>13} {row.free_space:>6.3f} "
-            f"{row.missed_cells:>7} {row.lost_cells:>6} {row.load_s:>8.3f} {row.build_s:>8.3f} {1e3 * row.query_s:>9.2f}"
+            f"{row.missed_cells:>7} {row.lost_cells:>6} {row.load_s:>8.3f} {row.build_s:>8.3f} "
+            f"{1e3 * row.query_s:>9.2f}"
         )
     lines.append(
         f"{rows[0].pairs} pairs; missed: cells of the true scene called free; lost: reachable ones that are not"

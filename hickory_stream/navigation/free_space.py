@@ -19,7 +19,7 @@ from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import MOST_BYTES, Cell, GridFrame, Occupancy, distance_field_m, frame_around
-from hickory_stream.navigation.robot import Robot, raised, turned
+from hickory_stream.navigation.robot import Part, Posture, Robot, raised, turned
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -62,6 +62,7 @@ class FreeSpace:
             [Occupancy(frame, parts, hull_margin_m=hull_margin_m) for parts in headings] for headings in self.parts
         ]
         self._blocked: NDArray[np.bool_] | None = None
+        self._bounded: list[tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
         self._labels: NDArray[np.int32] | None = None
         self._reachable: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
 
@@ -113,6 +114,17 @@ class FreeSpace:
             self._labels = _connected(~self.blocked())
         return self._labels
 
+    def hulls_with_bounds(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Return all hulls (N, M, 3), walls and the unknown among them, with their bounds (N, 2, 2) in the plane."""
+        if self._bounded is None:
+            groups = [self.walls, self.unknown, *(self.hulls[i] for i in sorted(self.hulls))]
+            self._bounded = [
+                (hulls, np.stack([hulls[..., :2].min(axis=1), hulls[..., :2].max(axis=1)], axis=1))
+                for hulls in groups
+                if len(hulls)
+            ]
+        return self._bounded
+
     def reachable_cells(self, place_cells: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return rows and columns (N, 2) of the cells that are connected with a place, in cells; the narrow ones.
 
@@ -123,7 +135,7 @@ class FreeSpace:
         key = tuple(sorted({int(piece) for piece in labels[:, :, row, column].ravel() if piece}))
         if key not in self._reachable:
             layers = np.isin(labels, key)
-            inside = layers.any(axis=(0, 1))
+            inside = np.asarray(layers.any(axis=(0, 1)))
             is_beside = distance_field_m(~inside, 1.0) <= _NARROW_CELLS
             is_rare = layers[0].mean(axis=0) < _FEW_HEADINGS
             self._reachable[key] = (
@@ -139,6 +151,7 @@ class FreeSpace:
     def _forget(self) -> None:
         self._blocked = self._labels = None
         self._reachable = {}
+        self._bounded = None
 
     def _all_layers(self) -> list[Occupancy]:
         return [layer for headings in self.layers for layer in headings]
@@ -157,7 +170,7 @@ def free_space_of(
     Raises:
         InputError: the map is empty, the robot does not fit into it, or the grid would take too much memory.
     """
-    low, high = _extent(snapshot)
+    low, high = extent_of(snapshot)
     layers = len(robot.postures) * robot.num_headings
     frame = frame_around(low, high, cell_m, num_layers=layers, most_bytes=most_bytes)
     room_m = float(np.min(high - low))
@@ -177,6 +190,25 @@ def free_space_of(
     dark = unknown_hulls(seen.is_known, frame, band) if unknown == "blocked" else np.empty((0, 8, 3))
     space.observe(seen.walls, dark)
     return space
+
+
+def obstacle_grid(snapshot: MapSnapshot, posture: Posture, *, cell_m: float, most_bytes: int = MOST_BYTES) -> Occupancy:
+    """Return the cells that hold an obstacle at the heights of a posture, without its footprint: for other planners.
+
+    Raises:
+        InputError: the map is empty, or the grid would take too much memory.
+    """
+    low, high = extent_of(snapshot)
+    frame = frame_around(low, high, cell_m, most_bytes=most_bytes)
+    floor = floor_of(snapshot)
+    part = Part(low_m=floor + min(part.low_m - part.ball_m for part in posture.parts), high_m=floor + posture.height_m)
+    grid = Occupancy(frame, [part])
+    for tracked in obstacles_of(snapshot):
+        grid.put(tracked.id, layer_four_of(tracked))
+    band = Band(low_m=part.low_m, high_m=part.high_m)
+    seen = seen_columns(snapshot.submaps, frame, band, floor)
+    grid.observe(seen.walls, unknown_hulls(seen.is_known, frame, band))
+    return grid
 
 
 def obstacles_of(snapshot: MapSnapshot) -> list[TrackedObject]:
@@ -218,7 +250,7 @@ def floor_of(snapshot: MapSnapshot) -> float:
     return min((float(tracked.box.corners_world()[:, 2].min()) for tracked in snapshot.objects), default=0.0)
 
 
-def _extent(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def extent_of(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the low and high corner (2,) of what was seen and of all objects."""
     places = [np.empty((0, 2))]
     for submap in snapshot.submaps:
@@ -230,9 +262,8 @@ def _extent(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.floa
             corners = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
             world = corners @ submap.world_from_submap[:3, :3].T + submap.world_from_submap[:3, 3]
             places.append(world[:, :2])
-    for tracked in obstacles_of(snapshot):
-        places.append(world_bounds(layer_four_of(tracked)).reshape(-1, 3)[:, :2])
-    found = np.concatenate(places)
+    bounds = [world_bounds(layer_four_of(tracked)).reshape(-1, 3)[:, :2] for tracked in obstacles_of(snapshot)]
+    found = np.concatenate([*places, *bounds])
     if len(found) == 0:
         raise InputError("the map is empty: it has neither objects nor observed space to plan in")
     if not np.isfinite(found).all():
@@ -248,13 +279,16 @@ def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
     postures, headings = is_free.shape[:2]
     seams = [(pieces[p], pieces[q]) for p in range(postures) for q in range(p)]
     seams += [(pieces[:, 0], pieces[:, -1])] if headings > 1 else []
-    pairs = [np.empty((2, 0), np.int64)]
-    for first, second in seams:
-        both = (first > 0) & (second > 0)
-        pairs.append(np.unique(np.stack([first[both], second[both]]), axis=1))
-    a, b = np.concatenate(pairs, axis=1)
+    pairs = [_touching_pairs(first, second) for first, second in seams]
+    a, b = np.concatenate([np.empty((2, 0), np.int64), *pairs], axis=1)
     graph = coo_array((np.ones(len(a), bool), (a, b)), shape=(count + 1, count + 1))
     _, merged = connected_components(graph, directed=False)
     # Piece 0, what is blocked, touches nothing: its number moves to the front.
     numbers = np.where(merged == merged[0], 0, merged + 1).astype(np.int32)
     return np.asarray(numbers[pieces])
+
+
+def _touching_pairs(first: NDArray[np.int32], second: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return (2, N) the pieces of two layers that share a cell."""
+    both = (first > 0) & (second > 0)
+    return np.unique(np.stack([first[both], second[both]]), axis=1).astype(np.int64)

@@ -104,8 +104,8 @@ def rectangles(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
         if i < len(mask):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], mask[i], [False]]).astype(np.int8)))
             runs = {(int(a), int(b)) for a, b in edges.reshape(-1, 2)}
-        for run in [run for run in open_runs if run not in runs]:
-            found.append((open_runs.pop(run), run[0], i, run[1]))
+        ended = [run for run in open_runs if run not in runs]
+        found += [(open_runs.pop(run), run[0], i, run[1]) for run in ended]
         for run in sorted(runs):
             open_runs.setdefault(run, i)
     return found

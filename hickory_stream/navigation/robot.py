@@ -152,7 +152,7 @@ def load_robot(name_or_path: str) -> Robot:
 
 
 def robot_of(record: dict[str, Any], default_name: str = "robot") -> Robot:
-    """Return the robot of a parsed TOML file; raises ValueError, TypeError or KeyError where it is not as it must be."""
+    """Return the robot of a parsed TOML file; raises ValueError, TypeError or KeyError where that cannot be."""
     _only(record, {"name", "description", "num_headings", "posture"})
     found = record["posture"]
     if not isinstance(found, list) or not 1 <= len(found) <= _MOST_POSTURES:

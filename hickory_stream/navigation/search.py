@@ -191,7 +191,7 @@ def _refused(space: FreeSpace, ends: NDArray[np.float64]) -> NoPath | None:
         if len(here) == 0:
             return _in_the_way(space, name, int(row), int(column), place)
         pieces.append(here)
-    if len(np.intersect1d(*pieces)):
+    if np.isin(pieces[0], pieces[1]).any():
         return None
     return NoPath(
         reason=NoPathReason.UNREACHABLE,

@@ -210,8 +210,8 @@ def grow_connect(blocked, start, goal, start_state, goal_state, samples, step): 
 def _link(blocked, points, parents, states, count, near, x, y, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
     """Append the way from a node to a place; return how many nodes that took, 0 where there is no way.
 
-    Straight, or where the heading does not fit at the place, as in a doorway, by a turn onto a line that does: the robot
-    drives to where that line is nearest, turns, and follows it.
+    Straight, or where the heading does not fit at the place, as in a doorway, by a turn onto a line that does: the
+    robot drives to where that line is nearest, turns, and follows it.
     """
     ax, ay = points[near, 0], points[near, 1]
     state = state_after(blocked, ax, ay, states[near], x, y, is_backward)

@@ -34,8 +34,10 @@ def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[n
         off = grown(part, space.hull_margin_m)
         if _meets(rows, _NO_HULLS, part.numbers, part.corners_m, start, end, TOLERANCE_M):
             return False
-        for hulls in (space.walls, space.unknown, *space.hulls.values()):
-            if _meets(_NO_ROWS, hulls, off.numbers, off.corners_m, start, end, TOLERANCE_M):
+        low, high = np.minimum(start, end) - off.reach_m, np.maximum(start, end) + off.reach_m
+        for hulls, bounds in space.hulls_with_bounds():
+            near = ((bounds[:, 0] <= high) & (bounds[:, 1] >= low)).all(axis=1)
+            if _meets(_NO_ROWS, hulls[near], off.numbers, off.corners_m, start, end, TOLERANCE_M):
                 return False
     return True
 

@@ -1,0 +1,131 @@
+"""`hickory-stream plan`: a way through a map for a robot, or why there is none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.cli.status import NO_PATH
+from hickory_stream.cli.values import open_map_at, parse_place
+from hickory_stream.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.parser import Commands
+    from hickory_stream.navigation.free_space import FreeSpace
+    from hickory_stream.navigation.search import NoPath
+    from hickory_stream.navigation.search import Path as Way
+
+PLANNERS = ("rrt", "rrt-connect", "rrt-star")
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    plan = commands.add_parser(
+        "plan", parents=[common], help="plan a path through a map for a robot; exit status 3: there is none"
+    )
+    plan.set_defaults(run=run)
+    plan.add_argument("map", type=Path, metavar="MAP")
+    plan.add_argument("--start", required=True, metavar="X,Y", help="metres in the map; --start=-1,2 if it is negative")
+    plan.add_argument("--goal", required=True, metavar="X,Y")
+    add_robot_arguments(plan)
+    plan.add_argument("--planner", choices=PLANNERS, default="rrt-connect")
+    plan.add_argument("--seed", type=int, default=0, help="the same seed gives the same path")
+    plan.add_argument("-o", "--out", type=Path, metavar="PNG|RRD", help="draw the grid, the objects and the path")
+    plan.add_argument(
+        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
+    )
+
+
+def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what says which robot plans, and on what grid."""
+    parser.add_argument(
+        "--robot", default="point", metavar="NAME|FILE", help="point (default), jackal, b2, or a TOML file"
+    )
+    parser.add_argument("--cell", type=float, default=0.033, metavar="M", help="the side of a cell, default 0.033 m")
+    parser.add_argument(
+        "--unknown",
+        choices=("blocked", "free"),
+        default="blocked",
+        help="whether space that nobody looked into is avoided (default)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    import numpy as np
+
+    from hickory_stream.navigation.free_space import free_space_of, without_layer_four
+    from hickory_stream.navigation.robot import load_robot
+    from hickory_stream.navigation.search import NoPath, SearchConfig, plan
+
+    if options.out is not None and options.out.suffix not in (".png", ".rrd"):
+        raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
+    start, goal = (np.array(parse_place(text, option)) for text, option in _ends(options))
+    robot = load_robot(options.robot)
+    saved = open_map_at(options.map, options.at)
+    space = free_space_of(saved.snapshot, robot, cell_m=options.cell, unknown=options.unknown)
+    if options.seed < 0:
+        raise InputError(f"found --seed {options.seed}, expected 0 or more")
+    config = SearchConfig(planner=options.planner)
+    answer = plan(space, start, goal, config, np.random.default_rng(options.seed))
+    boxes = without_layer_four(saved.snapshot)
+    if options.out is not None:
+        _draw(options.out, saved.snapshot, space, answer, start, goal)
+    print(json.dumps(_as_json(space, answer, boxes), indent=1) if options.json else _as_text(space, answer, boxes))
+    return NO_PATH if isinstance(answer, NoPath) else 0
+
+
+def _ends(options: argparse.Namespace) -> tuple[tuple[str, str], tuple[str, str]]:
+    return (options.start, "--start"), (options.goal, "--goal")
+
+
+def _as_json(space: FreeSpace, answer: Way | NoPath, boxes: list[int]) -> dict[str, Any]:
+    from hickory_stream.navigation.search import NoPath
+
+    told: dict[str, Any] = {"robot": space.robot.name, "objects_by_box": boxes, "cell_m": space.frame.cell_m}
+    if isinstance(answer, NoPath):
+        return told | {"found": False, "reason": answer.reason.value, "text": answer.text}
+    return told | {
+        "found": True,
+        "length_m": answer.length_m,
+        "points": answer.points.tolist(),
+        "postures": [space.robot.postures[int(p)].name for p in answer.postures],
+        "headings_rad": answer.headings_rad.tolist(),
+        "iterations": answer.num_iterations,
+    }
+
+
+def _as_text(space: FreeSpace, answer: Way | NoPath, boxes: list[int]) -> str:
+    from hickory_stream.navigation.search import NoPath
+
+    notes = []
+    if boxes:
+        listed = ", ".join(map(str, boxes[:10])) + (", ..." if len(boxes) > 10 else "")
+        notes.append(f"note: {len(boxes)} objects have no layer 4 of their own, their box is avoided: {listed}")
+    if isinstance(answer, NoPath):
+        return "\n".join([f"no path ({answer.reason.value}): {answer.text}", *notes])
+    lines = [f"{answer.length_m:.2f} m in {len(answer.points) - 1} legs, verified along the whole length"]
+    for i, (x, y) in enumerate(answer.points):
+        posture = space.robot.postures[int(answer.postures[min(i, len(answer.postures) - 1)])].name
+        leg = f"  on, {posture}" if i < len(answer.points) - 1 else "  there"
+        lines.append(f"  ({x:7.3f}, {y:7.3f}){leg}")
+    return "\n".join([*lines, *notes])
+
+
+def _draw(path: Path, snapshot: Any, space: FreeSpace, answer: Way | NoPath, start: Any, goal: Any) -> None:
+    import cv2
+
+    from hickory_stream.evaluation.render_navigation import render_plan
+    from hickory_stream.sinks.rerun_path import write_plan
+
+    try:
+        if path.suffix == ".rrd":
+            write_plan(path, snapshot, space, answer)
+        else:
+            picture = render_plan(snapshot, space, answer, start, goal)
+            path.write_bytes(cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+    except OSError as error:
+        raise InputError(f"cannot write the picture {path}: {error.strerror}") from error

@@ -1,0 +1,120 @@
+"""The sink that tells a robot's own planner where it may drive, while the map is made.
+
+Messages are those that Nav2's static layer subscribes to: nav_msgs/OccupancyGrid on `/map`, then
+map_msgs/OccupancyGridUpdate on `/map_updates`. They go into an MCAP file of ROS 2 messages, which may be a named pipe,
+and to any callable, such as the publisher of a node; no ROS is needed to make them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import InputError
+from hickory_stream.navigation.costmap import Costmap, CostmapUpdate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from hickory_stream.navigation.robot import Posture
+    from hickory_stream.records import FrameReport
+
+MAP_TOPIC, UPDATES_TOPIC, FRAME_ID = "/map", "/map_updates", "map"
+_MAP_TYPE, _UPDATE_TYPE = "nav_msgs/msg/OccupancyGrid", "map_msgs/msg/OccupancyGridUpdate"
+_HEADER = "std_msgs/Header header\n"
+_UPDATE_DEFINITION = _HEADER + "int32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data\n"
+
+
+class CostmapSink:
+    """Follows the snapshots, and hands what changed to `publish` and to a file.
+
+    `show` raises OSError when the disk refuses.
+    """
+
+    def __init__(
+        self,
+        posture: Posture,
+        *,
+        cell_m: float = 0.05,
+        path: Path | None = None,
+        publish: Callable[[CostmapUpdate], None] | None = None,
+    ) -> None:
+        self._costmap = Costmap(posture, cell_m=cell_m)
+        self._publish = publish
+        self._file = None if path is None else _Messages(path)
+
+    def show(self, report: FrameReport) -> None:
+        """Send what changed with the report's snapshot."""
+        if report.snapshot is None:
+            return
+        update = self._costmap.update(report.snapshot)
+        if update is None:
+            return
+        if self._publish is not None:
+            self._publish(update)
+        if self._file is not None:
+            self._file.write(update)
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+class _Messages:
+    """An MCAP file of ROS 2 messages, written through at every message: a reader may follow it."""
+
+    def __init__(self, path: Path) -> None:
+        from mcap.writer import CompressionType, Writer
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
+        self._store.register(get_types_from_msg(_UPDATE_DEFINITION, _UPDATE_TYPE))
+        try:
+            self._stream = path.open("wb")
+        except OSError as error:
+            raise InputError(f"cannot write the costmap {path}: {error.strerror}") from error
+        self._writer = Writer(self._stream, use_chunking=False, compression=CompressionType.NONE)
+        self._writer.start(profile="ros2", library="hickory_stream")
+        self._channels = {topic: self._channel(topic, name) for topic, name in _TOPICS}
+
+    def write(self, update: CostmapUpdate) -> None:
+        topic, name = _TOPICS[0] if update.is_whole else _TOPICS[1]
+        data = bytes(self._store.serialize_cdr(self._message(update), name))
+        self._writer.add_message(self._channels[topic], update.stamp_ns, data, update.stamp_ns)
+        self._stream.flush()
+
+    def close(self) -> None:
+        self._writer.finish()
+        self._stream.close()
+
+    def _channel(self, topic: str, name: str) -> int:
+        definition, _ = self._store.generate_msgdef(name, ros_version=2)
+        schema = self._writer.register_schema(name, "ros2msg", definition.encode())
+        return int(self._writer.register_channel(topic, "cdr", schema))
+
+    def _message(self, update: CostmapUpdate) -> Any:
+        types = self._store.types
+        seconds, nanoseconds = divmod(update.stamp_ns, 10**9)
+        stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+        header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=FRAME_ID)
+        data = np.ascontiguousarray(update.states).ravel()
+        height, width = update.states.shape
+        if not update.is_whole:
+            return types[_UPDATE_TYPE](
+                header=header, x=update.column, y=update.row, width=width, height=height, data=data
+            )
+        x, y = update.frame.origin_m.tolist()
+        origin = types["geometry_msgs/msg/Pose"](
+            position=types["geometry_msgs/msg/Point"](x=x, y=y, z=0.0),
+            orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        info = types["nav_msgs/msg/MapMetaData"](
+            map_load_time=stamp, resolution=update.frame.cell_m, width=width, height=height, origin=origin
+        )
+        return types[_MAP_TYPE](header=header, info=info, data=data)
+
+
+_TOPICS = ((MAP_TOPIC, _MAP_TYPE), (UPDATES_TOPIC, _UPDATE_TYPE))
