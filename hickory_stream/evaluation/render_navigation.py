@@ -9,7 +9,7 @@ import numpy as np
 
 from hickory_stream.evaluation.labels import draw_scale, draw_title
 from hickory_stream.geometry.palette import color_of_id
-from hickory_stream.geometry.superquadric import display_mesh
+from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
 from hickory_stream.navigation.occupancy import Cell
 from hickory_stream.navigation.search import Path
@@ -116,7 +116,7 @@ def _draw_objects(canvas: _Canvas, snapshot: MapSnapshot) -> None:
     for tracked in obstacles_of(snapshot):
         inflated = layer_four_of(tracked)
         for i in range(len(inflated)):
-            vertices, _ = display_mesh(inflated, i, segments=32)
+            vertices, _ = display_mesh(inflated, i)
             corners = cv2.convexHull(np.ascontiguousarray(vertices[:, :2]))[:, 0]
             hulls.append((canvas.fixed(corners), color_of_id(tracked.id)))
     for corners, color in hulls:

@@ -14,7 +14,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hickory_stream.geometry.rigid import invert, quaternion_from_rotation
-from hickory_stream.geometry.superquadric import display_mesh, moved, support
+from hickory_stream.geometry.superquadric import moved, support
+from hickory_stream.geometry.superquadric_surface import display_mesh
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.geometry.superquadric import Superquadrics
 
-_SEGMENTS = 16
 _FLOOR_HALF_M = 50.0
 _WALL_RGBA = "0.84 0.86 0.89 1"
 
@@ -126,7 +126,7 @@ def polyhedron_around(primitives: Superquadrics, index: int) -> tuple[NDArray[np
     """
     from scipy.spatial import ConvexHull
 
-    vertices, _ = display_mesh(primitives, index, segments=_SEGMENTS)
+    vertices, _ = display_mesh(primitives, index)
     center = primitives.world_from_local[index, :3, 3]
     offsets = vertices.astype(np.float64) - center
     hull = ConvexHull(offsets)
