@@ -82,7 +82,7 @@ def play_first_layer(
         )
 
         def features(effect: ComputeFeatures, frame: Frame = frame, perceived: Perceived = perceived) -> FeaturesReady:
-            pooled = features_of(frame, perceived.observations, effect.observation_indices, extractor)
+            pooled, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
             return FeaturesReady(frame_index=effect.frame_index, features=pooled)
 
         published = _handle(core, event, frame.stamp_ns, features)

@@ -177,7 +177,7 @@ def _features(seen: PlayedKeyframe, shown: NDArray[np.int32]) -> list[tuple[int,
         most = int(np.argmax(counts))
         owners.append(int(ids[most]) if counts[most] > _OWN_SHARE * counts.sum() else 0)
     chosen = [observation.index for observation, owner in zip(observations, owners, strict=True) if owner > 0]
-    pooled = features_of(seen.frame, observations, chosen, ColorTextureDescriptor())
+    pooled, _ = features_of(seen.frame, observations, chosen, ColorTextureDescriptor())
     return [(owners[feature.observation_index], feature.pooled) for feature in pooled]
 
 
