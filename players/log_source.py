@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry.rigid import invert
 from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
 from players.containers import UnreadableMessageError, deserialize
 from players.counts import Ledger
@@ -24,7 +25,7 @@ from players.images import LogImage, color_of, depth_of, image_of
 from players.messages import POINT_CLOUD
 from players.peek import peek_stamp_ns
 from players.point_clouds import scan_of
-from players.register import Registration, register_depth
+from players.register import Registration, register_depth, with_motion
 from players.rig import RigReader
 from players.sync import Leftover, Pair, Stamped, pair_epochs
 from players.timeline import Order, Timeline
@@ -225,9 +226,26 @@ class LogSource:
 
     def _is_settled(self, epoch: int, pair: Pair, reader: RigReader, newest: dict[int, int]) -> bool:
         """Return whether the pose of a pair is known, or will not be."""
-        if self._setup.plan.reaches(pair.stamp_ns, epoch, reader) or max(newest) > epoch:
+        needed_ns = max(pair.stamp_ns, pair.depth_stamp_ns) if self._moves_depth(pair) else pair.stamp_ns
+        if self._setup.plan.reaches(needed_ns, epoch, reader) or max(newest) > epoch:
             return True
         return newest[epoch] - pair.stamp_ns > self._setup.max_gap_ns + _PATIENCE_NS
+
+    def _moves_depth(self, pair: Pair) -> bool:
+        """Return whether depth is of another camera and another moment, so that the way between counts.
+
+        Depth that is registered already is left as it is; by the recorder's clock nobody knows when it was taken.
+        """
+        is_apart = pair.depth_stamp_ns != pair.stamp_ns
+        return is_apart and not self._setup.uses_log_time and not self._setup.registration.is_identity
+
+    def _registration(
+        self, pair: Pair, world_from_camera: NDArray[np.float64], epoch: int, reader: RigReader
+    ) -> Registration:
+        """Return how the depth of a pair gets into its colour: with the camera's way between their stamps, if known."""
+        registration = self._setup.registration
+        then = self._setup.plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
+        return registration if then is None else with_motion(registration, invert(world_from_camera) @ then)
 
     def _count_leftover(self, leftover: Leftover, ledger: Ledger) -> None:
         fate = _fate_of(leftover)
@@ -257,7 +275,15 @@ class LogSource:
             stamp_ns=pair.stamp_ns,
             camera=registration.color_camera,
             world_from_camera=world_from_camera,
-            decode=partial(_decode, self._setup, pair, index, world_from_camera, ledger),
+            decode=partial(
+                _decode,
+                self._setup,
+                self._registration(pair, world_from_camera, epoch, reader),
+                pair,
+                index,
+                world_from_camera,
+                ledger,
+            ),
             color_bytes=(pair.color.data() or None) if is_passed_on else None,
             after_from_before=jump.after_from_before if jump is not None else None,
         )
@@ -296,7 +322,14 @@ class LogSource:
         return (min(stamps), max(stamps)) if stamps else (0, 0)
 
 
-def _decode(setup: LogSetup, pair: Pair, index: int, world_from_camera: NDArray[np.float64], ledger: Ledger) -> Frame:
+def _decode(
+    setup: LogSetup,
+    registration: Registration,
+    pair: Pair,
+    index: int,
+    world_from_camera: NDArray[np.float64],
+    ledger: Ledger,
+) -> Frame:
     """Return the decoded frame: rectified colour, and rectified depth registered into it."""
     try:
         rgb = color_of(pair.color)
@@ -314,8 +347,8 @@ def _decode(setup: LogSetup, pair: Pair, index: int, world_from_camera: NDArray[
         index=index,
         stamp_ns=pair.stamp_ns,
         rgb=setup.color_lens.rectified_color(rgb),
-        depth_m=register_depth(setup.depth_lens.rectified_depth(depth_m), setup.registration),
-        camera=setup.registration.color_camera,
+        depth_m=register_depth(setup.depth_lens.rectified_depth(depth_m), registration),
+        camera=registration.color_camera,
         world_from_camera=world_from_camera,
     )
 

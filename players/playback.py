@@ -188,7 +188,7 @@ class PlayedSource:
                         break
                     if sought_ns > frame.stamp_ns:
                         self._num_skipped += 1
-                        jump = _joined(jump, frame.after_from_before)
+                        jump = None if goes_back else _joined(jump, frame.after_from_before)
                         continue
                 if keyframe:
                     last = Keyframe(stamp_ns=frame.stamp_ns, world_from_camera=frame.world_from_camera)

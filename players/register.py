@@ -6,7 +6,7 @@ that neighbours leave no holes between them where the resolutions are alike, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numba
@@ -41,6 +41,14 @@ class Registration:
     def is_identity(self) -> bool:
         """Whether the depth image is registered as it is."""
         return self.depth_camera == self.color_camera and bool(np.abs(self.color_from_depth - np.eye(4)).max() < 1e-9)
+
+
+def with_motion(registration: Registration, color_from_then: NDArray[np.float64]) -> Registration:
+    """Return the registration of depth that was taken when the colour camera was elsewhere.
+
+    `color_from_then` (4, 4) takes what the colour camera would have seen then into what it saw at its own stamp.
+    """
+    return replace(registration, color_from_depth=color_from_then @ registration.color_from_depth)
 
 
 def register_depth(depth_m: NDArray[np.float32], registration: Registration) -> NDArray[np.float32]:

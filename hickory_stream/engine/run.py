@@ -142,6 +142,7 @@ class Run:
         self._continued = continued
         self._place = (0, 0)
         self._is_source_over = False
+        self._is_over = False
         self._camera: Camera | None = None
         self._last: FramePose | None = None
         self._mapped: Keyframe | None = None
@@ -224,8 +225,10 @@ class Run:
         """Have submaps placed anew before the next frame; once all frames are mapped, before the map is finished.
 
         Raises:
-            InputError: there is no such submap, or a transform is not rigid; nothing is moved then.
+            InputError: there is no such submap, a transform is not rigid, or the map is finished; nothing is moved.
         """
+        if self._is_over:
+            raise InputError("the map is finished: poses can be corrected while it is being made")
         known = [submap.id for submap in self._snapshot.submaps] if self._snapshot is not None else []
         for submap_id, pose in world_from_submap.items():
             if submap_id not in known:
@@ -600,9 +603,10 @@ class Run:
             decisions = published.decisions if published is not None else ()
         await self._commit(kind, last.stamp_ns)
         await self._commit_last(kind, last.stamp_ns)
-        if self._corrections:
+        while self._corrections:
             await self._correct(last.stamp_ns)
             await self._commit(kind, last.stamp_ns)
+        self._is_over = True
         await self._recorder.written()
         self._snapshot = await self._in(self._thinker, self._core.snapshot)
         self._publish(self._snapshot)

@@ -153,7 +153,15 @@ def test_what_cannot_be_a_correction_is_refused_and_the_run_goes_on(tmp_path: Pa
                     mapper.correct_poses(places)
                 refused.append(str(error.value))
 
-    run = map_scene(tmp_path, *NO_SHAPES, source=JumpingSource(NUM_FRAMES), on_snapshot=correct, rate=SLOW)
+    mappers: list[Mapper] = []
+
+    async def watch(mapper: Mapper, snapshot: MapSnapshot) -> None:
+        mappers.append(mapper)
+        await correct(mapper, snapshot)
+
+    run = map_scene(tmp_path, *NO_SHAPES, source=JumpingSource(NUM_FRAMES), on_snapshot=watch, rate=SLOW)
+    with pytest.raises(InputError, match="the map is finished"):
+        mappers[0].correct_poses({0: MOVE})
     assert refused[0] == "there is no submap 9: the map has 0 to 0"
     assert all("must be a rigid (4, 4) transform" in text for text in refused[1:])
     assert len(refused) == 4

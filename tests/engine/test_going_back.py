@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from hickory_stream.engine.replay import replay
 from hickory_stream.engine.resume import save_live, was_sought
 from hickory_stream.engine.session import open_map
 from hickory_stream.errors import MapFolderError
-from hickory_stream.testing import PERIOD_NS, START_NS, RememberingSink, SceneSource
+from hickory_stream.testing import PERIOD_NS, START_NS, InstanceSegmenter, RememberingSink, SceneSource
 from players.playback import PlaybackClock, PlayedSource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.engine.session import MapFolder
-    from hickory_stream.ports import Sink
+    from hickory_stream.ports import Sink, Source
     from hickory_stream.records import Frame, MapSnapshot, RawFrame, TrackedObject
 
 pytestmark = pytest.mark.timeout(120)
@@ -205,3 +205,28 @@ def test_pixels_that_are_gone_are_known_to_be_gone_and_the_others_are_kept(tmp_p
     folder.save(replace(snapshot, objects=()))
     assert (folder.views / f"{first}.json").exists()
     assert not (folder.views / f"{second}.json").exists()
+
+
+def test_a_person_goes_back_by_the_playback_clock(tmp_path: Path) -> None:
+    scene = SceneSource(NUM_FRAMES)
+    clock = PlaybackClock()
+    asked: list[int] = []
+
+    async def seek(mapper: Mapper, snapshot: MapSnapshot) -> None:
+        if snapshot.revision >= 1 and not asked:
+            asked.append(snapshot.revision)
+            clock.seek(0.0)
+            clock.set_rate(None)
+
+    def mapped(source: Source, name: str, **watched: Any) -> SceneRun:
+        segmenter = InstanceSegmenter(scene.instances)
+        return map_scene(tmp_path, *NO_SHAPES, source=source, segmenter=segmenter, name=name, **watched)
+
+    # At this rate the second frame is due in minutes: only somebody who seeks gets further.
+    clock.set_rate(1e-3)
+    run = mapped(PlayedSource(scene, clock), "sought", on_snapshot=seek)
+    saved = open_map(run.folder.path)
+    assert saved.ledger["source"]["seeks"] == 1
+    assert saved.ledger["frames"]["went_back"] == 1
+    assert shown_as(saved.snapshot) == shown_as(open_map(mapped(scene, "plain").folder.path).snapshot)
+    assert map_digest(replay(run.folder.path)) == run.digest

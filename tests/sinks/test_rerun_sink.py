@@ -13,7 +13,9 @@ from report_fixtures import KEYFRAME_EVERY, PERIOD_NS, SHAPE_FRAME, START_NS, re
 from rerun.chunk import RrdReader
 
 from hickory_stream.errors import ConfigError, ViewerError
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.mapping.moved import moved_object
 from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink, ViewerChoice, ViewerKind
 
 NO_VIEWER = ViewerChoice(kind=ViewerKind.NONE)
@@ -118,6 +120,29 @@ def test_an_object_that_is_gone_is_cleared_in_all_layers(rows):
         cleared = [row for row in rows[f"/world/layer{layer}/2"] if row.get("Clear:is_recursive")]
         assert [row["frame"] for row in cleared] == [MERGE_AT]
     assert not any(row.get("Clear:is_recursive") for row in rows["/world/layer2/1"])
+
+
+def test_a_map_that_is_moved_is_logged_again_with_all_its_layers_and_its_walls(tmp_path):
+    move = from_rotation_translation(yaw_rotation(0.5), np.array([3.0, -1.0, 0.0]))
+    first_moved = 2 * KEYFRAME_EVERY + SHAPE_FRAME // KEYFRAME_EVERY * KEYFRAME_EVERY
+
+    def moved(report):
+        if report.snapshot is None or report.index < first_moved:
+            return report
+        submaps = tuple(replace(s, world_from_submap=move @ s.world_from_submap) for s in report.snapshot.submaps)
+        objects = tuple(moved_object(item, move) for item in report.snapshot.objects)
+        return replace(report, snapshot=replace(report.snapshot, submaps=submaps, objects=objects))
+
+    rows = rows_of(play(tmp_path, change=moved))
+    still = rows_of(play(tmp_path))
+    columns = {"layer1/1/points": "Points3D:positions"}
+    columns |= {f"layer{layer}/1": "Mesh3D:vertex_positions" for layer in (2, 3, 4)}
+    columns |= {f"structure/{part}": "Points3D:positions" for part in ("floor", "walls")}
+    for path, column in columns.items():
+        there, here = (np.array(found[f"/world/{path}"][-1][column]).reshape(-1, 3) for found in (rows, still))
+        np.testing.assert_allclose(there, apply(move, here), atol=1e-5)
+    for layer in (2, 3, 4):
+        assert [row["frame"] for row in rows[f"/world/layer{layer}/1"]][-1] == first_moved
 
 
 def test_every_object_has_a_thumbnail_from_the_frame_of_its_best_view(tmp_path, rows):

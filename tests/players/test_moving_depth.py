@@ -1,0 +1,79 @@
+"""Depth of a camera of its own, taken a little later than colour: the way between the two counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import player_scenes as scenes
+import pytest
+
+from hickory_stream.geometry.rigid import from_rotation_translation
+from players import SourceOptions, open_source
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.ports import Source
+
+LAG_NS = 40_000_000
+COLOR_FROM_DEPTH = from_rotation_translation(np.eye(3), np.array([-0.03, 0.0, 0.0]))
+OPTIONS = SourceOptions(sync_tolerance_ns=60_000_000)
+
+
+def log(path: Path, *, lag_ns: int = LAG_NS, depth_camera: Camera | None = None) -> Source:
+    """A log whose depth is seen from 3 cm to the side, `lag_ns` after colour, by a camera that turns all the time."""
+    m = scenes.Messages(2)
+    camera = depth_camera or replace(scenes.CAMERA, fx=scenes.CAMERA.fx * 1.1, fy=scenes.CAMERA.fy * 1.1)
+    frames = scenes.make_scene()
+    links = (
+        ("base_link", scenes.OPTICAL, scenes.BODY_FROM_CAMERA),
+        (scenes.OPTICAL, "depth_optical", COLOR_FROM_DEPTH),
+    )
+    messages = [
+        entry
+        for entry in scenes.scene_messages(m, frames, lambda m, frame: [scenes.raw_images(m, frame)[0]])
+        if entry.topic not in ("/tf_static", "/cam/aligned_depth/camera_info")
+    ]
+    messages.append(scenes.Message(topic="/tf_static", stamp_ns=scenes.START_NS - 200_000_000, message=m.tf(0, *links)))
+    for frame in frames:
+        late_ns = frame.stamp_ns + lag_ns
+        depth = scenes.cast(camera, scenes.pose_at(late_ns) @ COLOR_FROM_DEPTH)[1].astype(np.float32)
+        image = m.image(late_ns, "depth_optical", "32FC1", depth)
+        messages.append(scenes.Message(topic="/cam/depth/image_rect", stamp_ns=late_ns, message=image))
+        info = m.camera_info(late_ns, "depth_optical", camera)
+        messages.append(scenes.Message(topic="/cam/depth/camera_info", stamp_ns=late_ns, message=info))
+    messages.sort(key=lambda entry: entry.stamp_ns)
+    return open_source(scenes.write_ros2(path, m, messages), OPTIONS)
+
+
+def errors_m(source: Source) -> NDArray[np.float64]:
+    """How far the depth of every frame is off what colour's camera would have measured at colour's stamp."""
+    found = []
+    for raw in source.frames():
+        frame = raw.decode()
+        truth = scenes.cast(scenes.CAMERA, scenes.pose_at(raw.stamp_ns))[1]
+        both = np.isfinite(frame.depth_m) & np.isfinite(truth)
+        found.append(np.abs(frame.depth_m - truth)[both])
+    return np.concatenate(found)
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.float64]:
+    return errors_m(log(tmp_path_factory.mktemp("moved") / "log"))
+
+
+def test_late_depth_is_as_right_as_depth_of_the_same_moment(tmp_path: Path, moved: NDArray[np.float64]) -> None:
+    same = errors_m(log(tmp_path / "log", lag_ns=0))
+    assert np.median(moved) < np.median(same) + 0.001
+    assert (moved > 0.05).mean() < (same > 0.05).mean() + 0.01
+
+
+def test_by_the_recorders_clock_nobody_knows_the_way_between(tmp_path: Path, moved: NDArray[np.float64]) -> None:
+    log(tmp_path / "log")
+    still = errors_m(open_source(tmp_path / "log", replace(OPTIONS, clock="log")))
+    assert np.median(still) > 3 * np.median(moved)
