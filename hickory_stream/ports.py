@@ -72,6 +72,11 @@ class FeatureExtractor(Protocol):
     """Dense patch features, with DINOv2's interface."""
 
     @property
+    def name(self) -> str:
+        """What tells this extractor's features from those of others: cosines between two extractors mean nothing."""
+        ...
+
+    @property
     def patch_px(self) -> int:
         """The side of a patch."""
         ...

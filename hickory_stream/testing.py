@@ -404,6 +404,7 @@ class InstanceSegmenter:
 class MeanColorExtractor:
     """A `FeatureExtractor`: the mean colour of a patch of 16 pixels, and a constant."""
 
+    name = "mean-color"
     patch_px = 16
     dim = 4
 

@@ -98,7 +98,8 @@ def why_no_semantics(map_a: ObjectMap, map_b: ObjectMap) -> str | None:
     a, b = map_a.features, map_b.features
     if a is None or b is None:
         return f"map {'a' if a is None else 'b'} has no features: aligned without semantics"
-    if map_a.extractor != map_b.extractor:
+    # One that is not known may be the same: only the number of dimensions can say that it is not.
+    if map_a.extractor and map_b.extractor and map_a.extractor != map_b.extractor:
         return (
             f"features are of two extractors ({map_a.extractor} and {map_b.extractor}), between which cosines mean "
             "nothing: aligned without semantics"

@@ -32,7 +32,7 @@ class ObjectMap:
     unit norm with rows of NaN where an object has none, None where no object has; `shapes` and `points` hold layer 3,
     or its sketch from the points, and layer 1 of each object, None where there is none; `boxes` are upright boxes
     around them. `submap_ids` (N,) says which piece of the map an object hangs on. `submaps` hold the observed space.
-    `extractor` names what made the features.
+    `extractor` names what made the features, "" where that is not known.
     """
 
     ids: NDArray[np.int64]

@@ -58,13 +58,7 @@ def objects_of(saved: SavedMap) -> ObjectMap:
     """Return the objects of an opened map, with the name of what made their features."""
     from hickory_stream.alignment.object_map import object_map
 
-    return object_map(saved.snapshot, extractor_of(saved))
-
-
-def extractor_of(saved: SavedMap) -> str:
-    """Return the name of what made a map's features, as far as its manifest says."""
-    perception = saved.manifest.config.get("perception", {})
-    return str(perception.get("extractor", "")) if isinstance(perception, dict) else ""
+    return object_map(saved.snapshot, saved.manifest.extractor)
 
 
 def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:

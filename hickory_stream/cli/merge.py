@@ -29,7 +29,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.cli.align import extractor_of
     from hickory_stream.engine.merged_map import outcome_text, write_merged_map
     from hickory_stream.engine.session import open_map
     from hickory_stream.merging.merge import merge_maps
@@ -48,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
 
     merged = merge_maps(
         [saved.snapshot for saved in inputs],
-        extractors=[extractor_of(saved) for saved in inputs],
+        extractors=[saved.manifest.extractor for saved in inputs],
         progress=lambda a, b: tell(f"aligning {paths[a]} and {paths[b]}"),
     )
     outcomes = [

@@ -23,7 +23,8 @@ class Manifest:
     """What a map was made of and by; `digest` is None until the run has finished.
 
     `run` says how the run was asked for: `mode` ("playback" or "live"), `loops`, and under `source` whatever its caller
-    needs to open the source again. `is_reproducible`: nothing that depends on the machine decided anything.
+    needs to open the source again. `is_reproducible`: nothing that depends on the machine decided anything. `extractor`
+    names what made the features, "" where that is not known.
     """
 
     config: Mapping[str, Any]
@@ -33,6 +34,7 @@ class Manifest:
     software_version: str = __version__
     finished_cleanly: bool = False
     digest: str | None = None
+    extractor: str = ""
 
 
 def manifest_json(manifest: Manifest) -> bytes:
@@ -45,6 +47,7 @@ def manifest_json(manifest: Manifest) -> bytes:
             "finished_cleanly": manifest.finished_cleanly,
             "is_reproducible": manifest.is_reproducible,
             "digest": manifest.digest,
+            "extractor": manifest.extractor,
             "run": manifest.run,
             "source": manifest.source,
             "config": manifest.config,
@@ -75,6 +78,7 @@ def read_manifest(folder: Path) -> Manifest:
             digest=entry["digest"],
             run=entry.get("run", {}),
             is_reproducible=entry.get("is_reproducible", True),
+            extractor=str(entry.get("extractor", "")),
         )
     except KeyError as error:
         raise MapFolderError(f"{folder / MANIFEST} is damaged: it has no {error}; play the log again") from error

@@ -95,6 +95,11 @@ class Mapper:
         mapper._resumes = True
         return mapper
 
+    @property
+    def extractor_name(self) -> str:
+        """What makes the features."""
+        return self._extractor.name
+
     async def __aenter__(self) -> Mapper:
         await self._workers.__aenter__()
         return self
@@ -268,7 +273,7 @@ class Mapper:
         flush_s = self.config.journal.flush_s
         if self._resumes:
             assert self._out is not None
-            self.folder, journal, continued = reopen(self._out, source.info, self.config)
+            self.folder, journal, continued = reopen(self._out, source.info, self.config, self.extractor_name)
             return self.folder, journal, continued
         if self._out is None:
             self._temporary = Path(tempfile.mkdtemp(prefix="hickory-"))
@@ -279,6 +284,7 @@ class Mapper:
             config=dataclasses.asdict(self.config),
             source=dataclasses.asdict(source.info),
             run=asked,
+            extractor=self.extractor_name,
             overwrite=self._overwrite,
         )
         try:

@@ -56,7 +56,15 @@ def write_merged_map(
         MapFolderError: the place is taken or cannot be written, or a file of an input is damaged.
     """
     config = dict(inputs[0].manifest.config)
-    folder = create_map_folder(out, config=config, source=_source(merged, inputs), overwrite=overwrite)
+    names = {saved.manifest.extractor for saved in inputs}
+    folder = create_map_folder(
+        out,
+        config=config,
+        source=_source(merged, inputs),
+        # Of several nothing is known.
+        extractor=names.pop() if len(names) == 1 else "",
+        overwrite=overwrite,
+    )
     shapes = from_dict(ShapeConfig, config["shapes"]) if isinstance(config.get("shapes"), dict) else ShapeConfig()
     total = sum(one.needs_shape for one in merged.objects)
     done, items, lost = 0, [], 0

@@ -87,7 +87,8 @@ async def _relocalise(
             if objects == known and last is not None:
                 continue
             known = objects
-            last = await asyncio.to_thread(_located, stored, snapshot, last)
+            here = object_map(snapshot, mapper.extractor_name)
+            last = await asyncio.to_thread(_located, stored, here, snapshot.stamp_ns, last)
             report(last)
             if stops_when_found and last.is_confirmed:
                 mapper.stop()
@@ -99,8 +100,7 @@ def _settled(snapshot: MapSnapshot) -> frozenset[int]:
     return frozenset(item.id for item in snapshot.objects if item.phase is not Phase.TENTATIVE)
 
 
-def _located(stored: ObjectMap, snapshot: MapSnapshot, last: Located | None) -> Located:
-    here = object_map(snapshot, stored.extractor)
+def _located(stored: ObjectMap, here: ObjectMap, stamp_ns: int, last: Located | None) -> Located:
     answer = align(stored, here)
     before = last.answer if last is not None else None
     is_confirmed = has_jumped = False
@@ -109,7 +109,7 @@ def _located(stored: ObjectMap, snapshot: MapSnapshot, last: Located | None) -> 
         has_jumped = differs(answer.a_from_b, before.a_from_b, center_b, distance_m=_AGREE_M, angle_rad=_AGREE_RAD)
         is_confirmed = not has_jumped
     return Located(
-        stamp_ns=snapshot.stamp_ns,
+        stamp_ns=stamp_ns,
         num_objects=len(here),
         answer=answer,
         is_confirmed=is_confirmed,

@@ -49,11 +49,14 @@ def check_interrupted(path: Path) -> Manifest:
     return manifest
 
 
-def reopen(path: Path, info: SourceInfo, config: MapperConfig) -> tuple[MapFolder, JournalWriter, Continued | None]:
+def reopen(
+    path: Path, info: SourceInfo, config: MapperConfig, extractor: str
+) -> tuple[MapFolder, JournalWriter, Continued | None]:
     """Return a map folder whose playback is to be continued, its journal, and where it goes on (None: anew).
 
     Raises:
-        MapFolderError: there is no map, nothing to continue, or what is there cannot be continued.
+        MapFolderError: there is no map, nothing to continue, or what is there cannot be continued; with features of
+            another extractor it cannot.
         RecordingError: the source is another one than that of the map.
     """
     manifest = check_interrupted(path)
@@ -67,6 +70,10 @@ def reopen(path: Path, info: SourceInfo, config: MapperConfig) -> tuple[MapFolde
         raise MapFolderError(
             f"{path}: somebody went to and fro in the log, so that nobody knows which frames are left; "
             "`hickory-stream resume` saves what it had, or play the log again"
+        )
+    if manifest.extractor not in ("", extractor):
+        raise MapFolderError(
+            f"{path} has features of {manifest.extractor}, not of {extractor}; resume it with that one"
         )
     folder = reopen_map_folder(path)
     try:

@@ -79,18 +79,19 @@ def create_map_folder(
     config: Mapping[str, Any],
     source: Mapping[str, Any],
     run: Mapping[str, Any] | None = None,
+    extractor: str = "",
     overwrite: bool = False,
 ) -> MapFolder:
     """Return a new, empty map folder; `overwrite` replaces a map that is there, but never anything else.
 
-    `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be made of what JSON knows. The folder is
-    locked until it is closed.
+    `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be made of what JSON knows; `extractor`
+    names what makes the features. The folder is locked until it is closed.
 
     Raises:
         MapFolderError: the place is taken or cannot be written; nothing is left behind.
     """
     _check_place(path, overwrite)
-    manifest = Manifest(config=config, source=source, run=run or {})
+    manifest = Manifest(config=config, source=source, run=run or {}, extractor=extractor)
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     with disk_errors(path):
         try:

@@ -54,6 +54,13 @@ def is_inside(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
     v = abs(row[ROTATION + 1] * dx + row[ROTATION + 4] * dy + row[ROTATION + 7] * dz) / row[AXES + 1]
     if v > 1.0:
         return False
+    # Powers are dear: with exponents up to 1 a body holds the ellipsoid of its axes, with others that holds it.
+    ball = u * u + v * v + w * w
+    if row[POWER_1] >= 2.0 and row[POWER_2] >= 2.0:
+        if ball <= 1.0:
+            return True
+    elif row[POWER_1] <= 2.0 and row[POWER_2] <= 2.0 and ball > 1.0:
+        return False
     # No coordinate exceeds 1 here: nothing overflows, and what underflows is 0 as it should be.
     planar = _power(u, row[POWER_2]) + _power(v, row[POWER_2])
     if row[RATIO] != 1.0:

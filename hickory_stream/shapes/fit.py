@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
@@ -45,8 +47,9 @@ class FitConfig:
     outside. `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains
     are measured on up to `gain_samples` cells. Then `num_rounds` times all are refined together (`joint_...`), made
     simple where the misfit rises by no more than `simple_tolerance` cells (`simple_...`), and pairs are merged that
-    lose at most `merge_loss` of the volume. Parts that reach more than `protruding_cells`, of `cells`, beyond all
-    primitives get up to `max_protruding` of their own.
+    lose at most `merge_loss` of the volume. Primitives that explain less than `min_explained` of it are no description.
+    Parts that reach more than `protruding_cells`, of `cells`, beyond all primitives get up to `max_protruding` of
+    their own.
     """
 
     cells: int = 64
@@ -70,6 +73,7 @@ class FitConfig:
     simple_samples_each: int = 600
     simple_sweeps: int = 5
     simple_tolerance: float = 0.03
+    min_explained: float = 0.5
     max_protruding: int = 4
     protruding_cells: float = 3.0
 
@@ -77,8 +81,9 @@ class FitConfig:
 def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
     """Return the primitives of a mesh in its own frame, largest first, at least one.
 
-    Where no primitive fits, because the mesh is flat or encloses nothing, its box is returned as one superquadric with
-    exponents of 0.1.
+    What is flat or encloses nothing becomes its box, one superquadric with exponents of 0.1. A thin shell, such as a
+    bowl, is no union of convex bodies: where primitives explain less than half of the object, one around all of it is
+    returned instead of splinters.
 
     Raises:
         ValueError: the mesh has no triangles or no extent, or is not finite.
@@ -103,7 +108,7 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
         )
         grid = distance_grid(local, mesh.faces, cells=cells, band_cells=config.band_cells)
         rows = marching(grid, config)
-    found = _superquadrics(rows, grid) if rows else box_superquadric(local, longest / config.cells)
+    found = _superquadrics(rows, grid) if rows else around_all(local, mesh.faces, longest / config.cells)
     return canonical(moved(found, from_rotation_translation(axes, offset)))
 
 
@@ -132,8 +137,30 @@ def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superq
     )
 
 
+def around_all(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size_m: float) -> Superquadrics:
+    """Return one superquadric about the surface of a mesh as a whole, its box where the mesh is flat."""
+    extent = np.ptp(vertices, axis=0)
+    whole = box_superquadric(vertices, min_size_m)
+    if extent.min() <= min_size_m:
+        return whole
+    box = OrientedBox(world_from_box=whole.world_from_local[0], half_extents_m=whole.semi_axes_m[0])
+    return sketch(_surface_samples(vertices, faces), box) or whole
+
+
+def _surface_samples(vertices: NDArray[np.float64], faces: NDArray[np.int32], count: int = 500) -> NDArray[np.float64]:
+    """Return (count, 3) points of triangles by their share of the area, always the same ones."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    passed = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    steps = np.arange(count)
+    chosen = np.searchsorted(passed, (steps + 0.5) / count * passed[-1])
+    # Two sequences that fill a square evenly, folded into a triangle.
+    u, v = (steps * 0.7548776662466927) % 1.0, (steps * 0.5698402909980532) % 1.0
+    u, v = np.where(u + v > 1, 1 - u, u)[:, None], np.where(u + v > 1, 1 - v, v)[:, None]
+    return np.asarray(a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen])
+
+
 def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the rows (`quadric_lm`) of the primitives, in units of cells."""
+    """Return the rows (`quadric_lm`) of the primitives, in units of cells; none where they explain too little."""
     field = FitField(grid, config.waste_weight)
     rows: list[NDArray[np.float64]] = []
     least = config.min_gain * field.volume
@@ -149,7 +176,10 @@ def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]
         before = rows = polished(field, rows, config)
         rows = pruned(field, merged(field, rows, config), config)
     rows = with_protruding(field, rows, config)
-    return rows if _are_same(rows, before) else polished(field, rows, config)
+    if not _are_same(rows, before):
+        rows = polished(field, rows, config)
+    field.cover_with(rows)
+    return rows if field.unexplained() <= (1 - config.min_explained) * field.volume else []
 
 
 def _are_same(rows: list[NDArray[np.float64]], others: list[NDArray[np.float64]]) -> bool:

@@ -72,8 +72,9 @@ def test_only_the_best_pairs_are_candidates() -> None:
 
 def test_cosines_of_two_extractors_are_not_compared() -> None:
     pair = simulate_pair(SimulationConfig(num_objects=8), 0)
-    a, b = pair.map_a, pair.map_b
+    a, b = pair.map_a, replace(pair.map_b, extractor="color")
     assert why_no_semantics(a, b) is None
+    assert why_no_semantics(replace(a, extractor="color"), b) is None
     assert a.features is not None
     for other, word in (
         (replace(a, features=None), "no features"),

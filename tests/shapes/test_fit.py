@@ -6,10 +6,11 @@ import trimesh
 from shape_fixtures import as_mesh, test_mesh
 
 from hickory_stream.geometry.rigid import apply, yaw_rotation
-from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, volumes_m3
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, volumes_m3, world_bounds
 from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
 from hickory_stream.shapes.quadric_lm import distances_to, refined, row_of
 from hickory_stream.shapes.sdf import distance_grid
+from tools.benchmarks.shape_meshes import hollow_mesh
 
 CONFIG = FitConfig()
 
@@ -76,6 +77,14 @@ def test_the_same_mesh_gives_the_same_primitives_to_the_byte() -> None:
     first, second = (fit_superquadrics(as_mesh(test_mesh("chair")), CONFIG) for _ in range(2))
     assert first.semi_axes_m.tobytes() == second.semi_axes_m.tobytes()
     assert first.world_from_local.tobytes() == second.world_from_local.tobytes()
+
+
+def test_a_bowl_becomes_one_primitive_around_it() -> None:
+    bowl = hollow_mesh("bowl")
+    found = fit_superquadrics(as_mesh(bowl), FitConfig())
+    assert len(found) == 1
+    low, high = world_bounds(found)[0]
+    assert np.abs(np.stack([low, high]) - bowl.bounds).max() < 0.01
 
 
 def test_a_flat_mesh_becomes_one_box_of_its_extent() -> None:

@@ -10,8 +10,9 @@ import numpy as np
 import trimesh
 
 from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.rigid import invert
 from hickory_stream.geometry.shape_score import shape_score
-from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, taken
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, moved, taken
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MARGIN_M = 0.05
+_PICTURE_PX = 320
 _NOISE, _STRETCH = 0.005, (0.02, 0.03)
 _NO_POINTS = np.empty((0, 3))
 _HOLLOW = ("hollow mug", "bowl")
@@ -57,10 +59,10 @@ def measure(options: Options) -> list[Figure]:
     _warm_up()
     rows = []
     for name, mesh in meshes.items():
-        rows.append(_row(name, _turned(mesh, rng), options))
+        rows.append(_row(name, mesh, _rotation(rng), options))
     if not options.meshes and not options.quick:
         for name in _HOLLOW:
-            _row(name, _turned(hollow_mesh(name), rng), options)
+            _row(name, hollow_mesh(name), _rotation(rng), options)
     figures = _of_rows(rows, with_simple=not options.meshes)
     figures += _of_scores(meshes, rng, trials=1 if options.quick else 3)
     return figures + _of_collisions(options)
@@ -111,7 +113,7 @@ def _of_scores(meshes: dict[str, trimesh.Trimesh], rng: np.random.Generator, tri
 
 
 def _disturbed(mesh: trimesh.Trimesh, rng: np.random.Generator) -> Iterator[tuple[str, trimesh.Trimesh]]:
-    yield "self_rotation", _turned(mesh, rng)
+    yield "self_rotation", _turned(mesh, _rotation(rng))
     # Noise on a mesh of eight vertices would be another shape: edges of at most a twentieth first.
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, 0.05, max_iter=30)
     noise = trimesh.Trimesh(vertices, faces)
@@ -168,7 +170,8 @@ def _no_false_free(scene: ClearanceScene, starts: NDArray[np.float64], ends: NDA
         raise AssertionError("a swept ball is called free that touches")
 
 
-def _row(name: str, mesh: trimesh.Trimesh, options: Options) -> Row:
+def _row(name: str, upright: trimesh.Trimesh, turn: NDArray[np.float64], options: Options) -> Row:
+    mesh = _turned(upright, turn)
     started = time.process_time()
     fitted = _fit(mesh)
     fit_seconds = time.process_time() - started
@@ -193,26 +196,42 @@ def _row(name: str, mesh: trimesh.Trimesh, options: Options) -> Row:
         f"inflated {1e3 * inflate_seconds:5.1f} ms, {row.volume_ratio:.2f} x, {state}"
     )
     if options.render is not None:
-        _render(options.render, row, mesh)
+        _render(options.render, row, upright, invert(turn))
     return row
 
 
-def _render(folder: Path, row: Row, mesh: trimesh.Trimesh) -> None:
+def _render(folder: Path, row: Row, upright: trimesh.Trimesh, upright_from_mesh: NDArray[np.float64]) -> None:
+    """Draw the mesh, its fit and its inflation, the latter at a smaller scale, standing as the mesh was made."""
     import cv2
 
     from hickory_stream.evaluation.close_up import close_up_of, draw
     from hickory_stream.evaluation.raycast import Surface
     from hickory_stream.evaluation.render_parts import superquadric_surfaces
 
-    vertices = np.asarray(mesh.vertices, dtype=np.float32)
-    grey = Surface(vertices=vertices, faces=mesh.faces, colors=np.full((len(vertices), 3), 176, np.uint8), owner=0)
-    view = close_up_of(
-        np.concatenate([display_mesh(row.grown.primitives, i)[0] for i in range(len(row.grown.primitives))]), 0.6
+    # Faces that meet at an edge share no vertex, so that each is shaded as the plane that it is.
+    shaded = trimesh.graph.smooth_shade(upright, angle=0.6)
+    grey = np.full((len(shaded.vertices), 3), 176, np.uint8)
+    mesh = Surface(vertices=np.asarray(shaded.vertices, np.float32), faces=shaded.faces, colors=grey, owner=0)
+    fitted, grown = (moved(found, upright_from_mesh) for found in (row.fitted, row.grown.primitives))
+    around = np.concatenate([display_mesh(grown, i)[0] for i in range(len(grown))])
+    near, far = (close_up_of(points, 0.6, _PICTURE_PX) for points in (upright.vertices, around))
+    panels = [
+        draw([mesh], near),
+        draw(superquadric_surfaces(fitted, 1), near),
+        draw(superquadric_surfaces(grown, 1), far),
+    ]
+    picture = np.ascontiguousarray(np.concatenate(panels, axis=1)[..., ::-1])
+    state = "a box" if row.grown.is_fallback else "certified" if row.grown.certificate.holds else "NOT COVERED"
+    titles = (
+        row.name,
+        f"{len(fitted)} superquadrics, IoU {row.iou:.2f}",
+        f"with 5 cm: {row.volume_ratio:.2f} x, {state}",
     )
-    parts = [[grey], superquadric_surfaces(row.fitted, 1), superquadric_surfaces(row.grown.primitives, 1)]
+    for i, title in enumerate(titles):
+        place = (12 + i * _PICTURE_PX, 24)
+        cv2.putText(picture, title, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (60, 60, 60), 1, cv2.LINE_AA)
     folder.mkdir(parents=True, exist_ok=True)
-    picture = np.concatenate([draw(surfaces, view) for surfaces in parts], axis=1)
-    cv2.imwrite(str(folder / f"{row.name.replace(' ', '-')}.png"), picture[..., ::-1])
+    cv2.imwrite(str(folder / f"{row.name.replace(' ', '-')}.png"), picture)
 
 
 def _fit(mesh: trimesh.Trimesh) -> Superquadrics:
@@ -250,9 +269,13 @@ def _folder(folder: Path) -> dict[str, trimesh.Trimesh]:
     }
 
 
-def _turned(mesh: trimesh.Trimesh, rng: np.random.Generator) -> trimesh.Trimesh:
+def _rotation(rng: np.random.Generator) -> NDArray[np.float64]:
+    return np.asarray(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+
+
+def _turned(mesh: trimesh.Trimesh, turn: NDArray[np.float64]) -> trimesh.Trimesh:
     turned = mesh.copy()
-    turned.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+    turned.apply_transform(turn)
     return turned
 
 
