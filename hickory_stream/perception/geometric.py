@@ -16,14 +16,13 @@ from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.fragments import FragmentConfig, concave_creases, fragments_of, support_labels
 from hickory_stream.perception.holes import HoleConfig, filled
 from hickory_stream.perception.join import JoinConfig, join_fragments
-from hickory_stream.perception.pieces import lab_of, label_boxes
+from hickory_stream.perception.pieces import label_boxes
 from hickory_stream.perception.structure import (
     StructureConfig,
     floor_height_m,
     horizontal_planes,
     pixel_areas_m2,
     structure_mask,
-    without_backs,
 )
 from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
 from hickory_stream.records import RejectedMask, Segmentation
@@ -75,7 +74,6 @@ class GeometricSegmenter:
         known_floor = prior.floor_z_m if prior is not None else None
         floor_z_m = floor_height_m(surface, planes, known_floor, config.structure)
         structure = structure_mask(surface, areas_m2, floor_z_m, config.structure) | _known_structure(surface, prior)
-        structure = without_backs(surface, structure, lab_of(surface.rgb), config.structure)
         heights = np.array([p.z_m for p in planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
         supports = support_labels(surface, heights, min_pixels=config.min_area_px)
         creases = concave_creases(surface, config.fragments)
