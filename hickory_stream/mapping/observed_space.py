@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from hickory_stream.records import SpaceObservation
 
 _SURE_HITS = 2
-_MOST_HITS = 254
-_NO_OBJECT = 255
+# 255 where a track was that is structure; one less for each keyframe that saw through it, down to none.
+_NO_OBJECT, _DISPROVED = 255, 251
+_MOST_HITS = _DISPROVED
 # As far as cells are numbered.
 _FAR = 1 << 20
 
@@ -43,7 +44,7 @@ class FlushConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceState:
-    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, 255 where a track was."""
+    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, over 251 where a track was."""
 
     voxel_m: float
     free: NDArray[np.int64]
@@ -59,7 +60,11 @@ def empty_space(voxel_m: float) -> SpaceState:
 
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
-    """Return the space after one more keyframe. The floor follows slowly, and goes down at once."""
+    """Return the space after one more keyframe. The floor follows slowly, and goes down at once.
+
+    Where a track was taken for structure, and four keyframes see through it, there is none: somebody stood there.
+    """
+    state = _without_disproved(state, seen.free_keys)
     fresh = ~contains(state.free, seen.free_keys)
     free = _merged(state.free, seen.free_keys[fresh])
     known = contains(state.structure, seen.structure_keys)
@@ -78,6 +83,15 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     )
 
 
+def _without_disproved(state: SpaceState, free_keys: NDArray[np.int64]) -> SpaceState:
+    disproved = (state.hits > _DISPROVED) & contains(free_keys, state.structure)
+    if not disproved.any():
+        return state
+    hits = state.hits - disproved.astype(np.uint8)
+    stays = ~disproved | (hits > _DISPROVED)
+    return replace(state, structure=state.structure[stays], hits=hits[stays])
+
+
 def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
     """Return the space in which the voxels of (N, 3) points surely are structure: what was an object, and is none."""
     keys = np.unique(keys_of_points(points, state.voxel_m))
@@ -90,7 +104,7 @@ def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
 
 def known_no_object(state: SpaceState) -> NDArray[np.int64]:
     """Return the sorted keys of the voxels that `add_structure` made structure."""
-    return np.asarray(state.structure[state.hits == _NO_OBJECT])
+    return np.asarray(state.structure[state.hits > _DISPROVED])
 
 
 def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: float) -> float:
@@ -111,7 +125,7 @@ def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
     if 2 * half[thin] > config.thickness_m or 2 * wide.min() < config.min_size_m:
         return False
     # What frames saw as structure: a track that was dropped for one reason is no reason to drop its neighbour.
-    sure = state.structure[(state.hits >= _SURE_HITS) & (state.hits < _NO_OBJECT)]
+    sure = state.structure[(state.hits >= _SURE_HITS) & (state.hits <= _DISPROVED)]
     centers = centers_of_keys(_near(sure, box, state.voxel_m, config.reach_m), state.voxel_m)
     if state.floor_z_m is not None:
         centers = centers[centers[:, 2] > state.floor_z_m + config.foot_m]
