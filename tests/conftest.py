@@ -50,6 +50,14 @@ def redkitchen() -> Path:
 
 
 @pytest.fixture(scope="session")
+def mosd() -> Path:
+    folder = ROOT.parent / "shared" / "data" / "mosd"
+    if not folder.is_dir():
+        pytest.skip(f"needs the labelled clouds in {folder.name} beside the checkout")
+    return folder
+
+
+@pytest.fixture(scope="session")
 def short_log(demo_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first three seconds of the demo: 18 frames."""
     return copy_log(demo_log, tmp_path_factory.mktemp("logs") / "short.mcap", seconds=3.0)

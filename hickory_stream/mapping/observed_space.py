@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from hickory_stream.records import SpaceObservation
 
 _SURE_HITS = 2
-_MOST_HITS = 254
-_NO_OBJECT = 255
+# 255 where a track was that is structure; one less for each keyframe that saw through it, down to none.
+_NO_OBJECT, _DISPROVED = 255, 251
+_MOST_HITS = _DISPROVED
 # As far as cells are numbered.
 _FAR = 1 << 20
 
@@ -50,7 +51,7 @@ class FlushConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceState:
-    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, 255 where a track was.
+    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, over 251 where a track was.
 
     What was seen as structure twice is not in `free`.
     """
@@ -69,7 +70,11 @@ def empty_space(voxel_m: float) -> SpaceState:
 
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
-    """Return the space after one more keyframe. The floor follows slowly, and goes down at once."""
+    """Return the space after one more keyframe. The floor follows slowly, and goes down at once.
+
+    Where a track was taken for structure, and four keyframes see through it, there is none: somebody stood there.
+    """
+    state = _without_disproved(state, seen.free_keys)
     known = contains(state.structure, seen.structure_keys)
     again = seen.structure_keys[known]
     hits = state.hits.copy()
@@ -86,6 +91,15 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
         hits=hits,
         floor_z_m=_floor(state.floor_z_m, seen.floor_z_m),
     )
+
+
+def _without_disproved(state: SpaceState, free_keys: NDArray[np.int64]) -> SpaceState:
+    disproved = (state.hits > _DISPROVED) & contains(free_keys, state.structure)
+    if not disproved.any():
+        return state
+    hits = state.hits - disproved.astype(np.uint8)
+    stays = ~disproved | (hits > _DISPROVED)
+    return replace(state, structure=state.structure[stays], hits=hits[stays])
 
 
 def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
@@ -114,7 +128,7 @@ def _with_structure(
 
 def known_no_object(state: SpaceState) -> NDArray[np.int64]:
     """Return the sorted keys of the voxels that `add_structure` made structure."""
-    return np.asarray(state.structure[state.hits == _NO_OBJECT])
+    return np.asarray(state.structure[state.hits > _DISPROVED])
 
 
 def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: float) -> float:
@@ -176,7 +190,7 @@ def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> ND
 
     Only what frames saw as structure: a track that was dropped for one reason is no reason to drop its neighbour.
     """
-    sure = state.structure[(state.hits >= _SURE_HITS) & (state.hits < _NO_OBJECT)]
+    sure = state.structure[(state.hits >= _SURE_HITS) & (state.hits <= _DISPROVED)]
     return centers_of_keys(_near(sure, box, state.voxel_m, reach_m), state.voxel_m)
 
 

@@ -1,7 +1,8 @@
-"""What goes on behind something nearer: two pieces of one plane on both sides of what hides the rest of it.
+"""What goes on behind something nearer: two pieces of one box on both sides of what hides the rest of it.
 
 From where a piece ends at a nearer thing, its plane is followed along the row or column, behind whatever is nearer or
 gives no return. Where the plane comes into view again, that is a bridge; where something is seen behind it, it ended.
+One plane proves nothing, things of one height stand side by side; a level and an upright one do.
 """
 
 from __future__ import annotations
@@ -28,15 +29,13 @@ class HiddenConfig:
         tolerance_m: distance from the plane, beside 3 sigma, at which it comes into view again.
         min_lines: of every other row and column, so many must bridge two pieces ...
         min_share: ... and as many as this share of the square root of the smaller one's pixels.
-        like_color: difference in Lab (lightness at half weight) above which pieces are not one, unless ...
-        other_lines: ... so many lines bridge a level plane of theirs and as many an upright one: two sides of a box.
+        other_lines: so many of them must bridge a level plane of theirs, and so many an upright one.
     """
 
     gap_m: float = 0.5
     tolerance_m: float = 0.006
     min_lines: int = 4
     min_share: float = 0.12
-    like_color: float = 11.0
     other_lines: int = 2
 
 
@@ -64,8 +63,7 @@ def bridges(surface: Surface, labels: NDArray[np.int32], pieces: Pieces, config:
         a, b = int(pair) // count, int(pair) % count
         num_level, num_steep = int((of_pair & level).sum()), int((of_pair & ~level).sum())
         least = max(config.min_lines, config.min_share * float(np.sqrt(min(pieces.pixels[a], pieces.pixels[b]))))
-        is_alike = pieces.color_difference(a, b) < config.like_color
-        if max(num_level, num_steep) >= least and (is_alike or min(num_level, num_steep) >= config.other_lines):
+        if max(num_level, num_steep) >= least and min(num_level, num_steep) >= config.other_lines:
             pairs.append((a, b))
     return pairs
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.voxels import contains, keys_of_points
-from hickory_stream.perception.pieces import lab_of
 from hickory_stream.perception.structure import (
     HorizontalPlane,
     StructureConfig,
@@ -16,7 +15,6 @@ from hickory_stream.perception.structure import (
     horizontal_planes,
     pixel_areas_m2,
     structure_mask,
-    without_backs,
 )
 
 if TYPE_CHECKING:
@@ -49,7 +47,6 @@ def scenery_of(
     known_floor = prior.floor_z_m if prior is not None else None
     floor_z_m = floor_height_m(surface, planes, known_floor, config)
     structure = structure_mask(surface, areas_m2, floor_z_m, config) | _known_structure(surface, prior)
-    structure = without_backs(surface, structure, lab_of(surface.rgb), config)
     return Scenery(areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, structure=structure)
 
 

@@ -35,10 +35,6 @@ class StructureConfig:
             wall even where something is seen behind it ...
         furniture_depth_m, backing_m2: ... but for a parallel surface of this area this close behind it: then it is the
             front of a cupboard, and that is the wall.
-        back_px, back_share: a piece of structure of so many working pixels, up to this share of the image, is the back
-            of a shelf where ...
-        back_framed, back_step_m: ... this share of its outline meets a thing that is at most so far before it ...
-        back_color: ... of its own colour (difference in Lab, lightness at half weight), and not that of the wall.
     """
 
     floor_area_m2: float = 0.25
@@ -53,11 +49,6 @@ class StructureConfig:
     wall_width_m: float = 0.9
     furniture_depth_m: float = 0.75
     backing_m2: float = 0.15
-    back_px: int = 60
-    back_share: float = 0.35
-    back_framed: float = 0.4
-    back_step_m: float = 0.05
-    back_color: float = 11.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -93,7 +84,6 @@ class Wall:
         return mask
 
 
-_RIM = np.ones((3, 3), dtype=np.uint8)
 _STRETCH_M = 0.25
 _SEEN_M2 = 0.03
 
@@ -169,61 +159,6 @@ def structure_mask(
     for wall in _walls(surface, areas_m2, floor_z_m, config):
         mask |= wall.mask(surface, tolerance)
     return mask
-
-
-def without_backs(
-    surface: Surface, structure: NDArray[np.bool_], lab: NDArray[np.float32], config: StructureConfig
-) -> NDArray[np.bool_]:
-    """Return the structure without the backs of shelves: they lie as flat as the wall behind them, and have its depth.
-
-    A back is framed by a thing of its own colour that it meets in 3D, and that is not the colour of the wall at large.
-    """
-    # Without its rim: a back and the wall meet in a pixel or two, past the end of a board.
-    inner = cv2.erode(structure.astype(np.uint8), _RIM)
-    count, parts, stats, _ = cv2.connectedComponentsWithStats(inner, connectivity=4)
-    area = stats[:, cv2.CC_STAT_AREA]
-    small = (area >= config.back_px) & (area <= config.back_share * structure.size)
-    small[0] = False
-    if not small.any() or small.all():
-        return structure
-    flat, colors = parts.ravel(), lab.reshape(-1, 3)
-    steep = np.bincount(flat, weights=(np.abs(surface.normals_world[..., 2]) < 0.5).ravel(), minlength=count)
-    small &= steep > 0.5 * area
-    mean = _means(flat, colors, count)
-    wall = mean[1 + int(np.argmax(area[1:]))]
-    outline, framed, frame_color = np.zeros(count), np.zeros(count), np.zeros((count, 3))
-    depth = surface.depth_m
-    for here, there in (
-        (np.s_[:, :-3], np.s_[:, 3:]),
-        (np.s_[:, 3:], np.s_[:, :-3]),
-        (np.s_[:-3], np.s_[3:]),
-        (np.s_[3:], np.s_[:-3]),
-    ):
-        is_rim = structure[there] & (parts[there] == 0)
-        meets = small[parts[here]] & (parts[there] != parts[here]) & ~is_rim & np.isfinite(depth[there])
-        part = parts[here][meets]
-        outline += np.bincount(part, minlength=count)
-        touches = ~structure[there][meets]
-        touches &= depth[there][meets] > depth[here][meets] - config.back_step_m - 3 * surface.sigma_m[here][meets]
-        framed += np.bincount(part[touches], minlength=count)
-        frame_color += _sums(part[touches], lab[there][meets][touches], count)
-    frame = frame_color / np.maximum(framed, 1)[:, None]
-    is_back = small & (framed > config.back_framed * np.maximum(outline, 1))
-    is_back &= (_difference(mean, frame) < config.back_color) & (_difference(mean, wall) > config.back_color)
-    return structure & (cv2.dilate(is_back[parts].astype(np.uint8), _RIM) == 0)
-
-
-def _sums(names: NDArray[np.int32], values: NDArray[np.float32], count: int) -> NDArray[np.float64]:
-    return np.stack([np.bincount(names, weights=values[:, c], minlength=count) for c in range(3)], axis=1)
-
-
-def _means(names: NDArray[np.int32], values: NDArray[np.float32], count: int) -> NDArray[np.float64]:
-    return _sums(names, values, count) / np.maximum(np.bincount(names, minlength=count), 1)[:, None]
-
-
-def _difference(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance of colours in Lab, lightness at half weight."""
-    return np.asarray(np.sqrt((a - b) ** 2 @ np.array([0.25, 1.0, 1.0])))
 
 
 def _reaching(region: NDArray[np.bool_], sure: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -66,6 +66,22 @@ def test_no_variance_that_unit_features_can_have_lifts_the_score_above_the_bound
     assert score(seen, variance, config) <= score_bound(seen, config)
 
 
+@given(st.lists(st.tuples(views(), unit_share), min_size=1, max_size=12), st.sampled_from(STRATEGIES))
+def test_leaving_out_what_the_bound_rules_out_changes_no_choice(
+    seen: list[tuple[View, float]], strategy: Strategy
+) -> None:
+    config = ViewConfig(strategy=strategy)
+    best: View | None = None
+    best_of_all: View | None = None
+    for i, (bare, variance) in enumerate(seen):
+        candidate = replace(bare, frame_index=i, score=None)
+        judged = replace(candidate, score=score(candidate, variance, config))
+        best_of_all = better(best_of_all, judged)
+        if best is None or best.score is None or score_bound(candidate, config) > best.score:
+            best = better(best, judged)
+    assert best == best_of_all
+
+
 @given(st.lists(st.tuples(views(), unit_share), min_size=1, max_size=8), st.sampled_from(STRATEGIES))
 def test_each_strategy_picks_what_its_name_says(seen: list[tuple[View, float]], strategy: Strategy) -> None:
     config = ViewConfig(strategy=strategy)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -43,3 +45,27 @@ def test_variance_is_at_most_one_and_grows_with_texture(seed):
     rgb[:, : rgb.shape[1] // 2] = (200, 30, 30)
     variance = mask_feature(observation, DESCRIPTOR.extract(rgb), DESCRIPTOR.patch_px).variance
     assert 0.01 < variance <= 1.0
+
+
+@given(st.integers(1, 12), st.integers(1, 8), st.integers(0, 999))
+def test_no_unit_features_have_a_variance_above_one(side, dim, seed):
+    """The bound of S rests on it, for any extractor: opposite features included."""
+    rng = np.random.default_rng(seed)
+    features = rng.standard_normal((side, side, dim)) + rng.choice([0.0, 3.0])
+    features = (features / np.linalg.norm(features, axis=-1, keepdims=True)).astype(np.float32)
+    mask = rng.random((4 * side, 4 * side)) < 0.7
+    mask[0, 0] = True
+    weight = mask.reshape(side, 4, side, 4).sum(axis=(1, 3)) / mask.sum()
+    mean = np.tensordot(weight, features, axes=2)
+    if np.linalg.norm(mean) < 1e-3:
+        return  # has no direction
+    _, observation = observation_of_a_filled_image()
+    feature = mask_feature(replace(observation, mask=mask, box_px=(0, 0, 4 * side, 4 * side)), features, 4)
+    assert 0.0 <= feature.variance <= 1.0
+    assert feature.variance == pytest.approx(1.0 - float(mean @ mean), abs=1e-5)
+
+
+def test_patches_of_two_colours_are_unlike():
+    red, blue = (np.full((28, 28, 3), color, dtype=np.uint8) for color in ((190, 40, 40), (40, 60, 190)))
+    a, b = DESCRIPTOR.extract(red)[0, 0], DESCRIPTOR.extract(blue)[0, 0]
+    assert float(a @ b) < 0.3

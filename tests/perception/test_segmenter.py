@@ -144,3 +144,52 @@ def test_an_image_of_one_pixel_is_segmented():
     result = segment(render([floor()], VIEW, one)[0])
     assert result.instances.shape == (1, 1)
     assert result.instances.max() == 0
+
+
+def test_a_box_that_a_pillar_divides_in_the_image_is_one_instance():
+    box = Block(low=(0.2, -0.4, 0.0), high=(0.5, 0.4, 0.3), color=BLUE)
+    pillar = Block(low=(-0.3, -0.08, 0.0), high=(-0.1, 0.08, 0.9), color=RED)
+    frame, shown = render([floor(), box, pillar], VIEW)
+    instances = segment(frame).instances
+    iou, label = best_iou(instances, shown == 1)
+    assert iou > 0.8
+    assert best_iou(instances, shown == 2)[1] != label
+
+
+def test_two_boxes_of_two_depths_on_both_sides_of_a_pillar_are_two_instances():
+    left = Block(low=(0.2, 0.0, 0.0), high=(0.5, 0.4, 0.3), color=BLUE)
+    right = Block(low=(0.6, -0.5, 0.0), high=(0.9, 0.0, 0.38), color=BLUE)
+    pillar = Block(low=(-0.3, -0.08, 0.0), high=(-0.1, 0.08, 0.9), color=RED)
+    frame, shown = render([floor(), left, right, pillar], VIEW)
+    instances = segment(frame).instances
+    (_, label_left), (_, label_right) = (best_iou(instances, shown == i) for i in (1, 2))
+    assert label_left != label_right
+    assert min(label_left, label_right) > 0
+
+
+def test_a_box_put_on_a_box_of_its_colour_is_another_one():
+    lower = Block(low=(-0.25, -0.25, 0.0), high=(0.25, 0.25, 0.08), color=WOOD)
+    upper = Block(low=(-0.06, -0.08, 0.08), high=(0.06, 0.08, 0.3), color=WOOD)
+    frame, shown = render([floor(), lower, upper], looking((0.0, 0.0, 0.1), start=(-0.9, -0.3, 0.8)))
+    instances = segment(frame).instances
+    (iou_lower, label_lower), (iou_upper, label_upper) = (best_iou(instances, shown == i) for i in (1, 2))
+    assert min(iou_lower, iou_upper) > 0.7
+    assert label_lower != label_upper
+
+
+def test_a_hole_without_depth_inside_a_thing_is_of_its_mask():
+    frame, shown = render([floor(), Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=RED)], VIEW)
+    ys, xs = np.nonzero(shown == 1)
+    y, x = int(ys.mean()), int(xs.mean())
+    depth = frame.depth_m.copy()
+    depth[y - 5 : y + 5, x - 5 : x + 5] = np.nan
+    holed = Frame(
+        index=0,
+        stamp_ns=0,
+        rgb=frame.rgb,
+        depth_m=depth,
+        camera=frame.camera,
+        world_from_camera=frame.world_from_camera,
+    )
+    instances = segment(holed).instances
+    assert (instances[y - 5 : y + 5, x - 5 : x + 5] == instances[ys.min() + 20, x]).all()

@@ -1,0 +1,11 @@
+"""The segmenter on real, labelled clouds of things on a table: boxes behind boxes, a box on a box, bowls and tins."""
+
+from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
+from tools.benchmarks.mask_scores import total
+from tools.benchmarks.perception import score_cloud
+
+
+def test_things_on_a_real_table_are_masks_of_their_own(mosd):
+    score = total(score_cloud(load_cloud(path)) for path in clouds_in(mosd))
+    assert score.f1 >= 0.8
+    assert score.best_iou >= 0.75
