@@ -1,8 +1,8 @@
 """The mask pipeline: from overlapping masks, however they were found, to the instances of a frame.
 
 What is too small, structure, the same again, or a part of another mask is rejected, and says why. A smaller mask inside
-a larger one is a thing of its own where it stands out from the surface around it, as a cup on a table does, or lies flat
-on something level, as a magazine does; a label on a box is a part. Masks at the border of the image are used: `observe`
+a larger one is a thing of its own where it stands out from the surface around it, as a cup on a table does, or lies
+flat on something level, as a magazine does; a label on a box is a part. Masks at the border are used: `observe`
 marks them as cut.
 """
 
