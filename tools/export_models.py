@@ -1,7 +1,7 @@
 """`tools/export_onnx KIND`: a network from its official package as ONNX, checked against it, and put among the models.
 
-The check is made with what was exported: the tensors of the graph against those of the package, and our masks, features or
-classes against the package's own prediction code, on a picture. A graph that differs is not kept.
+The check is made with what was exported: our masks, features or classes by the graph against those of the package's own
+prediction code, on a picture. A graph that differs is not kept.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ import argparse
 import os
 import sys
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +25,9 @@ from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.oneformer import PanopticConfig
 from hickory_stream.perception.models.picture import built_in_picture
 from hickory_stream.perception.models.semantic_graph import GraphSemantics
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 OPSET = 18
 LEAST_IOU = 0.99
@@ -146,7 +148,7 @@ def reference_fastsam_masks(
 
 
 def ious(ours: list[np.ndarray[Any, Any]], theirs: list[np.ndarray[Any, Any]]) -> np.ndarray[Any, Any]:
-    """Return the IoU of each of their masks with the one of ours that is most like it; order may differ where scores tie."""
+    """Return the IoU of each of their masks with the one of ours that is most like it: scores may tie."""
     if not ours or not theirs:
         return np.full(max(len(ours), len(theirs)), 0.0)
     a, b = (np.stack([mask.ravel() for mask in masks]).astype(np.float32) for masks in (theirs, ours))
@@ -300,7 +302,9 @@ def _use_single_precision(file: Path) -> None:
     for i, node in reversed(list(enumerate(model.graph.node))):
         if node.op_type == "GridSample":
             cast = f"{node.output[0]}_places"
-            model.graph.node.insert(i, onnx.helper.make_node("Cast", [node.input[1]], [cast], to=onnx.TensorProto.FLOAT))
+            model.graph.node.insert(
+                i, onnx.helper.make_node("Cast", [node.input[1]], [cast], to=onnx.TensorProto.FLOAT)
+            )
             node.input[1] = cast
     onnx.save(model, str(file))
 

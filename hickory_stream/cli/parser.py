@@ -18,12 +18,14 @@ from hickory_stream.cli import (
     export,
     inspect,
     merge,
+    models,
     play,
     reconstruct,
     relocalise,
     render,
     replay,
     resume,
+    segment,
 )
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -44,6 +46,8 @@ _COMMANDS = (
     evaluate,
     evaluate_views,
     evaluate_alignment,
+    segment,
+    models,
     config,
 )
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _STRIDE = 2
 _RING_PX = 3
 _LEAST_RING = 12
+_WHOLE_SHARE = 0.7
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -210,8 +211,11 @@ def _is_own_thing(inner: InstanceMask, outer: InstanceMask, surface: Surface, co
     kernel = np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), dtype=np.uint8)
     ring = (cv2.dilate(part.astype(np.uint8), kernel) > 0) & ~part & whole & known
     seen = part & known
-    if np.count_nonzero(ring) < _LEAST_RING or not seen.any():
+    if not seen.any():
         return False
+    if np.count_nonzero(ring) < _LEAST_RING:
+        # Nothing of the larger mask is beside it: that one holds several things, unless it is nearly the same mask.
+        return bool(np.count_nonzero(part) < _WHOLE_SHARE * np.count_nonzero(whole))
     normal, offset = _plane_of(points[ring].astype(np.float64))
     distance = np.abs(points[seen] @ normal - offset)
     tolerance = config.stands_out_m + 3 * float(np.median(depth_sigma[seen]))
@@ -219,7 +223,7 @@ def _is_own_thing(inner: InstanceMask, outer: InstanceMask, surface: Surface, co
     if np.quantile(distance, 0.7) > tolerance:
         return True
     is_level = abs(normal[2]) > 0.95
-    return is_level and _area_m2(points, seen, surface) > config.flat_area_m2
+    return bool(is_level and _area_m2(points, seen, surface) > config.flat_area_m2)
 
 
 def _working_lattice(first: int, last: int, factor: int) -> NDArray[np.int64]:

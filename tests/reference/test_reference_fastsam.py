@@ -34,7 +34,7 @@ def resized(size):
 
 @pytest.fixture(scope="module")
 def ultralytics(tmp_path_factory):
-    """The package, also where torchvision is not: it asks for its version, and then takes its own suppression in torch."""
+    """The package, also where torchvision is not: its own suppression in torch then takes the place of that one."""
     settings = tmp_path_factory.mktemp("ultralytics")
     patch = pytest.MonkeyPatch()
     patch.setenv("YOLO_AUTOINSTALL", "false")
