@@ -116,6 +116,7 @@ VALID: dict[type, dict[str, Any]] = {
         "camera": _CAMERA,
         "world_from_camera": _POSE,
         "color_bytes": None,
+        "patches": np.ones((2, 3, 5), np.float32),
     },
     records.Scan: {
         "stamp_ns": 1,
@@ -223,7 +224,7 @@ def test_an_array_of_another_size_is_refused_where_the_record_fixes_it(record: t
     longer = np.concatenate([values[name], values[name][:1]])
     if (record, name) in FREE_LENGTH:
         assert len(getattr(record(**{**values, name: longer}), name)) == len(longer)
-        longer = np.zeros((2, 2, 2), longer.dtype)
+        longer = np.zeros((2, 2, 2, 2), longer.dtype)
     with pytest.raises(ValueError, match=rf"{record.__name__}\.\w+ has shape"):
         record(**{**values, name: longer})
 

@@ -19,6 +19,7 @@ from hickory_stream.cli import (
     export,
     inspect,
     merge,
+    models,
     plan,
     play,
     reconstruct,
@@ -26,6 +27,7 @@ from hickory_stream.cli import (
     render,
     replay,
     resume,
+    segment,
 )
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -48,6 +50,8 @@ _COMMANDS = (
     evaluate_views,
     evaluate_alignment,
     evaluate_navigation,
+    segment,
+    models,
     config,
 )
 

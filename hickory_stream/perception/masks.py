@@ -1,8 +1,8 @@
 """The mask pipeline: from overlapping masks, however they were found, to the instances of a frame.
 
 What is too small, structure, the same again, or a part of another mask is rejected, and says why. A smaller mask inside
-a larger one is a thing of its own where it stands out from the surface around it, as a cup on a table does, or lies flat
-on something level, as a magazine does; a label on a box is a part. Masks at the border of the image are used: `observe`
+a larger one is a thing of its own where it stands out from the surface around it, as a cup on a table does, or lies
+flat on something level, as a magazine does; a label on a box is a part. Masks at the border are used: `observe`
 marks them as cut.
 """
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _STRIDE = 2
 _RING_PX = 3
 _LEAST_RING = 12
+_WHOLE_SHARE = 0.7
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -87,17 +88,20 @@ def compose(
 
     `surface` is that of the frame, `structure` (H, W) what is none of an object.
     """
-    reasons: list[str | None] = [_why_unusable(mask, structure, config) for mask in masks]
-    _reject_duplicates(masks, reasons, config)
-    _reject_parts(masks, reasons, surface, config)
-    order = sorted((i for i, reason in enumerate(reasons) if reason is None), key=lambda i: -_area(masks[i]))
+    areas = np.array([np.count_nonzero(mask.mask) for mask in masks], dtype=np.int64)
+    reasons = [_why_unusable(mask, int(area), structure, config) for mask, area in zip(masks, areas, strict=True)]
+    usable = [i for i, reason in enumerate(reasons) if reason is None]
+    shared = _shared_pixels([masks[i] for i in usable])
+    _reject_duplicates(masks, usable, shared, reasons, config)
+    _reject_parts(masks, usable, shared, reasons, surface, config)
+    order = sorted((i for i in usable if reasons[i] is None), key=lambda i: -areas[i])
     painted = _painted(masks, order, structure.shape)
     left = np.bincount(painted.ravel(), minlength=len(masks) + 1)[1:]
     for i in order:
-        if left[i] < config.visible_share * _area(masks[i]):
-            reasons[i] = f"{1 - left[i] / _area(masks[i]):.0%} of it is made up of smaller masks"
+        if left[i] < config.visible_share * areas[i]:
+            reasons[i] = f"{1 - left[i] / areas[i]:.0%} of it is made up of smaller masks"
     kept = [i for i in order if reasons[i] is None]
-    labels = _painted(masks, kept, structure.shape)
+    labels = painted if len(kept) == len(order) else _painted(masks, kept, structure.shape)
     for i, why in _why_no_objects(labels, surface, config):
         reasons[i - 1] = why
         labels[labels == i] = 0
@@ -147,13 +151,8 @@ def enlarged(labels: NDArray[np.int32] | NDArray[np.uint8], factor: int, size: t
     return large
 
 
-def _area(mask: InstanceMask) -> int:
-    return int(np.count_nonzero(mask.mask))
-
-
-def _why_unusable(mask: InstanceMask, structure: NDArray[np.bool_], config: MaskConfig) -> str | None:
+def _why_unusable(mask: InstanceMask, area: int, structure: NDArray[np.bool_], config: MaskConfig) -> str | None:
     x0, y0, x1, y1 = mask.box_px
-    area = _area(mask)
     if area < max(config.min_area_px, 1):
         return f"{area} pixels, fewer than {max(config.min_area_px, 1)}"
     if area > config.max_share * structure.size:
@@ -164,68 +163,89 @@ def _why_unusable(mask: InstanceMask, structure: NDArray[np.bool_], config: Mask
     return None
 
 
-def _reject_duplicates(masks: Sequence[InstanceMask], reasons: list[str | None], config: MaskConfig) -> None:
-    kept = sorted((i for i, reason in enumerate(reasons) if reason is None), key=lambda i: (-masks[i].score, i))
-    shared = _shared_pixels([masks[i] for i in kept])
+def _reject_duplicates(
+    masks: Sequence[InstanceMask],
+    usable: Sequence[int],
+    shared: NDArray[np.int64],
+    reasons: list[str | None],
+    config: MaskConfig,
+) -> None:
+    """Reject what a better mask covers; `shared` are the pixels that `usable` masks share, its diagonal their areas."""
     areas = shared.diagonal()
-    for j in range(len(kept)):
-        better = [k for k in range(j) if reasons[kept[k]] is None]
-        iou = shared[better, j] / np.maximum(areas[better] + areas[j] - shared[better, j], 1)
-        if len(better) and iou.max() > config.duplicate_iou:
-            reasons[kept[j]] = f"a better mask covers the same (IoU {iou.max():.2f})"
+    iou = shared / np.maximum(areas[:, None] + areas[None, :] - shared, 1)
+    kept: list[int] = []
+    for j in sorted(range(len(usable)), key=lambda j: (-masks[usable[j]].score, j)):
+        most = float(iou[kept, j].max(initial=0.0))
+        if most > config.duplicate_iou:
+            reasons[usable[j]] = f"a better mask covers the same (IoU {most:.2f})"
+        else:
+            kept.append(j)
 
 
 def _reject_parts(
-    masks: Sequence[InstanceMask], reasons: list[str | None], surface: Surface, config: MaskConfig
+    masks: Sequence[InstanceMask],
+    usable: Sequence[int],
+    shared: NDArray[np.int64],
+    reasons: list[str | None],
+    surface: Surface,
+    config: MaskConfig,
 ) -> None:
-    kept = sorted((i for i, reason in enumerate(reasons) if reason is None), key=lambda i: -_area(masks[i]))
-    shared = _shared_pixels([masks[i] for i in kept])
+    """Reject what lies inside a larger mask without standing out; the smallest one around it is what it is part of."""
     areas = np.maximum(shared.diagonal(), 1)
-    for j in range(len(kept)):
-        around = [k for k in range(j) if reasons[kept[k]] is None and shared[k, j] > config.inside_share * areas[j]]
-        # The smallest mask around it is the one that it may be a part of.
-        if around and not _is_own_thing(masks[kept[j]], masks[kept[around[-1]]], surface, config):
-            reasons[kept[j]] = "part of a larger mask: nothing stands out"
+    kept: list[int] = []
+    for j in sorted((j for j in range(len(usable)) if reasons[usable[j]] is None), key=lambda j: (-areas[j], j)):
+        around = np.asarray(kept, dtype=np.int64)[shared[kept, j] > config.inside_share * areas[j]]
+        is_own = len(around) == 0 or _is_own_thing(
+            masks[usable[j]], masks[usable[around[-1]]], areas[j] / areas[around[-1]], surface, config
+        )
+        if is_own:
+            kept.append(j)
+        else:
+            reasons[usable[j]] = "part of a larger mask: nothing stands out"
 
 
-def _is_own_thing(inner: InstanceMask, outer: InstanceMask, surface: Surface, config: MaskConfig) -> bool:
-    """Return whether a mask inside another one stands out from the surface around it, or lies flat on a level one."""
-    x0, y0, x1, y1 = outer.box_px
-    whole, part = np.zeros((y1 - y0, x1 - x0), dtype=bool), np.zeros((y1 - y0, x1 - x0), dtype=bool)
-    whole[...] = outer.mask
-    u0, v0, u1, v1 = max(inner.box_px[0], x0), max(inner.box_px[1], y0), min(inner.box_px[2], x1), inner.box_px[3]
-    v1 = min(v1, y1)
-    part[v0 - y0 : v1 - y0, u0 - x0 : u1 - x0] = inner.mask[
-        v0 - inner.box_px[1] : v1 - inner.box_px[1], u0 - inner.box_px[0] : u1 - inner.box_px[0]
-    ]
-    rows, columns = _working_lattice(y0, y1, surface.factor), _working_lattice(x0, x1, surface.factor)
-    at = np.ix_(rows * surface.factor + surface.factor // 2 - y0, columns * surface.factor + surface.factor // 2 - x0)
-    inside = (rows < surface.depth_m.shape[0])[:, None] & (columns < surface.depth_m.shape[1])
-    whole, part = whole[at] & inside, part[at] & inside
-    points = np.full((*whole.shape, 3), np.nan, dtype=np.float32)
-    depth_sigma = np.full(whole.shape, np.nan, dtype=np.float32)
-    y, x = np.nonzero(inside)
-    points[y, x], depth_sigma[y, x] = surface.points_world[rows[y], columns[x]], surface.sigma_m[rows[y], columns[x]]
+def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surface: Surface, config: MaskConfig) -> bool:
+    """Return whether a mask inside another one stands out from the surface around it, or lies flat on a level one.
+
+    `share` is its part of the other's area.
+    """
+    factor, (height, width) = surface.factor, surface.depth_m.shape
+    x0, y0, x1, y1 = inner.box_px
+    rows = _working_lattice(y0, y1, factor, height)
+    columns = _working_lattice(x0, x1, factor, width)
+    window = (slice(rows.start, rows.stop), slice(columns.start, columns.stop))
+    part, whole = (_sampled(mask, rows, columns, factor) for mask in (inner, outer))
+    points, sigma_m = surface.points_world[window], surface.sigma_m[window]
     known = np.isfinite(points[..., 2])
     kernel = np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), dtype=np.uint8)
-    ring = (cv2.dilate(part.astype(np.uint8), kernel) > 0) & ~part & whole & known
     seen = part & known
-    if np.count_nonzero(ring) < _LEAST_RING or not seen.any():
+    if not seen.any():
         return False
+    ring = (cv2.dilate(part.astype(np.uint8), kernel) > 0) & ~part & whole & known
+    if np.count_nonzero(ring) < _LEAST_RING:
+        # Nothing of the larger mask is beside it: that one holds several things, unless it is nearly the same mask.
+        return share < _WHOLE_SHARE
     normal, offset = _plane_of(points[ring].astype(np.float64))
     distance = np.abs(points[seen] @ normal - offset)
-    tolerance = config.stands_out_m + 3 * float(np.median(depth_sigma[seen]))
     # Three tenths of it are enough: of a bowl it is the rim, of a cup behind its own handle the body.
-    if np.quantile(distance, 0.7) > tolerance:
+    if np.quantile(distance, 0.7) > config.stands_out_m + 3 * float(np.median(sigma_m[seen])):
         return True
-    is_level = abs(normal[2]) > 0.95
-    return is_level and _area_m2(points, seen, surface) > config.flat_area_m2
+    return bool(abs(normal[2]) > 0.95 and _area_m2(points, seen, surface) > config.flat_area_m2)
 
 
-def _working_lattice(first: int, last: int, factor: int) -> NDArray[np.int64]:
-    """Return the working pixels whose middle is among the frame's pixels from `first` to `last`."""
-    middle = factor // 2
-    return np.arange(-(-(first - middle) // factor), -(-(last - middle) // factor))
+def _working_lattice(first: int, last: int, factor: int, size: int) -> range:
+    """Return the working pixels from those of the frame, with room for the ring around a mask."""
+    return range(max(0, first // factor - _RING_PX), max(0, min(size, -(-last // factor) + _RING_PX)))
+
+
+def _sampled(mask: InstanceMask, rows: range, columns: range, factor: int) -> NDArray[np.bool_]:
+    """Return a mask on working pixels: each is what the pixel in its middle is."""
+    x0, y0, x1, y1 = mask.box_px
+    y, x = (np.asarray(places) * factor + factor // 2 for places in (rows, columns))
+    out = np.zeros((len(rows), len(columns)), dtype=bool)
+    inside_y, inside_x = (y >= y0) & (y < y1), (x >= x0) & (x < x1)
+    out[np.ix_(inside_y, inside_x)] = mask.mask[np.ix_(y[inside_y] - y0, x[inside_x] - x0)]
+    return out
 
 
 def _plane_of(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

@@ -40,16 +40,18 @@ class SpaceConfig:
 
 def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig) -> SpaceObservation:
     """Return the free and structure voxels of a frame."""
-    stride, half = config.stride_px, config.stride_px // 2
-    depth = frame.depth_m[half::stride, half::stride]
-    structure = segmentation.structure[half::stride, half::stride]
+    stride = config.stride_px
+    # The middle of each cell; an image that is smaller than one still has a ray.
+    top, left = min(stride // 2, frame.camera.height - 1), min(stride // 2, frame.camera.width - 1)
+    depth = frame.depth_m[top::stride, left::stride]
+    structure = segmentation.structure[top::stride, left::stride]
     camera = Camera(
         width=depth.shape[1],
         height=depth.shape[0],
         fx=frame.camera.fx / stride,
         fy=frame.camera.fy / stride,
-        cx=(frame.camera.cx - half) / stride,
-        cy=(frame.camera.cy - half) / stride,
+        cx=(frame.camera.cx - left) / stride,
+        cy=(frame.camera.cy - top) / stride,
     )
     valid = np.isfinite(depth) & (depth < config.max_depth_m)
     points = apply(frame.world_from_camera, backproject(depth, camera)[valid]).astype(np.float64)

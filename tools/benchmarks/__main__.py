@@ -12,8 +12,17 @@ import tools.benchmarks
 from tools.benchmarks.figures import Options, print_table, write_json
 
 _HELPERS = {
-    *("__main__", "figures", "first_layer", "labelled_clouds", "live_scene", "mask_scores", "perception_models"),
-    *("processes", "shape_meshes", "shape_truth", "small_logs"),
+    "__main__",
+    "figures",
+    "first_layer",
+    "labelled_clouds",
+    "live_scene",
+    "mask_scores",
+    "perception_models",
+    "processes",
+    "shape_meshes",
+    "shape_truth",
+    "small_logs",
 }
 
 

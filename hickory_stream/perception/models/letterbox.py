@@ -21,14 +21,13 @@ _GREY = 114
 class Letterbox:
     """Where an image (`width`, `height`) lies in a network's frame (`frame_width`, `frame_height`), all in pixels.
 
-    It is scaled by `scale` to (`inner_width`, `inner_height`) and begins at (`left`, `top`).
+    It is scaled to (`inner_width`, `inner_height`) and begins at (`left`, `top`).
     """
 
     width: int
     height: int
     frame_width: int
     frame_height: int
-    scale: float
     inner_width: int
     inner_height: int
     left: int
@@ -37,8 +36,10 @@ class Letterbox:
     def to_image(self, boxes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return boxes (N, 4) x0, y0, x1, y1 of the network's frame in the image, clipped to it."""
         shifted = boxes - np.array([self.left, self.top, self.left, self.top], dtype=np.float32)
+        # Each side was rounded to whole pixels by itself.
+        gain = np.array([self.inner_width / self.width, self.inner_height / self.height] * 2, dtype=np.float32)
         limits = np.array([self.width, self.height, self.width, self.height], dtype=np.float32)
-        return np.clip(shifted / np.float32(self.scale), 0, limits).astype(np.float32)
+        return np.asarray(np.clip(shifted / gain, 0, limits), dtype=np.float32)
 
 
 def letterbox_of(width: int, height: int, frame_width: int, frame_height: int) -> Letterbox:
@@ -50,7 +51,6 @@ def letterbox_of(width: int, height: int, frame_width: int, frame_height: int) -
         height=height,
         frame_width=frame_width,
         frame_height=frame_height,
-        scale=scale,
         inner_width=inner_width,
         inner_height=inner_height,
         # An odd pixel goes to the right and the bottom.

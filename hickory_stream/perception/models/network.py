@@ -176,7 +176,7 @@ def _session(path: Path, config: NetworkConfig) -> Any:
 def _why_not_opened(path: Path, error: Exception) -> str:
     text = str(error)
     if "opset" in text.lower():
-        what = "was exported for an operator set that this onnxruntime does not know; export it for opset 17"
+        what = "was exported for an operator set that this onnxruntime does not know; export it for opset 18"
     elif type(error).__name__ == "InvalidProtobuf" or "protobuf parsing failed" in text.lower():
         what = f"is no whole ONNX file ({path.stat().st_size} bytes): truncated or something else; export it again"
     else:

@@ -6,6 +6,7 @@ bilinearly where it is needed, cut at its box. Only the pixels of its box are ev
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -116,17 +117,8 @@ def masks_of(
     without a pixel comes as an empty mask.
     """
     num, height, width = prototypes.shape
-    # Where the image lies on the prototypes: top, height, left, width; not always on whole ones.
-    per_row, per_column = height / letterbox.frame_height, width / letterbox.frame_width
-    place = np.array(
-        [
-            letterbox.top * per_row,
-            letterbox.inner_height * per_row,
-            letterbox.left * per_column,
-            letterbox.inner_width * per_column,
-        ],
-        dtype=np.float32,
-    )
+    rows = _taps(letterbox.height, letterbox.inner_height, letterbox.top, letterbox.frame_height, height, letterbox)
+    columns = _taps(letterbox.width, letterbox.inner_width, letterbox.left, letterbox.frame_width, width, letterbox)
     sums = (coefficients @ prototypes.reshape(num, -1)).reshape(-1, height, width)
     masks = []
     for box, score, total in zip(boxes, scores, sums, strict=True):
@@ -134,41 +126,57 @@ def masks_of(
         x1, y1 = min(letterbox.width, int(np.ceil(box[2]))), min(letterbox.height, int(np.ceil(box[3])))
         x1, y1 = max(x1, x0), max(y1, y0)
         mask = np.empty((y1 - y0, x1 - x0), dtype=np.bool_)
-        _read_bilinearly(total, place, letterbox.height, letterbox.width, y0, x0, mask)
+        if mask.size:
+            _read(total, rows.at[y0:y1], rows.weights[y0:y1], columns.at[x0:x1], columns.weights[x0:x1], mask)
         masks.append(InstanceMask(box_px=(x0, y0, x1, y1), mask=mask, score=float(score)))
     return masks
 
 
-@numba.njit(cache=True, nogil=True)
-def _read_bilinearly(values, place, height, width, y0, x0, out):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Whether values, of which the part at `place` covers an image (height, width), are above 0 from (y0, x0) on."""
-    if out.size == 0:
-        return
-    rows, columns = values.shape
-    left, right, right_share = _places(x0, out.shape[1], width, place[2], place[3], columns)
-    upper, lower, lower_share = _places(y0, out.shape[0], height, place[0], place[1], rows)
-    line = np.empty(columns, dtype=np.float32)
-    for y in range(out.shape[0]):
-        i, j, down = upper[y], lower[y], lower_share[y]
-        for x in range(left[0], right[-1] + 1):
-            line[x] = values[i, x] + down * (values[j, x] - values[i, x])
-        for x in range(out.shape[1]):
-            here = line[left[x]]
-            out[y, x] = here + right_share[x] * (line[right[x]] - here) > 0
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Taps:
+    """Which prototypes along one axis a pixel is read from: three from `at` (N,) on, with `weights` (N, 3)."""
+
+    at: NDArray[np.int64]
+    weights: NDArray[np.float32]
+
+
+def _taps(length: int, inner: int, start: int, frame: int, size: int, letterbox: Letterbox) -> _Taps:
+    """Return where the `length` pixels of an image are on `size` prototypes, of which the image covers a part.
+
+    The reference stretches the prototypes by a whole factor first, so that the grey border can be cut off at a whole
+    one of them, and then the rest to the image; both are bilinear, and together take three prototypes.
+    """
+    ratio = max(1, frame // size)
+    grey = (letterbox.frame_height - letterbox.inner_height) | (letterbox.frame_width - letterbox.inner_width)
+    factor = ratio // math.gcd(ratio, grey | grey // 2)
+    per_frame = factor * size / frame
+    first, count = round(start * per_frame), max(1, round(inner * per_frame))
+    place = np.clip((np.arange(length) + 0.5) * count / length - 0.5, 0, count - 1)
+    lower = place.astype(np.int64)
+    upper = np.minimum(lower + 1, count - 1)
+    at, taps = np.zeros(length, dtype=np.int64), np.zeros((length, 3), dtype=np.float32)
+    for stretched, share in ((lower, 1 - (place - lower)), (upper, place - lower)):
+        proto = np.clip((first + stretched + 0.5) / factor - 0.5, 0, size - 1)
+        left = proto.astype(np.int64)
+        if stretched is lower:
+            at = np.clip(left, 0, max(size - 3, 0))
+        for tap, part in ((left, 1 - (proto - left)), (np.minimum(left + 1, size - 1), proto - left)):
+            np.add.at(taps, (np.arange(length), tap - at), share * part)
+    return _Taps(at=at, weights=taps)
 
 
 @numba.njit(cache=True, nogil=True)
-def _places(first, count, length, start, extent, size):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the two values that each pixel lies between, and the share of the second one; the ends are held."""
-    before, after = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    share = np.empty(count, dtype=np.float32)
-    lowest = max(start, np.float32(0.0))
-    highest = max(lowest, min(start + extent, np.float32(size)) - np.float32(1.0))
-    scale = extent / np.float32(length)
-    for k in range(count):
-        at = start + (np.float32(first + k) + np.float32(0.5)) * scale - np.float32(0.5)
-        at = min(max(at, lowest), highest)
-        before[k] = int(at)
-        after[k] = min(before[k] + 1, size - 1)
-        share[k] = at - np.float32(before[k])
-    return before, after, share
+def _read(values, rows, row_weights, columns, column_weights, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Whether values (h, w), read at three rows and three columns for each pixel, are above 0."""
+    height, width = values.shape
+    line = np.zeros(max(width, 3), dtype=np.float32)
+    for y in range(len(rows)):
+        for x in range(columns[0], min(columns[-1] + 3, width)):
+            line[x] = 0
+            for k in range(min(3, height)):
+                line[x] += row_weights[y, k] * values[rows[y] + k, x]
+        for x in range(len(columns)):
+            i = columns[x]
+            total = column_weights[x, 0] * line[i]
+            total += column_weights[x, 1] * line[i + 1] + column_weights[x, 2] * line[i + 2]
+            out[y, x] = total > 0

@@ -1,0 +1,319 @@
+"""`tools/export_onnx KIND`: a network from its official package as ONNX, checked against it, and put among the models.
+
+The check is made with what was exported: our masks, features or classes by the graph against those of the package's own
+prediction code, on a picture. A graph that differs is not kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import HickoryError, ModelError
+from hickory_stream.perception.models.dinov2 import DinoConfig, DinoExtractor
+from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig
+from hickory_stream.perception.models.imagenet import normalised
+from hickory_stream.perception.models.library import ModelEntry, add_model, models_folder, sha256_of
+from hickory_stream.perception.models.network import Network, NetworkConfig
+from hickory_stream.perception.models.oneformer import PanopticConfig
+from hickory_stream.perception.models.picture import built_in_picture
+from hickory_stream.perception.models.semantic_graph import GraphSemantics
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+OPSET = 18
+LEAST_IOU = 0.99
+MOST_FEATURE_ERROR = 1e-3
+LEAST_CLASS_AGREEMENT = 0.99
+_CPU = NetworkConfig(provider="cpu", warm_up=False)
+_DEFAULTS = {
+    "fastsam": ("FastSAM-s.pt", "fastsam-s", "AGPL-3.0 (ultralytics)"),
+    "dinov2": ("facebook/dinov2-small", "dinov2-small", "Apache-2.0 (Meta)"),
+    "oneformer": ("shi-labs/oneformer_ade20k_swin_tiny", "oneformer-ade20k-swin-tiny", "MIT (SHI Labs)"),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Exported:
+    """What was exported: what the manifest says of it beside the file, and what the check found."""
+
+    input_px: tuple[int, int]
+    labels: tuple[str, ...]
+    found: str
+
+
+def main() -> int:
+    """Parse the arguments, export, check and add."""
+    parser = argparse.ArgumentParser(prog="tools/export_onnx", description=__doc__.splitlines()[0])
+    parser.add_argument("kind", choices=sorted(_DEFAULTS))
+    parser.add_argument("--weights", help="a file, a folder, or the package's name of published weights")
+    parser.add_argument("--name", help="what the configuration will call it")
+    parser.add_argument("--input-px", type=int, default=640, help="fastsam: the side of its image")
+    parser.add_argument("--folder", type=Path, default=None, help="the folder of models; default: $HICKORY_MODELS")
+    arguments = parser.parse_args()
+    weights, name, licence = _DEFAULTS[arguments.kind]
+    weights, name = arguments.weights or weights, arguments.name or name
+    folder = arguments.folder or models_folder()
+    # What is missing is said, not installed behind the user's back.
+    os.environ.setdefault("YOLO_AUTOINSTALL", "false")
+    try:
+        with tempfile.TemporaryDirectory() as temporary:
+            file = Path(temporary) / f"{name}.onnx"
+            done = EXPORTS[arguments.kind](weights, file, arguments.input_px)
+            entry = ModelEntry(
+                name=name,
+                kind=arguments.kind,
+                file=file.name,
+                sha256=sha256_of(file),
+                source=weights,
+                licence=licence,
+                input_px=done.input_px,
+                labels=done.labels,
+            )
+            add_model(folder, file, entry)
+    except ModuleNotFoundError as error:
+        print(f"{error.name} is missing; install the extra: pip install -e '.[export]'", file=sys.stderr)
+        return 2
+    except HickoryError as error:
+        print(error, file=sys.stderr)
+        return error.exit_status
+    print(f"{folder / file.name}: {done.found}")
+    return 0
+
+
+# ---- FastSAM --------------------------------------------------------------------------------------------------------
+
+
+def export_fastsam(weights: str, file: Path, input_px: int) -> Exported:
+    """Export FastSAM, or any YOLOv8-seg, with ultralytics; masks are compared with its own predictor's."""
+    from ultralytics import YOLO, FastSAM
+
+    kind = FastSAM if "fastsam" in Path(weights).stem.lower() else YOLO
+    model = kind(weights)
+    made = Path(model.export(format="onnx", imgsz=input_px, opset=OPSET, simplify=False, dynamic=False))
+    file.write_bytes(made.read_bytes())
+    made.unlink()
+    picture = built_in_picture()
+    ours, theirs = fastsam_masks(file, picture), reference_fastsam_masks(model, picture, input_px)
+    found = ious(ours, theirs)
+    if len(ours) != len(theirs) or (theirs and found.mean() < LEAST_IOU):
+        raise ModelError(
+            f"the exported graph gives other masks than {weights}: {len(ours)} for {len(theirs)}, of mean IoU "
+            f"{found.mean():.3f}, at least {LEAST_IOU}"
+        )
+    told = f"{len(theirs)} masks, IoU with the package's own {found.mean():.4f} on average" if theirs else "no masks"
+    return Exported(input_px=(input_px, input_px), labels=(), found=told)
+
+
+def fastsam_masks(
+    file: Path, picture: np.ndarray[Any, Any], config: FastSamConfig | None = None
+) -> list[np.ndarray[Any, Any]]:
+    """Return our masks of a picture at its size, those without a pixel left out as the package does."""
+    masks, _ = FastSam(Network(file, _CPU), config or FastSamConfig(), warm_up=False).masks(picture)
+    full = []
+    for item in masks:
+        x0, y0, x1, y1 = item.box_px
+        mask = np.zeros(picture.shape[:2], dtype=bool)
+        mask[y0:y1, x0:x1] = item.mask
+        if mask.any():
+            full.append(mask)
+    return full
+
+
+def reference_fastsam_masks(
+    model: Any, picture: np.ndarray[Any, Any], input_px: int, config: FastSamConfig | None = None
+) -> list[np.ndarray[Any, Any]]:
+    """Return the masks of the package's own predictor; `rect=False` gives it the square image that the graph takes."""
+    config = config or FastSamConfig()
+    result = model.predict(
+        picture[..., ::-1],
+        imgsz=input_px,
+        rect=False,
+        conf=config.confidence,
+        iou=config.nms_iou,
+        max_det=config.max_masks,
+        retina_masks=True,
+        device="cpu",
+        verbose=False,
+    )[0]
+    return [] if result.masks is None else [mask.numpy() > 0 for mask in result.masks.data]
+
+
+def ious(ours: list[np.ndarray[Any, Any]], theirs: list[np.ndarray[Any, Any]]) -> np.ndarray[Any, Any]:
+    """Return the IoU of each of their masks with the one of ours that is most like it: scores may tie."""
+    if not ours or not theirs:
+        return np.full(max(len(ours), len(theirs)), 0.0)
+    a, b = (np.stack([mask.ravel() for mask in masks]).astype(np.float32) for masks in (theirs, ours))
+    shared = a @ b.T
+    return np.asarray((shared / (a.sum(axis=1)[:, None] + b.sum(axis=1)[None, :] - shared)).max(axis=1))
+
+
+# ---- DINOv2 ---------------------------------------------------------------------------------------------------------
+
+
+def export_dinov2(weights: str, file: Path, _input_px: int) -> Exported:
+    """Export DINOv2 with transformers, its sizes left open; features are compared with the package's."""
+    from transformers import AutoModel
+
+    model = AutoModel.from_pretrained(weights, attn_implementation="eager").eval()
+    error = export_dino_model(model, file, built_in_picture()[:224, :322])
+    if error > MOST_FEATURE_ERROR:
+        raise ModelError(f"the exported graph gives other features than {weights}: by {error:.2g}")
+    return Exported(input_px=(0, 0), labels=(), found=f"features differ by at most {error:.2g}")
+
+
+def export_dino_model(model: Any, file: Path, picture: np.ndarray[Any, Any]) -> float:
+    """Export a DINOv2 of transformers, and return by how much our features of a picture differ from its own."""
+    import torch
+
+    class Tokens(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.model = model
+
+        def forward(self, pixel_values: Any) -> Any:
+            return self.model(pixel_values).last_hidden_state
+
+    patch = int(model.config.patch_size)
+    example = torch.zeros((1, 3, 4 * patch, 6 * patch))
+    _export(Tokens(), example, file, ["tokens"], {"tokens": {1: "tokens"}}, sizes_are_open=True)
+    extractor = DinoExtractor(Network(file, _CPU), DinoConfig(patch_px=patch), warm_up=False)
+    height, width = (n // patch * patch for n in picture.shape[:2])
+    ours = extractor.extract(picture[:height, :width])
+    with torch.no_grad():
+        tokens = model(torch.from_numpy(normalised(picture[:height, :width]))).last_hidden_state[0].numpy()
+    theirs = tokens[len(tokens) - ours.shape[0] * ours.shape[1] :].reshape(ours.shape)
+    return float(np.abs(ours - theirs / np.linalg.norm(theirs, axis=-1, keepdims=True)).max())
+
+
+# ---- OneFormer ------------------------------------------------------------------------------------------------------
+
+
+def export_oneformer(weights: str, file: Path, _input_px: int) -> Exported:
+    """Export OneFormer with transformers, its task made part of the graph; classes are compared with the package's."""
+    from transformers import OneFormerForUniversalSegmentation, OneFormerProcessor
+
+    processor = OneFormerProcessor.from_pretrained(weights)
+    model = OneFormerForUniversalSegmentation.from_pretrained(weights, is_training=False).eval()
+    picture = built_in_picture()
+    task = processor(images=[picture], task_inputs=["panoptic"], return_tensors="pt")["task_inputs"]
+    labels = tuple(model.config.id2label[i] for i in range(len(model.config.id2label)))
+    agreement = export_oneformer_model(model, task, labels, file, picture)
+    if agreement < LEAST_CLASS_AGREEMENT:
+        raise ModelError(f"the exported graph gives other classes than {weights}: {agreement:.1%} of pixels agree")
+    return Exported(input_px=ONEFORMER_PX, labels=labels, found=f"classes of {agreement:.2%} of the pixels agree")
+
+
+# The backbone's windows make its graph one of a fixed size: 4:3, as most depth cameras.
+ONEFORMER_PX = (640, 480)
+
+
+def export_oneformer_model(
+    model: Any,
+    task: Any,
+    labels: tuple[str, ...],
+    file: Path,
+    picture: np.ndarray[Any, Any],
+    size: tuple[int, int] = ONEFORMER_PX,
+) -> float:
+    """Export a OneFormer, and return the share of pixels of a picture whose class is that of the package's own code."""
+    import cv2
+    import torch
+    from transformers.models.oneformer.image_processing_pil_oneformer import OneFormerImageProcessorPil
+
+    class Queries(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.model = model
+            self.register_buffer("task", task)
+
+        def forward(self, pixel_values: Any) -> Any:
+            out = self.model(pixel_values=pixel_values, task_inputs=self.task)
+            return out.class_queries_logits, out.masks_queries_logits
+
+    _export(Queries(), torch.zeros((1, 3, size[1], size[0])), file, ["classes", "masks"], {}, sizes_are_open=False)
+    config = PanopticConfig()
+    ours = GraphSemantics(Network(file, _CPU), labels, short_px=size[1], panoptic=config, warm_up=False)
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    with torch.no_grad():
+        outputs = model(pixel_values=torch.from_numpy(normalised(small)), task_inputs=task)
+    theirs = reference_classes(OneFormerImageProcessorPil, outputs, (small.shape[0], small.shape[1]), config)
+    return float((ours.classify(small).classes == theirs).mean())
+
+
+def reference_classes(
+    processor: Any, outputs: Any, size: tuple[int, int], config: PanopticConfig
+) -> np.ndarray[Any, Any]:
+    """Return (H, W) classes by the package's panoptic post-processing, -1 where it names no segment."""
+    result = processor.post_process_panoptic_segmentation(
+        None,
+        outputs,
+        threshold=config.threshold,
+        mask_threshold=config.mask_threshold,
+        overlap_mask_area_threshold=config.overlap,
+        label_ids_to_fuse=set(),
+        target_sizes=[size],
+    )[0]
+    classes = np.full(size, -1, dtype=np.int32)
+    segments = result["segmentation"].numpy()
+    for segment in result["segments_info"]:
+        classes[segments == segment["id"]] = segment["label_id"]
+    return classes
+
+
+def _export(
+    module: Any, example: Any, file: Path, outputs: list[str], axes: dict[str, dict[int, str]], *, sizes_are_open: bool
+) -> None:
+    """Trace a module into a graph: the exporter by tracing keeps open sizes where the newer one specialises them."""
+    import torch
+
+    if sizes_are_open:
+        axes = {"image": {2: "height", 3: "width"}, **axes}
+    try:
+        with torch.no_grad():
+            torch.onnx.export(
+                module.eval(),
+                (example,),
+                str(file),
+                input_names=["image"],
+                output_names=outputs,
+                dynamic_axes=axes,
+                opset_version=OPSET,
+                dynamo=False,
+            )
+    except torch.onnx.errors.OnnxExporterError as error:
+        raise ModelError(f"torch cannot export this network: {error}") from error
+    _use_single_precision(file)
+
+
+def _use_single_precision(file: Path) -> None:
+    """Make the places that a graph samples float: the tracer gives them as double, which no provider takes."""
+    import onnx
+
+    model = onnx.load(str(file))
+    for i, node in reversed(list(enumerate(model.graph.node))):
+        if node.op_type == "GridSample":
+            cast = f"{node.output[0]}_places"
+            model.graph.node.insert(
+                i, onnx.helper.make_node("Cast", [node.input[1]], [cast], to=onnx.TensorProto.FLOAT)
+            )
+            node.input[1] = cast
+    onnx.save(model, str(file))
+
+
+EXPORTS: dict[str, Callable[[str, Path, int], Exported]] = {
+    "fastsam": export_fastsam,
+    "dinov2": export_dinov2,
+    "oneformer": export_oneformer,
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
