@@ -63,7 +63,9 @@ def _sees(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no
     first, last = int(np.floor(y0 + _HAIR)), int(np.floor(y1 - _HAIR))
     if last < first and 0 <= last and first < rows:
         # Along the line between two rows: not where both sides are blocked.
-        for i in range(max(int(np.floor(min(x0, x1) + _HAIR)), 0), min(int(np.floor(max(x0, x1) - _HAIR)) + 1, columns)):
+        for i in range(
+            max(int(np.floor(min(x0, x1) + _HAIR)), 0), min(int(np.floor(max(x0, x1) - _HAIR)) + 1, columns)
+        ):
             if blocked[last, i] and blocked[first, i]:
                 return False
     first, last = max(first, 0), min(last, rows - 1)

@@ -12,15 +12,13 @@ from hickory_stream.navigation.occupancy import frame_around
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import NoPath, Path, SearchConfig, plan
 from tests.engine.snapshot_fixtures import box_mesh
-from tests.navigation.rooms import boxes, table
+from tests.navigation.rooms import boxes
 
 pytestmark = pytest.mark.timeout(180)
 
 
 def shifted(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
-    return Mesh(
-        vertices=mesh.vertices + np.float32(by), faces=mesh.faces, colors=mesh.colors, is_seen=mesh.is_seen
-    )
+    return Mesh(vertices=mesh.vertices + np.float32(by), faces=mesh.faces, colors=mesh.colors, is_seen=mesh.is_seen)
 
 
 def test_the_shortest_way_bends_around_a_blocked_square_and_not_through_touching_corners() -> None:
@@ -82,9 +80,7 @@ def test_the_table_counts_what_is_missed_lost_and_solved() -> None:
     rows = {}
     for name, inflated in (("holds", holding), ("nothing", boxes(((4.0, 3.0, 5.0), (0.1, 0.1, 0.1))))):
         obstacles = Obstacles(load=lambda: {1: mesh}, inflated={1: inflated}, walls=border, unknown=np.empty((0, 8, 3)))
-        found = table_of(
-            obstacles, scene, robot, r_safe_m=0.02, trials=10, seeds=[3], config=SearchConfig(attempts=2)
-        )
+        found = table_of(obstacles, scene, robot, r_safe_m=0.02, trials=10, seeds=[3], config=SearchConfig(attempts=2))
         assert [row.name for row in found] == ["mesh-obb", "mesh-full", "layer-4"]
         rows[name] = found
         assert "10 pairs" in format_table(found)

@@ -120,8 +120,14 @@ def test_the_traversable_height_under_a_table_is_that_below_its_top() -> None:
     voxels = VoxelOccupancy(frame, low_m=0.0, layer_m=0.1, num_layers=12, radius_m=0.1)
     voxels.put(1, table())
     height = voxels.traversable_height_m()
-    rows = {name: frame.cells_of(np.array([place]))[0] for name, place in
-            {"under": TABLE_AT, "leg": (TABLE_AT[0] - 0.55, TABLE_AT[1] - 0.35), "beside": (0.4, 0.4)}.items()}
+    rows = {
+        name: frame.cells_of(np.array([place]))[0]
+        for name, place in {
+            "under": TABLE_AT,
+            "leg": (TABLE_AT[0] - 0.55, TABLE_AT[1] - 0.35),
+            "beside": (0.4, 0.4),
+        }.items()
+    }
     # The top begins at 0.69 m: six whole layers fit.
     assert height[tuple(rows["under"])] == pytest.approx(0.6)
     assert height[tuple(rows["leg"])] == 0.0

@@ -96,7 +96,12 @@ def test_the_outline_of_a_box_is_the_box_grown_by_the_body() -> None:
     assert np.unique(np.round(found, 9) + 0.0, axis=0).tolist() == [[0.0, 0.0], [0.0, 0.2], [0.4, 0.0], [0.4, 0.2]]
     body = Part(low_m=0.2, high_m=0.3, corners_m=np.array([[0.1, 0.05], [-0.1, 0.05], [-0.1, -0.05], [0.1, -0.05]]))
     found, _ = outlines_of_hulls(corners[None], body)
-    assert np.unique(np.round(found, 9) + 0.0, axis=0).tolist() == [[-0.1, -0.05], [-0.1, 0.25], [0.5, -0.05], [0.5, 0.25]]
+    assert np.unique(np.round(found, 9) + 0.0, axis=0).tolist() == [
+        [-0.1, -0.05],
+        [-0.1, 0.25],
+        [0.5, -0.05],
+        [0.5, 0.25],
+    ]
     grown, _ = outlines_of_hulls(corners[None], Part(low_m=0.2, high_m=0.3, disc_m=0.1))
     # Grown by a disc: the area of the box, its border times the radius, and the disc.
     area = 0.5 * abs(np.dot(grown[:, 0], np.roll(grown[:, 1], -1)) - np.dot(grown[:, 1], np.roll(grown[:, 0], -1)))

@@ -99,11 +99,12 @@ def test_a_path_passes_under_the_table_where_the_body_fits_and_ducks_where_it_mu
     around = answer_of(free_space_of(room, tall), start, goal)
     assert isinstance(around, Path)
     assert around.length_m > 3.0
-    # What is twice as dear is not worth it for the last decimetres.
+    # Three times as dear, it is not worth it but for cutting a corner.
     dear = replace(robot, postures=(robot.postures[0], replace(robot.postures[1], cost=3.0)))
     found = answer_of(free_space_of(room, dear), start, goal)
     assert isinstance(found, Path)
-    assert found.postures.tolist() == [0] * len(found.postures)
+    assert found.length_m > 3.0
+    assert found.cost_m < around.length_m + 1e-6
 
 
 def test_a_long_robot_turns_to_pass_the_door_and_touches_nothing(room: MapSnapshot) -> None:
@@ -111,14 +112,12 @@ def test_a_long_robot_turns_to_pass_the_door_and_touches_nothing(room: MapSnapsh
     path = answer_of(free_space_of(room, robot, cell_m=0.05))
     assert isinstance(path, Path)
     assert_touches_nothing(path, room, robot)
-    through = [
-        (a, b) for a, b in itertools.pairwise(path.points) if min(a[0], b[0]) <= 3.0 <= max(a[0], b[0])
-    ]
+    through = [(a, b) for a, b in itertools.pairwise(path.points) if min(a[0], b[0]) <= 3.0 <= max(a[0], b[0])]
     assert len(through) == 1
-    assert answer_of(free_space_of(snapshot(space=seen_room(door_m=(1.8, 2.15))), robot, cell_m=0.05)) == NoPath(
-        reason=NoPathReason.UNREACHABLE,
-        text="start and goal lie in different pieces of the free space: no path at cells of 0.05 m and this robot's size",
-    )
+    narrow = free_space_of(snapshot(space=seen_room(door_m=(1.8, 2.15))), robot, cell_m=0.05)
+    refused = answer_of(narrow)
+    assert isinstance(refused, NoPath)
+    assert refused.reason is NoPathReason.UNREACHABLE
 
 
 def test_every_reason_for_no_path_is_told_apart(space: FreeSpace, room: MapSnapshot) -> None:
