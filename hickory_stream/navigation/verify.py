@@ -33,9 +33,12 @@ def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[n
         if _meets(rows, NO_HULLS, part.numbers, part.corners_m, start, end, TOLERANCE_M):
             return False
         low, high = np.minimum(start, end) - off.reach_m, np.maximum(start, end) + off.reach_m
-        for hulls, bounds in space.hulls_with_bounds():
-            near = ((bounds[:, 0] <= high) & (bounds[:, 1] >= low)).all(axis=1)
-            if _meets(NO_ROWS, locked(hulls[near]), off.numbers, off.corners_m, start, end, TOLERANCE_M):
+        for group in space.hull_groups():
+            # Neighbours in the list are neighbours in space: most groups are far as a whole.
+            if (group.low > high).any() or (group.high < low).any():
+                continue
+            near = ((group.lows <= high) & (group.highs >= low)).all(axis=1)
+            if _meets(NO_ROWS, locked(group.hulls[near]), off.numbers, off.corners_m, start, end, TOLERANCE_M):
                 return False
     return True
 
