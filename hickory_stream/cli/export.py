@@ -31,7 +31,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         choices=sorted((*_WRITERS, *_SEVERAL)),
         default="json",
         help="json (default): all records; ply: layer 1 of all objects; glb: layer 2, one named node an object; nav2: "
-        "a grid for map_server (YAML and PGM); mjcf, urdf: a folder for a simulator, layer 2 to see and layer 4 to touch",
+        "a grid for map_server (YAML and PGM); mjcf, urdf: a folder for simulators, layer 2 to see, layer 4 to touch",
     )
     export.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="default: MAP with the ending of the format, yaml for nav2"

@@ -60,7 +60,15 @@ def _sees(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no
     rows, columns = blocked.shape
     if y1 < y0:
         x0, y0, x1, y1 = x1, y1, x0, y0
-    first, last = max(int(np.floor(y0 + _HAIR)), 0), min(int(np.floor(y1 - _HAIR)), rows - 1)
+    first, last = int(np.floor(y0 + _HAIR)), int(np.floor(y1 - _HAIR))
+    if last < first and 0 <= last and first < rows:
+        # Along the line between two rows: not where both sides are blocked.
+        for i in range(
+            max(int(np.floor(min(x0, x1) + _HAIR)), 0), min(int(np.floor(max(x0, x1) - _HAIR)) + 1, columns)
+        ):
+            if blocked[last, i] and blocked[first, i]:
+                return False
+    first, last = max(first, 0), min(last, rows - 1)
     slope = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
     for j in range(first, last + 1):
         xa = x0 if y0 >= j else x0 + slope * (j - y0)
@@ -69,6 +77,16 @@ def _sees(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no
         for i in range(max(left, 0), min(right, columns - 1) + 1):
             if blocked[j, i]:
                 return False
+        if right < left and 0 <= right and left < columns and blocked[j, right] and blocked[j, left]:
+            return False
+        # Between two squares that touch at a corner there is no way through.
+        if j < last:
+            x = x0 + slope * (j + 1 - y0)
+            i = int(np.round(x))
+            if abs(x - i) < _HAIR and 0 < i < columns:
+                pair, other = blocked[j, i - 1] and blocked[j + 1, i], blocked[j, i] and blocked[j + 1, i - 1]
+                if pair or other:
+                    return False
     return True
 
 

@@ -6,6 +6,7 @@ what nobody saw, is no place to be, unless unknown space is declared free.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -32,7 +33,25 @@ CELL_M = 0.033
 UnknownSpace = Literal["blocked", "free"]
 _MARGIN_M = 0.02
 _NARROW_CELLS = 3.0
+_GROUP = 256
 _FEW_HEADINGS = 0.4
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class HullGroup:
+    """Hulls (N, M, 3) that follow one another; `lows`, `highs` (N, 2) are their bounds, `low`, `high` those of all."""
+
+    hulls: NDArray[np.float64]
+    lows: NDArray[np.float64]
+    highs: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, hulls: NDArray[np.float64]) -> HullGroup:
+        """Return the group of these hulls."""
+        lows, highs = hulls[..., :2].min(axis=1), hulls[..., :2].max(axis=1)
+        return cls(hulls=hulls, lows=lows, highs=highs, low=lows.min(axis=0), high=highs.max(axis=0))
 
 
 class FreeSpace:
@@ -62,7 +81,7 @@ class FreeSpace:
             [Occupancy(frame, parts, hull_margin_m=hull_margin_m) for parts in headings] for headings in self.parts
         ]
         self._blocked: NDArray[np.bool_] | None = None
-        self._bounded: list[tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
+        self._groups: list[HullGroup] | None = None
         self._labels: NDArray[np.int32] | None = None
         self._reachable: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
 
@@ -114,16 +133,16 @@ class FreeSpace:
             self._labels = _connected(~self.blocked())
         return self._labels
 
-    def hulls_with_bounds(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """Return all hulls (N, M, 3), walls and the unknown among them, with their bounds (N, 2, 2) in the plane."""
-        if self._bounded is None:
-            groups = [self.walls, self.unknown, *(self.hulls[i] for i in sorted(self.hulls))]
-            self._bounded = [
-                (hulls, np.stack([hulls[..., :2].min(axis=1), hulls[..., :2].max(axis=1)], axis=1))
-                for hulls in groups
-                if len(hulls)
+    def hull_groups(self) -> list[HullGroup]:
+        """Return all hulls, walls and the unknown among them, in groups with their bounds."""
+        if self._groups is None:
+            sources = [self.walls, self.unknown, *(self.hulls[i] for i in sorted(self.hulls))]
+            self._groups = [
+                HullGroup.of(hulls[first : first + _GROUP])
+                for hulls in sources
+                for first in range(0, len(hulls), _GROUP)
             ]
-        return self._bounded
+        return self._groups
 
     def reachable_cells(self, place_cells: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return rows and columns (N, 2) of the cells that are connected with a place, in cells; the narrow ones.
@@ -151,7 +170,7 @@ class FreeSpace:
     def _forget(self) -> None:
         self._blocked = self._labels = None
         self._reachable = {}
-        self._bounded = None
+        self._groups = None
 
     def _all_layers(self) -> list[Occupancy]:
         return [layer for headings in self.layers for layer in headings]

@@ -40,17 +40,27 @@ def outlines_of_rows(
 
     (V, 2) corners of all outlines, and (N + 1,) where each begins; one that is out of reach has no corners.
     """
-    return _outlines(rows, _NO_HULLS, part.numbers, part.corners_m, tolerance_m)
+    return _outlines(locked(rows), NO_HULLS, part.numbers, part.corners_m, tolerance_m)
 
 
 def outlines_of_hulls(
     hulls: NDArray[np.float64], part: Part, tolerance_m: float = TOLERANCE_M
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the outlines of the convex hulls of (N, M, 3) points, as `outlines_of_rows` does."""
-    return _outlines(_NO_ROWS, np.ascontiguousarray(hulls, dtype=np.float64), part.numbers, part.corners_m, tolerance_m)
+    return _outlines(NO_ROWS, locked(hulls), part.numbers, part.corners_m, tolerance_m)
 
 
-_NO_ROWS, _NO_HULLS = np.empty((0, 25)), np.empty((0, 1, 3))
+def locked(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a read-only view, contiguous: whether an array may be written to is part of its type for a kernel.
+
+    With both kinds, each kernel would be compiled twice.
+    """
+    view = np.ascontiguousarray(array, dtype=np.float64).view()
+    view.flags.writeable = False
+    return view
+
+
+NO_ROWS, NO_HULLS = locked(np.empty((0, 25))), locked(np.empty((0, 1, 3)))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -115,19 +125,22 @@ def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):  # 
         after[k] = (k + 1) % 4
         cx, cy = -cy, cx
     corner = np.empty(2)
-    i = 0
-    while True:
-        j = after[i]
-        gap = _meeting(found[i], found[j], corner)
-        if gap > tolerance and count < _MOST and _between(found[i], found[j], found[count]):
-            guess = 0.5 * (found[i, _M] + found[j, _M])
-            _touch_slice(is_hull, row, hull, part, corners, found[count], guess, 0.1 * tolerance)
-            after[i], after[count] = count, j
-            count += 1
-            continue
-        i = j
-        if i == 0:
-            break
+    # Round by round, so that directions are spread evenly where there are not enough of them.
+    before = 0
+    while count > before:
+        before = count
+        i = 0
+        while True:
+            j = after[i]
+            gap = _meeting(found[i], found[j], corner)
+            if gap > tolerance and count < _MOST and _between(found[i], found[j], found[count]):
+                guess = 0.5 * (found[i, _M] + found[j, _M])
+                _touch_slice(is_hull, row, hull, part, corners, found[count], guess, 0.1 * tolerance)
+                after[i], after[count] = count, j
+                count += 1
+            i = j
+            if i == 0:
+                break
     return count
 
 
@@ -233,8 +246,8 @@ def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):  # type: ignore[n
         n1 = row[ROTATION + 1] * dx + row[ROTATION + 4] * dy + row[ROTATION + 7] * m
         n2 = row[ROTATION + 2] * dx + row[ROTATION + 5] * dy + row[ROTATION + 8] * m
         s0, s1, s2 = abs(n0) * row[AXES], abs(n1) * row[AXES + 1], abs(n2) * row[AXES + 2]
-        u, v = touching(s0, s1, row[POWER_2])
-        w, t = touching(u * s0 + v * s1, s2, row[POWER_1])
+        u, v = _farthest(s0, s1, row[POWER_2])
+        w, t = _farthest(u * s0 + v * s1, s2, row[POWER_1])
         q0 = w * u * row[AXES] * np.sign(n0)
         q1 = w * v * row[AXES + 1] * np.sign(n1)
         q2 = t * row[AXES + 2] * np.sign(n2)
@@ -242,7 +255,7 @@ def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):  # type: ignore[n
         y = row[CENTER + 1] + row[ROTATION + 3] * q0 + row[ROTATION + 4] * q1 + row[ROTATION + 5] * q2
         z = row[CENTER + 2] + row[ROTATION + 6] * q0 + row[ROTATION + 7] * q1 + row[ROTATION + 8] * q2
         # Near the diamond the touched point is found to a thousandth only: rather too far than too near.
-        if min(row[POWER_1], row[POWER_2]) <= 1.002:
+        if 1.0 < row[POWER_1] < 1.002 or 1.0 < row[POWER_2] < 1.002:
             slack = 1e-3 * (s0 + s1 + s2)
     # The mirrored body: its corners, a disc around each, a ball around those, from low to high.
     nearest = np.inf
@@ -260,6 +273,14 @@ def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):  # type: ignore[n
         z += part[3] * m / length - part[1]
     out[0], out[1], out[2] = x, y, z
     out[3] = x * dx + y * dy + (z * m if m != 0.0 else 0.0) + slack
+
+
+@numba.njit(cache=True, nogil=True)
+def _farthest(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return what `touching` does; of a diamond (p = 1) a corner, exactly."""
+    if p <= 1.0:
+        return (1.0, 0.0) if s >= t else (0.0, 1.0)
+    return touching(s, t, p)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -16,6 +16,7 @@ import numpy as np
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.navigation import tree_kernels
+from hickory_stream.navigation.cell_route import route_over_cells
 from hickory_stream.navigation.occupancy import Cell
 from hickory_stream.navigation.verify import is_verified
 
@@ -39,7 +40,8 @@ class SearchConfig:
 
     `step_cells` and `goal_bias` as in the paper, whose RRT has 7,000 iterations; RRT-Connect, which reaches for whole
     rooms, takes `connect_step_cells`. Up to `attempts` searches are made within the iterations, and the cheapest path
-    kept: one takes the wrong way around a table now and then. RRT* begins with the best of those and takes
+    kept: one takes the wrong way around a table now and then. A robot that needs not turn is shown the shortest route
+    over the cells as well. RRT* begins with the best of those and takes
     `star_iterations` more. `shortens` pulls paths tight.
     """
 
@@ -240,6 +242,13 @@ def _searched(
             best, best_cost = found, cost
         if len(best if best is not None else found) == 2 and costs[states[0] // blocked.shape[1]] == costs.min():
             break
+    if config.shortens and best is not None and len(best) > 2 and blocked.shape[1] == 1:
+        route = _routed(blocked, cells, costs)
+        if route is not None:
+            states, is_free = tree_kernels.states_along(blocked, route, none, none)
+            cost = tree_kernels.cost_along(route, states, costs, 1)
+            if is_free and cost < best_cost:
+                best, best_cost = route, cost
     if config.planner == "rrt-star" and best is not None:
         samples, _ = _samples(space, cells, config.star_iterations, rng)
         found, taken = tree_kernels.grow_star(
@@ -287,6 +296,20 @@ def _tight(blocked: NDArray[np.bool_], path: NDArray[np.float64], costs: NDArray
     shorter = tree_kernels.shortened(blocked, path, none, none, costs, _SPACING_CELLS, _MOST_PLACES)
     pulled = tree_kernels.cut_corners(blocked, shorter, none, none, costs, _ROUNDS, _MOST_PLACES)
     return np.asarray(pulled)
+
+
+def _routed(
+    blocked: NDArray[np.bool_], cells: NDArray[np.float64], costs: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Return the shortest route over the cells, pulled tight; the cheapest posture that fits counts in each."""
+    cheapest = np.where(blocked[:, 0], np.inf, costs[:, None, None]).min(axis=0)
+    (column, row), (goal_column, goal_row) = np.floor(cells).astype(np.int64).tolist()
+    route = route_over_cells(cheapest, row, column, goal_row, goal_column)
+    if len(route) == 0:
+        return None
+    none = tree_kernels.NO_STATE
+    whole = np.concatenate([cells[:1], route, cells[1:]])
+    return _tight(blocked, tree_kernels.thinned(blocked, whole, none), costs)
 
 
 def _driven_heading(leg: NDArray[np.float64], index: int, num_headings: int) -> float:

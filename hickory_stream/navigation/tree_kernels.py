@@ -362,6 +362,27 @@ def cost_along(path, states, costs, headings):  # type: ignore[no-untyped-def] #
 
 
 @numba.njit(cache=True, nogil=True)
+def thinned(blocked, path, start_state):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the places of a path that are left when, from each, the farthest one in sight follows."""
+    out = np.empty_like(path)
+    out[0] = path[0]
+    count, at, state = 1, 0, start_state
+    while at < len(path) - 1:
+        to, after = at + 1, _NO_WAY
+        for k in range(at + 1, len(path)):
+            if path[k, 0] == path[at, 0] and path[k, 1] == path[at, 1]:
+                continue
+            found = state_after(blocked, path[at, 0], path[at, 1], state, path[k, 0], path[k, 1], False)
+            if found < 0 and after >= 0:
+                break
+            to, after = k, found
+        out[count] = path[to]
+        count += 1
+        at, state = to, after
+    return out[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
 def shortened(blocked, path, start_state, goal_state, costs, spacing, most):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return a path of least cost along places of the given one, at most `spacing` apart, `most` of them.
 

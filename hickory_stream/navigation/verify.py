@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from hickory_stream.navigation.outline import TOLERANCE_M, half_planes
+from hickory_stream.navigation.outline import NO_HULLS, NO_ROWS, TOLERANCE_M, half_planes, locked
 from hickory_stream.navigation.robot import Part, grown
 
 if TYPE_CHECKING:
@@ -21,23 +21,24 @@ if TYPE_CHECKING:
 
     from hickory_stream.navigation.free_space import FreeSpace
 
-_NO_ROWS, _NO_HULLS = np.empty((0, 25)), np.empty((0, 1, 3))
-
 
 def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[np.int64]) -> bool:
     """Return whether a robot can drive the (N - 1,) legs between (N, 2) points in these states, and turn between them.
 
     A state is posture * headings + heading, for all headings in its range.
     """
-    rows = space.scene.rows()
+    rows = locked(space.scene.rows())
     for part, start, end in _moves(space, points, states):
         off = grown(part, space.hull_margin_m)
-        if _meets(rows, _NO_HULLS, part.numbers, part.corners_m, start, end, TOLERANCE_M):
+        if _meets(rows, NO_HULLS, part.numbers, part.corners_m, start, end, TOLERANCE_M):
             return False
         low, high = np.minimum(start, end) - off.reach_m, np.maximum(start, end) + off.reach_m
-        for hulls, bounds in space.hulls_with_bounds():
-            near = ((bounds[:, 0] <= high) & (bounds[:, 1] >= low)).all(axis=1)
-            if _meets(_NO_ROWS, hulls[near], off.numbers, off.corners_m, start, end, TOLERANCE_M):
+        for group in space.hull_groups():
+            # Neighbours in the list are neighbours in space: most groups are far as a whole.
+            if (group.low > high).any() or (group.high < low).any():
+                continue
+            near = ((group.lows <= high) & (group.highs >= low)).all(axis=1)
+            if _meets(NO_ROWS, locked(group.hulls[near]), off.numbers, off.corners_m, start, end, TOLERANCE_M):
                 return False
     return True
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hickory_stream.engine.session import MapFolder
+from hickory_stream.navigation.robot import load_robot
+from hickory_stream.sinks.costmap_sink import CostmapSink
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink
 from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind
@@ -35,11 +37,16 @@ def _rerun_file(folder: MapFolder) -> Sink:
     return RerunSink(RerunConfig(), folder.path, rrd, ViewerChoice(kind=ViewerKind.NONE))
 
 
+def _costmap(folder: MapFolder) -> Sink:
+    return CostmapSink(load_robot("point").postures[0], path=folder.path.parent / "costmap.mcap")
+
+
 def _rerun_of_nothing(folder: MapFolder) -> Sink:
     return RerunSink(RerunConfig(), folder.path, None, ViewerChoice(kind=ViewerKind.NONE))
 
 
 SINKS: dict[str, Callable[[MapFolder], Sink]] = {
+    "costmap": _costmap,
     "disk": _disk,
     "rerun_file": _rerun_file,
     "rerun_of_nothing": _rerun_of_nothing,

@@ -1,0 +1,64 @@
+"""The shortest route from cell to cell: which way around things, where random trees may take another one.
+
+Over the eight neighbours, diagonally only between two free cells, so that the route is a path. It is no shortest path,
+but pulled tight it nearly always becomes one. For robots that need not turn.
+"""
+
+from __future__ import annotations
+
+import heapq
+
+import numba
+import numpy as np
+
+_STEPS = np.array([[0, 1], [1, 0], [0, -1], [-1, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
+
+
+@numba.njit(cache=True, nogil=True)
+def route_over_cells(costs, row, column, goal_row, goal_column):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, 2) places in cells x, y, the centres of a cheapest route by A*; none where there is no route.
+
+    `costs` (rows, columns) are at least 1 per cell's length, infinite where blocked.
+    """
+    rows, columns = costs.shape
+    best, before = np.full(rows * columns, np.inf), np.full(rows * columns, -1, np.int64)
+    done = np.zeros(rows * columns, np.bool_)
+    start, goal = row * columns + column, goal_row * columns + goal_column
+    best[start] = 0.0
+    queue = [(0.0, start)]
+    while len(queue) > 0:
+        _, at = heapq.heappop(queue)
+        if at == goal:
+            break
+        if done[at]:
+            continue
+        done[at] = True
+        j, i = at // columns, at % columns
+        for n in range(8):
+            b, a = j + _STEPS[n, 0], i + _STEPS[n, 1]
+            if b < 0 or a < 0 or b >= rows or a >= columns or not np.isfinite(costs[b, a]):
+                continue
+            length = 1.0
+            if n >= 4:
+                if not (np.isfinite(costs[b, i]) and np.isfinite(costs[j, a])):
+                    continue
+                length = np.sqrt(2.0)
+            cost = best[at] + length * max(costs[j, i], costs[b, a])
+            to = b * columns + a
+            if cost < best[to]:
+                best[to], before[to] = cost, at
+                dx, dy = abs(a - goal_column), abs(b - goal_row)
+                ahead = max(dx, dy) + (np.sqrt(2.0) - 1.0) * min(dx, dy)
+                heapq.heappush(queue, (cost + ahead, to))
+    if not np.isfinite(best[goal]):
+        return np.empty((0, 2))
+    count, at = 0, goal
+    while at >= 0:
+        count += 1
+        at = before[at]
+    out = np.empty((count, 2))
+    at = goal
+    for k in range(count - 1, -1, -1):
+        out[k, 0], out[k, 1] = at % columns + 0.5, at // columns + 0.5
+        at = before[at]
+    return out

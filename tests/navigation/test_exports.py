@@ -1,0 +1,141 @@
+"""What other programs read: map_server's files by its own rules, MJCF in MuJoCo, URDF as XML with meshes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import trimesh
+
+from hickory_stream.errors import InputError
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.superquadric import display_mesh, support
+from hickory_stream.navigation.nav2 import pgm_of, read_served_map, yaml_of
+from hickory_stream.navigation.observed import Band, wall_hulls
+from hickory_stream.navigation.occupancy import Cell, frame_around
+from hickory_stream.navigation.simulators import SimulatedObject, mjcf_files, polyhedron_around, urdf_files
+from tests.engine.snapshot_fixtures import box_mesh, placed
+from tests.navigation.rooms import boxes, snapshot, table
+from tests.navigation.test_clearance import random_primitives
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_a_grid_is_read_back_by_the_rules_of_map_server(tmp_path: Path) -> None:
+    frame = frame_around(np.array([-1.0, 0.5]), np.array([0.5, 1.5]), 0.25)
+    states = np.random.default_rng(0).choice([-1, 0, 100], frame.shape).astype(np.int8)
+    (tmp_path / "grid.pgm").write_bytes(pgm_of(states))
+    (tmp_path / "grid.yaml").write_text(yaml_of(frame, "grid.pgm"))
+    served = read_served_map(tmp_path / "grid.yaml")
+    assert np.array_equal(served.states, states)
+    assert np.array_equal(served.frame.origin_m, frame.origin_m)
+    assert (served.frame.cell_m, served.frame.shape) == (0.25, frame.shape)
+    # The thresholds by hand: 254 -> 0.004 free, 205 -> 0.19608 neither, 0 -> 1 occupied; row 0 is the far end of y.
+    data = (tmp_path / "grid.pgm").read_bytes()
+    assert data.startswith(b"P5\n6 4\n255\n")
+    grey = {Cell.FREE: 254, Cell.UNKNOWN: 205, Cell.OCCUPIED: 0}
+    assert data[-1] == grey[Cell(int(states[0, -1]))]
+    assert data[len(b"P5\n6 4\n255\n")] == grey[Cell(int(states[-1, 0]))]
+
+
+def test_a_map_of_someone_else_is_read_with_its_own_thresholds_and_nonsense_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.pgm").write_bytes(b"P5\n3 1\n255\n" + bytes([255, 100, 20]))
+    text = (
+        "image: a.pgm\nresolution: 0.1\norigin: [1, 2, 0]\nnegate: 1\noccupied_thresh: 0.9\nfree_thresh: 0.1  # low\n"
+    )
+    (tmp_path / "a.yaml").write_text(text)
+    assert read_served_map(tmp_path / "a.yaml").states.tolist() == [[100, -1, 0]]
+    (tmp_path / "a.yaml").write_text(text + "mode: scale\n")
+    with pytest.raises(InputError, match="only trinary is read"):
+        read_served_map(tmp_path / "a.yaml")
+    (tmp_path / "a.yaml").write_text("image: a.pgm\n")
+    with pytest.raises(InputError, match=r"is no map of map_server: KeyError\('negate'\)"):
+        read_served_map(tmp_path / "a.yaml")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_polyhedron_around_a_primitive_holds_it_and_is_closed(seed: int) -> None:
+    primitives = random_primitives(np.random.default_rng(seed), 6)
+    for i in range(len(primitives)):
+        vertices, faces = polyhedron_around(primitives, i)
+        solid = trimesh.Trimesh(vertices, faces, process=False)
+        assert solid.is_watertight
+        assert solid.volume > 0
+        # Convex: behind each of its faces, and so behind all of them.
+        heights = np.einsum("ij,ij->i", solid.face_normals, solid.triangles[:, 0])
+        assert (support(primitives, i, solid.face_normals) <= heights + 1e-9).all()
+        inner = trimesh.Trimesh(*display_mesh(primitives, i, segments=48), process=False)
+        assert solid.volume < 2.2 * inner.volume
+
+
+def scene() -> tuple[list[SimulatedObject], np.ndarray]:
+    objects = [
+        SimulatedObject(
+            name="table",
+            mesh=box_mesh((1.2, 0.8, 0.7), (90, 60, 30)),
+            world_from_object=placed(1.5, 2.0, 0.35),
+            inflated=table(),
+        ),
+        SimulatedObject(
+            name="crate",
+            mesh=None,
+            world_from_object=placed(4.5, 1.0, 0.3),
+            inflated=boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3))),
+        ),
+    ]
+    return objects, wall_hulls(snapshot().submaps[0], Band(low_m=0.0, high_m=2.0), 0.0)
+
+
+def write(files: dict[str, bytes], folder: Path) -> None:
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+
+
+def test_mujoco_opens_the_mjcf_and_a_ball_comes_to_rest_on_the_table(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    objects, walls = scene()
+    write(mjcf_files(objects, walls, 0.0, "room"), tmp_path)
+    text = (tmp_path / "scene.xml").read_text()
+    ball = '<body pos="1.5 2 1.0"><freejoint/><geom type="sphere" size="0.05" mass="0.1" condim="6"/></body>'
+    (tmp_path / "with-ball.xml").write_text(text.replace("</worldbody>", f"{ball}</worldbody>"))
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "with-ball.xml"))
+    data = mujoco.MjData(model)
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    # On the top, which ends at 0.71 m; the polyhedron around it is a little thicker.
+    assert 0.755 <= data.qpos[2] <= 0.775
+    assert model.ngeom == 1 + len(walls) + 1 + 5 + 1 + 1
+    at = mujoco.MjData(model)
+    mujoco.mj_forward(model, at)
+    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, i) for i in range(model.ngeom)]
+    assert at.geom_xpos[names.index("crate-0")] == pytest.approx([4.5, 1.0, 0.3], abs=1e-6)
+    assert at.geom_xpos[names.index("table-0")] == pytest.approx([1.5, 2.0, 0.7], abs=1e-6)
+
+
+def test_the_urdf_has_a_link_for_each_object_whose_meshes_lie_where_the_object_is(tmp_path: Path) -> None:
+    objects, walls = scene()
+    write(urdf_files(objects, walls, 0.0, "room"), tmp_path)
+    root = ElementTree.parse(tmp_path / "scene.urdf").getroot()
+    assert [link.get("name") for link in root.findall("link")] == ["world", "table", "crate"]
+    assert len(root.findall("link/collision")) == 1 + len(walls) + 5 + 1
+    joints = {joint.find("child").get("link"): joint for joint in root.findall("joint")}
+    for item in objects:
+        place = np.array(joints[item.name].find("origin").get("xyz").split(), dtype=float)
+        assert place == pytest.approx(item.world_from_object[:3, 3])
+        parts = [
+            trimesh.load(tmp_path / mesh.get("filename"))
+            for mesh in root.findall(f"link[@name='{item.name}']/collision/geometry/mesh")
+        ]
+        assert len(parts) == len(item.inflated)
+        for i, part in enumerate(parts):
+            low, high = apply(item.world_from_object, np.asarray(part.bounds))
+            assert low == pytest.approx(
+                item.inflated.world_from_local[i, :3, 3] - item.inflated.semi_axes_m[i], abs=0.06
+            )
+            assert high == pytest.approx(
+                item.inflated.world_from_local[i, :3, 3] + item.inflated.semi_axes_m[i], abs=0.06
+            )

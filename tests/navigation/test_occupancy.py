@@ -1,0 +1,138 @@
+"""Grids: updated one by one as if new, unknown where nobody looked, refused where too large."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
+
+from hickory_stream.errors import InputError
+from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.geometry.superquadric import Superquadrics, taken
+from hickory_stream.navigation.observed import Band, rectangles, seen_columns, unknown_hulls
+from hickory_stream.navigation.occupancy import Cell, Occupancy, distance_field_m, frame_around
+from hickory_stream.navigation.robot import Part
+from hickory_stream.navigation.voxel_occupancy import VoxelOccupancy
+from tests.navigation.rooms import TABLE_AT, boxes, seen_room, snapshot, table
+from tests.navigation.test_clearance import random_primitives
+
+# The first call of a kernel compiles it.
+pytestmark = pytest.mark.timeout(120)
+
+PART = Part(low_m=0.5, high_m=1.5, disc_m=0.1)
+
+
+def grid_of(primitives: Superquadrics) -> Occupancy:
+    grid = Occupancy(frame_around(np.array([-1.0, -1.0]), np.array([5.0, 5.0]), 0.05), [PART])
+    for i in range(len(primitives)):
+        grid.put(i, taken(primitives, np.array([i])))
+    return grid
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 10_000))
+def test_updates_one_by_one_leave_the_grid_as_if_it_were_new(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = random_primitives(rng, 10), random_primitives(rng, 10)
+    grid = grid_of(first)
+    for i in rng.permutation(10)[:6]:
+        grid.remove(int(i))
+    grid.remove(77)
+    for i in range(10):
+        grid.put(i, taken(second, np.array([i])))
+    assert np.array_equal(grid.is_occupied(), grid_of(second).is_occupied())
+    for i in range(10):
+        grid.remove(i)
+    assert not grid.is_occupied().any()
+
+
+def test_a_grid_that_would_need_too_much_memory_is_refused_with_the_number() -> None:
+    with pytest.raises(InputError, match=r"1000001 x 1000001 cells .* takes 8,583,086 MiB, allowed are 1,024"):
+        frame_around(np.zeros(2), np.full(2, 1000.0005), 0.001)
+    with pytest.raises(InputError, match="a cell of nan m"):
+        frame_around(np.zeros(2), np.ones(2), float("nan"))
+    with pytest.raises(InputError, match="MiB, allowed are 1;"):
+        frame = frame_around(np.zeros(2), np.ones(2), 0.01)
+        VoxelOccupancy(frame, low_m=0.0, layer_m=0.1, num_layers=50, most_bytes=1 << 20)
+
+
+def test_what_is_not_finite_is_refused_by_name() -> None:
+    grid = grid_of(table())
+    bad = boxes(((1.0, np.nan, 1.0), (0.1, 0.1, 0.1)))
+    with pytest.raises(ValueError, match="object 3 has a superquadric that is not finite"):
+        grid.put(3, bad)
+    with pytest.raises(ValueError, match="object 4 has corners that are not finite"):
+        grid.put_hulls(4, np.full((1, 8, 3), np.inf))
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10_000))
+def test_the_distance_field_never_promises_too_much(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    blocked = rng.random((30, 40)) < 0.02
+    found = distance_field_m(blocked, 0.05)
+    if not blocked.any():
+        assert np.isinf(found).all()
+        return
+    between = distance_transform_edt(~blocked) * 0.05
+    # From the nearest points of two squares; at most a diagonal less than between their centres.
+    assert (found <= np.maximum(between - 0.05, 0) + 1e-4).all()
+    assert (found >= between - 0.05 * np.sqrt(2) - 1e-4).all()
+    assert (found[blocked] == 0).all()
+
+
+@given(st.integers(0, 1000))
+def test_rectangles_make_up_the_mask_without_overlap(seed: int) -> None:
+    mask = np.random.default_rng(seed).random((9, 11)) < 0.6
+    counts = np.zeros(mask.shape, int)
+    for a, b, c, d in rectangles(mask):
+        counts[a:c, b:d] += 1
+    assert np.array_equal(counts, mask.astype(int))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4])
+def test_walls_are_occupied_what_nobody_saw_is_unknown_and_the_floor_is_neither(yaw: float) -> None:
+    c, s = np.cos(yaw), np.sin(yaw)
+    pose = from_rotation_translation(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), np.array([0.3, -0.2, 0.0]))
+    submaps = snapshot(space=seen_room(dark_m=(4.0, 5.0)), world_from_submap=pose).submaps
+    frame = frame_around(np.array([-4.0, -2.0]), np.array([8.0, 8.0]), 0.04)
+    band = Band(low_m=0.05, high_m=0.6)
+    seen = seen_columns(submaps, frame, band, 0.0)
+    grid = Occupancy(frame, [Part(low_m=0.05, high_m=0.6)])
+    grid.observe(seen.walls, unknown_hulls(seen.is_known, frame, band))
+    states = grid.states()
+
+    def at(x: float, y: float) -> int:
+        place = (pose @ np.array([x, y, 0.0, 1.0]))[:2]
+        ((row, column),) = frame.cells_of(place[None])
+        return int(states[row, column])
+
+    assert at(1.0, 1.0) == Cell.FREE
+    assert at(3.0, 2.0) == Cell.FREE  # the door
+    assert at(3.0, 0.7) == Cell.OCCUPIED
+    assert at(-0.025, 2.0) == Cell.OCCUPIED
+    assert at(4.5, 2.0) == Cell.UNKNOWN
+    assert at(-0.5, -0.5) == Cell.UNKNOWN
+
+
+def test_the_traversable_height_under_a_table_is_that_below_its_top() -> None:
+    frame = frame_around(np.zeros(2), np.array([3.0, 4.0]), 0.05)
+    voxels = VoxelOccupancy(frame, low_m=0.0, layer_m=0.1, num_layers=12, radius_m=0.1)
+    voxels.put(1, table())
+    height = voxels.traversable_height_m()
+    rows = {
+        name: frame.cells_of(np.array([place]))[0]
+        for name, place in {
+            "under": TABLE_AT,
+            "leg": (TABLE_AT[0] - 0.55, TABLE_AT[1] - 0.35),
+            "beside": (0.4, 0.4),
+        }.items()
+    }
+    # The top begins at 0.69 m: six whole layers fit.
+    assert height[tuple(rows["under"])] == pytest.approx(0.6)
+    assert height[tuple(rows["leg"])] == 0.0
+    assert np.isinf(height[tuple(rows["beside"])])
+    voxels.remove(1)
+    assert np.isinf(voxels.traversable_height_m()).all()
+    voxels.put_hulls(2, np.array([[[0, 0, 0.35], [3, 0, 0.35], [3, 4, 0.35], [0, 4, 0.35]]], dtype=float))
+    assert voxels.traversable_height_m() == pytest.approx(np.full(frame.shape, 0.3))

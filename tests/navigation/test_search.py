@@ -1,0 +1,173 @@
+"""Planners: paths that hold against the obstacles themselves, and the reasons why there is none."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hickory_stream.errors import InputError
+from hickory_stream.navigation.clearance import ClearanceScene
+from hickory_stream.navigation.free_space import FreeSpace, free_space_of, without_layer_four
+from hickory_stream.navigation.robot import Robot, load_robot, robot_of, round_robot
+from hickory_stream.navigation.search import NoPath, NoPathReason, Path, SearchConfig, plan
+from hickory_stream.records import MapSnapshot, Phase
+from tests.navigation.rooms import TABLE_AT, boxes, seen_room, snapshot, table, tracked
+
+pytestmark = pytest.mark.timeout(180)
+
+START, GOAL = np.array([0.7, 0.6]), np.array([5.3, 3.4])
+POINT = load_robot("point")
+
+
+def answer_of(space: FreeSpace, start: object = START, goal: object = GOAL, **config: object) -> Path | NoPath:
+    return plan(space, np.array(start), np.array(goal), SearchConfig(**config))
+
+
+@pytest.fixture(scope="module")
+def room() -> MapSnapshot:
+    return snapshot(tracked(1, table()), tracked(2, boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3)))))
+
+
+@pytest.fixture(scope="module")
+def space(room: MapSnapshot) -> FreeSpace:
+    return free_space_of(room, POINT)
+
+
+def assert_touches_nothing(path: Path, room: MapSnapshot, robot: Robot) -> None:
+    """Points of the body, every 2 cm of the way and while it turns, against the superquadrics and the voxels."""
+    scene = ClearanceScene()
+    for item in room.objects:
+        assert item.shape is not None
+        scene.put(item.id, item.shape.inflated)
+    scene.observe(room.submaps[0].observed_space)
+    rng = np.random.default_rng(5)
+    before = path.headings_rad[0]
+    for i, (a, b) in enumerate(itertools.pairwise(path.points)):
+        posture = robot.postures[path.postures[i]]
+        turn = (path.headings_rad[i] - before + np.pi) % (2 * np.pi) - np.pi
+        # The side of the turn that was free is not told: only turns of less than a quarter have one that is obvious.
+        spots = [(a, before + share * turn) for share in np.linspace(0, 1, 10) if abs(turn) < np.pi / 2]
+        steps = np.linspace(0, 1, max(int(np.linalg.norm(b - a) / 0.02), 2))
+        spots += [(a + share * (b - a), path.headings_rad[i]) for share in steps]
+        before = path.headings_rad[i]
+        for place, heading in spots:
+            for part in posture.parts:
+                weights = rng.dirichlet(np.full(len(part.corners_m), 0.4), 60)
+                angle = rng.uniform(0, 2 * np.pi, 60)
+                flat = weights @ part.corners_m + part.disc_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+                c, s = np.cos(heading), np.sin(heading)
+                flat = flat @ np.array([[c, s], [-s, c]]) + place
+                points = np.column_stack([flat, rng.uniform(part.low_m, part.high_m, 60)])
+                assert (scene.classify(points) == 0).all()
+
+
+@pytest.mark.parametrize("planner", ["rrt", "rrt-connect", "rrt-star"])
+def test_every_planner_finds_a_path_through_the_door_that_touches_nothing(
+    space: FreeSpace, room: MapSnapshot, planner: str
+) -> None:
+    path = answer_of(space, planner=planner)
+    assert isinstance(path, Path)
+    assert np.array_equal(path.points[0], START)
+    assert np.array_equal(path.points[-1], GOAL)
+    assert_touches_nothing(path, room, POINT)
+    # Through the door, near (3, 1.5): no shorter than by way of it.
+    direct = np.linalg.norm(START - [3.0, 1.6]) + np.linalg.norm(GOAL - [3.0, 1.6])
+    assert direct - 0.1 < path.length_m < direct + 0.25
+    again = answer_of(space, planner=planner)
+    assert isinstance(again, Path)
+    assert np.array_equal(again.points, path.points)
+
+
+def test_a_path_passes_under_the_table_where_the_body_fits_and_ducks_where_it_must(room: MapSnapshot) -> None:
+    start, goal = (TABLE_AT[0], 0.6), (TABLE_AT[0], 3.4)
+    path = answer_of(free_space_of(room, POINT), start, goal)
+    assert isinstance(path, Path)
+    assert path.length_m == pytest.approx(2.8)
+    two = {
+        "posture": [
+            {"name": "up", "low_m": 0.05, "high_m": 1.0, "radius_m": 0.15},
+            {"name": "down", "low_m": 0.05, "high_m": 0.5, "radius_m": 0.15, "cost": 1.2},
+        ]
+    }
+    robot = robot_of(two)
+    path = answer_of(free_space_of(room, robot), start, goal)
+    assert isinstance(path, Path)
+    assert sorted(set(path.postures.tolist())) == [0, 1]
+    assert_touches_nothing(path, room, robot)
+    tall = replace(robot, postures=robot.postures[:1])
+    around = answer_of(free_space_of(room, tall), start, goal)
+    assert isinstance(around, Path)
+    assert around.length_m > 3.0
+    # Three times as dear, it is not worth it but for cutting a corner.
+    dear = replace(robot, postures=(robot.postures[0], replace(robot.postures[1], cost=3.0)))
+    found = answer_of(free_space_of(room, dear), start, goal)
+    assert isinstance(found, Path)
+    assert found.length_m > 3.0
+    assert found.cost_m < around.length_m + 1e-6
+
+
+def test_a_long_robot_turns_to_pass_the_door_and_touches_nothing(room: MapSnapshot) -> None:
+    robot = load_robot("jackal")
+    path = answer_of(free_space_of(room, robot, cell_m=0.05))
+    assert isinstance(path, Path)
+    assert_touches_nothing(path, room, robot)
+    through = [(a, b) for a, b in itertools.pairwise(path.points) if min(a[0], b[0]) <= 3.0 <= max(a[0], b[0])]
+    assert len(through) == 1
+    narrow = free_space_of(snapshot(space=seen_room(door_m=(1.8, 2.15))), robot, cell_m=0.05)
+    refused = answer_of(narrow)
+    assert isinstance(refused, NoPath)
+    assert refused.reason is NoPathReason.UNREACHABLE
+
+
+def test_every_reason_for_no_path_is_told_apart(space: FreeSpace, room: MapSnapshot) -> None:
+    def reason(answer: Path | NoPath) -> NoPathReason:
+        assert isinstance(answer, NoPath)
+        assert answer.text
+        return answer.reason
+
+    inside = (4.5, 1.0)
+    assert reason(answer_of(space, start=inside)) is NoPathReason.START_IN_COLLISION
+    assert reason(answer_of(space, goal=inside)) is NoPathReason.GOAL_IN_COLLISION
+    closed = free_space_of(snapshot(space=seen_room(door_m=(9.0, 9.0))), POINT)
+    assert reason(answer_of(closed)) is NoPathReason.UNREACHABLE
+    dark = snapshot(space=seen_room(dark_m=(4.0, 5.0)))
+    assert reason(answer_of(free_space_of(dark, POINT), goal=(4.5, 2.0))) is NoPathReason.GOAL_UNKNOWN
+    assert reason(answer_of(free_space_of(dark, POINT), start=(4.5, 2.0))) is NoPathReason.START_UNKNOWN
+    assert reason(answer_of(free_space_of(dark, POINT))) is NoPathReason.UNREACHABLE
+    assert isinstance(answer_of(free_space_of(dark, POINT, unknown="free")), Path)
+    assert reason(answer_of(space, planner="rrt", max_iterations=3)) is NoPathReason.BUDGET
+
+
+def test_a_request_that_cannot_be_meant_is_refused(space: FreeSpace, room: MapSnapshot) -> None:
+    with pytest.raises(InputError, match=r"the goal \(50, 1\) is outside of the map"):
+        answer_of(space, goal=(50.0, 1.0))
+    with pytest.raises(InputError, match="expected two finite coordinates"):
+        answer_of(space, start=(np.nan, 1.0))
+    with pytest.raises(InputError, match="the map is empty"):
+        free_space_of(MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=()), POINT)
+    with pytest.raises(InputError, match=r"reaches 5.00 m from its middle; the map is only 4.1"):
+        free_space_of(room, round_robot("giant", radius_m=5.0, base_m=0.05, height_m=1.0))
+    with pytest.raises(InputError, match="expected one of rrt, rrt-connect, rrt-star"):
+        SearchConfig(planner="prm")
+
+
+def test_an_object_without_layer_4_is_avoided_by_its_box_and_named(room: MapSnapshot) -> None:
+    bare = replace(room, objects=(tracked(1, table(), with_shape=False),))
+    assert without_layer_four(bare) == [1]
+    assert without_layer_four(room) == []
+    under = answer_of(free_space_of(bare, POINT), goal=TABLE_AT)
+    assert isinstance(under, NoPath)
+    assert under.reason is NoPathReason.GOAL_IN_COLLISION
+    hardly_seen = replace(bare, objects=(replace(bare.objects[0], phase=Phase.TENTATIVE),))
+    assert isinstance(answer_of(free_space_of(hardly_seen, POINT), goal=TABLE_AT), Path)
+
+
+def test_an_object_that_goes_gives_its_place_back(room: MapSnapshot) -> None:
+    space = free_space_of(room, POINT)
+    before = space.free_ratio()
+    space.remove(2)
+    assert space.free_ratio() > before
+    assert isinstance(answer_of(space, goal=(4.5, 1.0)), Path)
+    space.put(2, room.objects[1].shape.inflated)  # type: ignore[union-attr]
+    assert space.free_ratio() == before

@@ -1,0 +1,116 @@
+"""The costmap as a stream: the updates, applied one after the other, are the grid; any MCAP reader has the messages."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from hickory_stream.errors import InputError
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.navigation.costmap import Costmap, CostmapUpdate
+from hickory_stream.navigation.free_space import obstacle_grid
+from hickory_stream.navigation.robot import load_robot
+from hickory_stream.records import FrameReport, MapSnapshot
+from hickory_stream.sinks.costmap_sink import MAP_TOPIC, UPDATES_TOPIC, CostmapSink
+from tests.navigation.rooms import boxes, seen_room, snapshot, table, tracked
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.timeout(120)
+POSTURE = load_robot("point").postures[0]
+
+
+def snapshots() -> list[MapSnapshot]:
+    """A table comes, a crate comes, moves and goes; in the end the rest of the room is seen."""
+    crate, moved = (tracked(2, boxes(((4.5, y, 0.3), (0.3, 0.3, 0.3)))) for y in (1.0, 2.0))
+    dark, lit = seen_room(dark_m=(4.0, 4.3)), seen_room()
+    chains = [((), dark), ((tracked(1, table()),), dark), ((tracked(1, table()), crate), dark)]
+    chains += [((tracked(1, table()), moved), dark), ((tracked(1, table()),), lit)]
+    return [
+        replace(snapshot(*objects, space=space), revision=i, stamp_ns=10**18 + i)
+        for i, (objects, space) in enumerate(chains)
+    ]
+
+
+def report(of: MapSnapshot | None, index: int) -> FrameReport:
+    camera = Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0)
+    return FrameReport(
+        index=index,
+        stamp_ns=10**18 + index,
+        keyframe_index=index,
+        camera=camera,
+        world_from_camera=np.eye(4),
+        color_bytes=None,
+        snapshot=of,
+    )
+
+
+def applied(updates: list[CostmapUpdate]) -> np.ndarray:
+    states = np.zeros(0)
+    for update in updates:
+        height, width = update.states.shape
+        if update.is_whole:
+            states = update.states.copy()
+        states[update.row : update.row + height, update.column : update.column + width] = update.states
+    return states
+
+
+def test_the_updates_add_up_to_the_grid_of_the_last_snapshot() -> None:
+    costmap = Costmap(POSTURE, cell_m=0.05, observe_every=1)
+    updates = [update for item in snapshots() if (update := costmap.update(item)) is not None]
+    assert [update.is_whole for update in updates] == [True, False, False, False, False]
+    assert all(update.states.size < updates[0].states.size / 3 for update in updates[1:])
+    final = obstacle_grid(snapshots()[-1], POSTURE, cell_m=0.05)
+    states, whole = applied(updates), updates[0].frame
+    row, column = np.round((final.frame.origin_m - whole.origin_m) / 0.05).astype(int)[::-1]
+    rows, columns = final.frame.shape
+    assert np.array_equal(states[row : row + rows, column : column + columns], final.states())
+    assert costmap.update(snapshots()[-1]) is None
+
+
+def test_a_map_that_grows_beyond_the_grid_is_sent_whole_again() -> None:
+    costmap = Costmap(POSTURE, cell_m=0.05)
+    empty = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
+    assert costmap.update(empty) is None
+    first = costmap.update(snapshot())
+    far = costmap.update(snapshot(tracked(3, boxes(((9.0, 9.0, 0.3), (0.3, 0.3, 0.3))))))
+    assert first is not None
+    assert far is not None
+    assert far.is_whole
+    assert far.states.size > first.states.size
+
+
+def test_the_file_holds_the_messages_of_nav2_and_the_callable_is_handed_the_same(tmp_path: Path) -> None:
+    heard: list[CostmapUpdate] = []
+    sink = CostmapSink(POSTURE, path=tmp_path / "costmap.mcap", publish=heard.append)
+    sink.show(report(None, 0))
+    for i, item in enumerate(snapshots()):
+        sink.show(report(item, i))
+    sink.close()
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with (tmp_path / "costmap.mcap").open("rb") as stream:
+        read = list(make_reader(stream).iter_messages())
+    assert [channel.topic for _, channel, _ in read] == [MAP_TOPIC] + [UPDATES_TOPIC] * (len(heard) - 1)
+    for schema, _, _ in read[:2]:
+        if schema.name not in store.types:
+            store.register(get_types_from_msg(schema.data.decode(), schema.name))
+    for (schema, _, message), update in zip(read, heard, strict=True):
+        decoded = store.deserialize_cdr(message.data, schema.name)
+        assert message.log_time == update.stamp_ns
+        assert np.array_equal(np.asarray(decoded.data).reshape(update.states.shape), update.states)
+        if update.is_whole:
+            assert (decoded.info.width, decoded.info.height) == update.states.shape[::-1]
+            assert [decoded.info.origin.position.x, decoded.info.origin.position.y] == update.frame.origin_m.tolist()
+        else:
+            assert (decoded.x, decoded.y) == (update.column, update.row)
+
+
+def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot write the costmap"):
+        CostmapSink(POSTURE, path=tmp_path / "no" / "such.mcap")

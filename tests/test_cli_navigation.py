@@ -1,0 +1,121 @@
+"""Planning, the comparison with truth and the exports from the command line, on a map of a table in a seen room."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import pytest
+
+from hickory_stream.cli import main
+from hickory_stream.engine.session import create_map_folder
+from hickory_stream.evaluation.truth import Truth, TruthObject, truth_record
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.mesh import write_glb
+from tests.engine.snapshot_fixtures import box_mesh, placed
+from tests.navigation.rooms import boxes, snapshot, table, tracked
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.records import TrackedObject
+
+pytestmark = pytest.mark.timeout(180)
+
+CRATE = boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3)))
+
+
+def saved(folder: Path, *objects: TrackedObject) -> Path:
+    made = create_map_folder(folder, config={}, source={}, overwrite=False)
+    for item in objects:
+        if item.shape is not None:
+            half = item.shape.inflated
+            low = (half.world_from_local[:, :3, 3] - half.semi_axes_m).min(axis=0)
+            high = (half.world_from_local[:, :3, 3] + half.semi_axes_m).max(axis=0)
+            write_glb(box_mesh(tuple(high - low), (120, 90, 60)), made.shapes / item.shape.mesh_name)
+    made.save(snapshot(*objects))
+    made.finish(finished_cleanly=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return saved(tmp_path_factory.mktemp("maps") / "room.map", tracked(1, table()), tracked(2, CRATE))
+
+
+def told(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return answer
+
+
+def test_plan_prints_the_path_and_draws_it(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["plan", str(folder), "--start", "0.7,0.6", "--goal", "5.3,3.4"]
+    assert main([*command, "--json", "-o", str(tmp_path / "plan.png")]) == 0
+    found = told(capsys)
+    assert found["found"] is True
+    assert found["points"][0] == [0.7, 0.6]
+    assert found["objects_by_box"] == []
+    picture = cv2.imread(str(tmp_path / "plan.png"))[..., ::-1].astype(int)
+    # Path, start and goal are there in their colours.
+    for color in ((28, 98, 196), (24, 140, 84), (206, 66, 40)):
+        assert (np.abs(picture - color).max(axis=-1) <= 6).sum() > 50
+    assert main([*command, "-o", str(tmp_path / "plan.rrd"), "--robot", "jackal", "--cell", "0.05"]) == 0
+    assert (tmp_path / "plan.rrd").stat().st_size > 10_000
+    assert "verified along the whole length" in capsys.readouterr().out
+
+
+def test_plan_without_a_path_exits_with_3_and_a_bad_request_with_2(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", str(folder), "--start", "0.7,0.6", "--goal", "4.5,1.0", "--json"]) == 3
+    assert told(capsys)["reason"] == "goal-in-collision"
+    for arguments, complaint in (
+        (["--start", "0.7,0.6", "--goal", "99,1"], "outside of the map"),
+        (["--start", "nan,0.6", "--goal", "1,1"], "two finite numbers"),
+        (["--start", "one", "--goal", "1,1"], "expected X,Y in metres"),
+        (["--start", "1,1", "--goal", "2,1", "--robot", "rover"], "known are b2, jackal, point"),
+        (["--start", "1,1", "--goal", "2,1", "--cell", "0.0001"], "MiB, allowed are"),
+        (["--start", "1,1", "--goal", "2,1", "-o", str(tmp_path / "plan.jpg")], "ends in .png or .rrd"),
+    ):
+        assert main(["plan", str(folder), *arguments]) == 2
+        assert complaint in capsys.readouterr().err
+
+
+def test_objects_without_layer_4_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bare = saved(tmp_path / "bare.map", tracked(7, table(), with_shape=False))
+    assert main(["plan", str(bare), "--start", "0.7,0.6", "--goal", "5.3,3.4"]) == 0
+    assert "1 objects have no layer 4 of their own, their box is avoided: 7" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("form", "made"), [("nav2", "room.pgm"), ("mjcf", "x/scene.xml"), ("urdf", "x/scene.urdf")])
+def test_export_writes_what_the_formats_need(
+    folder: Path, tmp_path: Path, form: str, made: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / ("room.yaml" if form == "nav2" else "x")
+    assert main(["export", str(folder), "--format", form, "-o", str(out), "--json"]) == 0
+    assert told(capsys)["objects"] == 2
+    assert (tmp_path / made).stat().st_size > 1000
+
+
+def test_evaluate_navigation_prints_the_table(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = tmp_path / "truth"
+    (truth / "meshes").mkdir(parents=True)
+    write_glb(box_mesh((0.8, 0.6, 0.6), (90, 90, 90)), truth / "meshes/1.glb")
+    write_glb(box_mesh((6.0, 4.0, 0.02), (90, 90, 90)), truth / "meshes/floor.glb")
+    crate = TruthObject(
+        id=1, kind="box", mesh="meshes/1.glb", world_from_object=placed(4.5, 1.0, 0.3), seen_fraction=1.0, frames=()
+    )
+    camera = Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0)
+    record = truth_record(Truth(folder=truth, camera=camera, objects=(crate,), structure=(), frames=()))
+    # A floor around the origin: the grid of the truth is the quarter of it that the room covers.
+    record["structure"] = ["meshes/floor.glb"]
+    (truth / "truth.json").write_text(json.dumps(record))
+    command = ["evaluate-navigation", str(folder), "--truth", str(truth), "--trials", "4", "--seeds", "1"]
+    assert main([*command, "--unknown", "free", "--cell", "0.06", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["name"] for row in rows] == ["mesh-obb", "mesh-full", "layer-4"]
+    assert all(row["pairs"] == 4 for row in rows)
+    assert main([*command, "--robot", "b2"]) == 2
+    assert "is not round" in capsys.readouterr().err
