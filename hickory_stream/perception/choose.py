@@ -35,8 +35,11 @@ def make_extractor(config: PerceptionConfig) -> FeatureExtractor:
             from hickory_stream.perception.models.library import find_model
             from hickory_stream.perception.models.network import Network
 
-            _, path = find_model(config.dinov2.model, "dinov2")
-            return DinoExtractor(Network(path, config.network), config.dinov2, warm_up=config.network.warm_up)
+            entry, path = find_model(config.dinov2.model, "dinov2")
+            name = f"dinov2-{entry.sha256[:16]}"
+            return DinoExtractor(
+                Network(path, config.network), config.dinov2, name=name, warm_up=config.network.warm_up
+            )
         case _:
             assert_never(config.extractor)
 

@@ -62,7 +62,7 @@ _MEAN = np.array(
 class ColorTextureDescriptor:
     """Patch features of `dim` = 30: 5 of lightness, 8 of hue by chroma, 1 of grey, 16 of gradients."""
 
-    name = "color-texture-30"
+    name = "color-texture-30-centred"
     patch_px = 14
     dim = _LIGHT_BINS + _HUE_BINS + 1 + 2 * _ORIENTATIONS
 

@@ -44,13 +44,14 @@ class DinoConfig:
 
 
 class DinoExtractor:
-    """A `FeatureExtractor`.
+    """A `FeatureExtractor`; `name` tells its features from those of other weights.
 
     Raises:
         ModelError: the graph is not of this kind.
     """
 
-    def __init__(self, network: Network, config: DinoConfig, *, warm_up: bool = True) -> None:
+    def __init__(self, network: Network, config: DinoConfig, *, name: str = "dinov2", warm_up: bool = True) -> None:
+        self.name = name
         self._network = network
         self._config = config
         self._fixed = network.require_image_input("DINOv2")
