@@ -366,6 +366,10 @@ class Run:
         done.dropped_views = [name for name in (*done.dropped_views, *back.unused_views) if name not in kept]
         done.ended_jobs += self._shapes.go_back(back.open_jobs, back.answers)
         self._snapshot = await self._in(self._thinker, self._core.snapshot)
+        if self._corrections:
+            # Their submaps may not be there yet.
+            logger.warning("%d corrections of poses were for what somebody went back from", len(self._corrections))
+            self._corrections.clear()
         self._publish(self._snapshot)
 
     async def _correct(self, stamp_ns: int) -> None:
