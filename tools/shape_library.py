@@ -15,7 +15,10 @@ _OUT = Path(__file__).resolve().parents[1] / "hickory_stream" / "evaluation" / "
 
 
 def main(maps: list[str]) -> int:
-    """Write the library; the two apartments of seeds 21 and 22 are what the one in the repository is made of."""
+    """Write the library; the one in the repository is of the first walks of apartments 1000 and 1001.
+
+    `tools/bench align` plays them into out/maps/.
+    """
     fits = [item.shape.fitted for name in maps for item in open_map(Path(name)).snapshot.objects if item.shape]
     if not fits:
         print("usage: tools/make_shape_library MAP...; found no object with layer 3", file=sys.stderr)

@@ -11,9 +11,10 @@ import pytest
 
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.journal import JOURNAL, Journal
-from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.mapper import Mapper, MapperConfig
 from hickory_stream.engine.replay import replay
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.resume import reopen
+from hickory_stream.engine.session import create_map_folder, open_map
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor, SceneSource
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
@@ -126,3 +127,17 @@ def test_a_run_that_was_cut_before_its_first_keyframe_begins_anew(undisturbed: S
     with Journal(tmp_path / "map") as journal:
         assert len(journal) == 0
     assert resume(tmp_path / "map") == undisturbed.digest
+
+
+def test_a_map_with_the_features_of_another_extractor_is_not_continued(tmp_path: Path) -> None:
+    source = SceneSource(NUM_FRAMES)
+    create_map_folder(
+        tmp_path / "m",
+        config={},
+        source={"identity": source.info.identity, "uri": "scene"},
+        run={"mode": "playback", "loops": 1},
+        extractor="dinov2",
+    ).close()
+    assert open_map(tmp_path / "m").manifest.extractor == "dinov2"
+    with pytest.raises(MapFolderError, match="features of dinov2, not of mean-color"):
+        reopen(tmp_path / "m", source.info, MapperConfig(), "mean-color")

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, real_fits, simulate_pair, simulate_unrelated
 from hickory_stream.evaluation.maps.trial import noise_floor, run_trial
+from hickory_stream.evaluation.maps.variants import with_points
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.superquadric import centroid_world
+from hickory_stream.geometry.superquadric import centroid_world, radial_distance_m
 from tests.strategies import seeds
 
 
@@ -75,6 +76,16 @@ def test_unrelated_maps_have_nothing_in_common() -> None:
 def test_shapes_are_real_ones_about_their_centroids() -> None:
     assert len(real_fits()) > 60
     assert all(np.abs(centroid_world(shape)).max() < 1e-3 for shape in real_fits())
+
+
+def test_clouds_lie_on_the_shapes() -> None:
+    objects = with_points(simulate_pair(SimulationConfig(num_objects=6), 1).map_a)
+    for shape, points in zip(objects.shapes, objects.points, strict=True):
+        assert shape is not None
+        assert points is not None
+        assert 50 < len(points) < 300
+        off = np.min([np.abs(radial_distance_m(shape, i, points)) for i in range(len(shape))], axis=0)
+        assert off.max() < 1e-4
 
 
 def test_a_trial_near_the_floor_is_a_success() -> None:

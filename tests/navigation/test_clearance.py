@@ -89,7 +89,7 @@ def test_the_bound_never_exceeds_the_distance_and_the_exact_one_is_that_to_the_s
     exact, bound = scene.clearance_m(points, is_exact=True), scene.clearance_m(points)
     assert (bound <= exact + 1e-9).all()
     meshes = [display_mesh(primitives, i, 1e-4) for i in range(5)]
-    surface = np.concatenate([trimesh.remesh.subdivide_to_size(*mesh, 0.02, max_iter=30)[0] for mesh in meshes])
+    surface = np.concatenate([trimesh.remesh.subdivide_to_size(*mesh, 0.04, max_iter=30)[0] for mesh in meshes])
     sampled = cKDTree(surface).query(points)[0]
     outside = ~brute_force(primitives, points)
     assert (exact[outside] <= sampled[outside] + 1e-5).all()

@@ -43,7 +43,7 @@ J, R = TypeVar("J"), TypeVar("R")
 _APARTMENTS = 4
 _TIMED = (40, 160, 320)
 _DRIFT_DEG_PER_M = 0.3
-_ABLATED: tuple[Method, ...] = ("sq", "semantic", "bbox", "sq-paper", "ransac")
+_ABLATED: tuple[Method, ...] = ("sq", "semantic", "bbox", "sq-paper", "roman-one", "roman-xl", "ransac")
 
 
 # In a process of its own that imports nothing but what is measured.

@@ -11,6 +11,7 @@ from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import align_by
 from hickory_stream.alignment.registration import information
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
+from hickory_stream.evaluation.maps.variants import with_points
 from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
 
 if TYPE_CHECKING:
@@ -61,9 +62,12 @@ class Trial:
 
 
 def run_trial(config: SimulationConfig, seed: int, method: Method = "sq") -> Trial:
-    """Return what a method makes of the simulated pair of a seed."""
+    """Return what a method makes of the simulated pair of a seed; those of ROMAN compare clouds, and are given some."""
     pair = simulate_pair(config, seed)
-    answer = align_by(method, pair.map_a, pair.map_b)
+    map_a, map_b = pair.map_a, pair.map_b
+    if method in ("roman-one", "roman-xl"):
+        map_a, map_b = with_points(map_a), with_points(map_b)
+    answer = align_by(method, map_a, map_b)
     common = len(pair.common)
     if not isinstance(answer, Alignment):
         return Trial(error=None, refusal=answer.refusal.value, num_pairs=0, log10_chance=None, num_common=common)

@@ -9,12 +9,14 @@ import numpy as np
 
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
-from hickory_stream.geometry.superquadric import moved
+from hickory_stream.geometry.superquadric import log_implicit_value, moved
+from hickory_stream.geometry.superquadric_surface import surface_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.alignment.object_map import ObjectMap
+    from hickory_stream.geometry.superquadric import Superquadrics
 
 _REACH_M = 5.0
 
@@ -51,6 +53,24 @@ def mirrored_map(objects: ObjectMap) -> ObjectMap:
     poses = np.broadcast_to(np.eye(4), (len(objects), 4, 4)).copy()
     poses[:, 0, 3] = -2 * objects.centroids[:, 0]
     return replace(_placed(objects, poses, np.eye(4)), submaps=())
+
+
+def with_points(objects: ObjectMap, count: int = 150) -> ObjectMap:
+    """Return the map with about `count` points on the surface of each shape, for what needs clouds."""
+    points = tuple(None if shape is None else _cloud(shape, count) for shape in objects.shapes)
+    return replace(objects, points=points)
+
+
+def _cloud(shape: Superquadrics, count: int) -> NDArray[np.float32]:
+    """Return points of each primitive by about its share of the surface, without those within another one."""
+    shares = shape.semi_axes_m.prod(axis=1) ** (2 / 3)
+    counts = np.maximum(np.round(count * shares / shares.sum()), 8).astype(np.int64)
+    kept = []
+    for i in range(len(shape)):
+        own = surface_points(shape, i, int(counts[i]))
+        buried = [log_implicit_value(shape, j, own) < 0 for j in range(len(shape)) if j != i]
+        kept.append(own[~np.any(buried, axis=0)] if buried else own)
+    return np.concatenate(kept).astype(np.float32)
 
 
 def _placed(
