@@ -39,9 +39,7 @@ class HiddenConfig:
     other_lines: int = 2
 
 
-def bridges(
-    surface: Surface, labels: NDArray[np.int32], pieces: Pieces, config: HiddenConfig
-) -> list[tuple[int, int]]:
+def bridges(surface: Surface, labels: NDArray[np.int32], pieces: Pieces, config: HiddenConfig) -> list[tuple[int, int]]:
     """Return the pairs of labels that are one thing behind what is before it."""
     camera = surface.camera
     found = _bridges(

@@ -1,6 +1,7 @@
 """Joining fragments into things: along their seams, planes with their legs, and what would fall with what holds it.
 
-The order is fixed (seams, what goes on behind something, legs, floating pieces by rounds), and within each step only the set of pairs counts.
+The order is fixed (seams, what goes on behind something, legs, floating pieces by rounds), and within each step only
+the set of pairs counts.
 """
 
 from __future__ import annotations
@@ -13,7 +14,16 @@ import numpy as np
 from hickory_stream.perception.floating import FloatConfig, Loose, holders
 from hickory_stream.perception.hidden import HiddenConfig, bridges
 from hickory_stream.perception.pieces import measure
-from hickory_stream.perception.rules import RuleConfig, Scene, bare_planes, bottoms, carriers, is_back, is_one_thing, legs, seats
+from hickory_stream.perception.rules import (
+    RuleConfig,
+    Scene,
+    bare_planes,
+    carriers,
+    is_back,
+    is_one_thing,
+    legs,
+    seats,
+)
 from hickory_stream.perception.seams import contacts_of, seams_of
 from hickory_stream.perception.standing import standing_of
 
@@ -93,7 +103,6 @@ def join_fragments(
     groups = Groups(count)
     seams = seams_of(surface, contacts, count)
     groups.unite((seam.a, seam.b) for seam in seams if is_one_thing(scene, seam, config.rules))
-    groups.unite(bottoms(contacts, pieces, config.rules))
     groups.unite(bridges(surface, labels, pieces, config.hidden))
     groups.unite(legs(scene, contacts, groups.roots(), config.rules))
     is_bare = bare_planes(pieces, groups.roots(), config.rules)
