@@ -44,7 +44,7 @@ class FlushConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceState:
-    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel; over 251: a track was there."""
+    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, over 251 for a track."""
 
     voxel_m: float
     free: NDArray[np.int64]

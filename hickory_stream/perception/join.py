@@ -103,7 +103,10 @@ def join_fragments(
     groups = Groups(count)
     seams = seams_of(surface, contacts, count)
     groups.unite((seam.a, seam.b) for seam in seams if is_one_thing(scene, seam, config.rules))
-    groups.unite(bridges(surface, labels, pieces, config.hidden))
+    # By groups: the top of a box is a fragment of its own where it is a supporting plane.
+    numbers, first = groups.numbers()
+    hidden = bridges(surface, numbers.astype(np.int32)[labels], config.hidden)
+    groups.unite((int(first[a]), int(first[b])) for a, b in hidden)
     groups.unite(legs(scene, contacts, groups.roots(), config.rules))
     is_bare = bare_planes(pieces, groups.roots(), config.rules)
     groups.unite((seam.a, seam.b) for seam in seams if is_back(scene, seam, is_bare, config.rules))
