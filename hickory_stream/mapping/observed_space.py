@@ -51,7 +51,7 @@ class FlushConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceState:
-    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, over 251 where a track was.
+    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, over 251 for a track.
 
     What was seen as structure twice is not in `free`.
     """

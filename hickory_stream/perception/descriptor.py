@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 _LIGHT_BINS, _HUE_BINS, _ORIENTATIONS = 5, 8, 8
 # The mean over the objects of an apartment and a table-top, `tools/descriptor_mean` (seeds 22 and 31).
 _MEAN = np.array(
-    # fmt: off
     [
         0.047,
         0.323,
@@ -54,7 +53,6 @@ _MEAN = np.array(
         0.060,
         0.058,
     ],
-    # fmt: on
     dtype=np.float32,
 )
 

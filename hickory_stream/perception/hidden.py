@@ -16,7 +16,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.pieces import Pieces
     from hickory_stream.perception.surface import Surface
 
 
@@ -39,7 +38,7 @@ class HiddenConfig:
     other_lines: int = 2
 
 
-def bridges(surface: Surface, labels: NDArray[np.int32], pieces: Pieces, config: HiddenConfig) -> list[tuple[int, int]]:
+def bridges(surface: Surface, labels: NDArray[np.int32], config: HiddenConfig) -> list[tuple[int, int]]:
     """Return the pairs of labels that are one thing behind what is before it."""
     camera = surface.camera
     found = _bridges(
@@ -54,7 +53,8 @@ def bridges(surface: Surface, labels: NDArray[np.int32], pieces: Pieces, config:
         np.float32(config.gap_m),
         np.float32(config.tolerance_m),
     )
-    count = len(pieces.pixels)
+    pixels = np.bincount(labels.ravel())
+    count = len(pixels)
     level = found[:, 2] > 0
     key = np.minimum(found[:, 0], found[:, 1]) * count + np.maximum(found[:, 0], found[:, 1])
     pairs: list[tuple[int, int]] = []
@@ -62,7 +62,7 @@ def bridges(surface: Surface, labels: NDArray[np.int32], pieces: Pieces, config:
         of_pair = key == pair
         a, b = int(pair) // count, int(pair) % count
         num_level, num_steep = int((of_pair & level).sum()), int((of_pair & ~level).sum())
-        least = max(config.min_lines, config.min_share * float(np.sqrt(min(pieces.pixels[a], pieces.pixels[b]))))
+        least = max(config.min_lines, config.min_share * float(np.sqrt(min(pixels[a], pixels[b]))))
         if max(num_level, num_steep) >= least and min(num_level, num_steep) >= config.other_lines:
             pairs.append((a, b))
     return pairs

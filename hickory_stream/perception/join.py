@@ -1,6 +1,7 @@
 """Joining fragments into things: along their seams, planes with their legs, and what would fall with what holds it.
 
-The order is fixed (seams, what goes on behind something, legs, floating pieces by rounds), and within each step only the set of pairs counts.
+The order is fixed (seams, what goes on behind something, legs, floating pieces by rounds), and within each step only
+the set of pairs counts.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from hickory_stream.perception.rules import (
     RuleConfig,
     Scene,
     bare_planes,
-    bottoms,
     carriers,
     is_back,
     is_one_thing,
@@ -103,8 +103,10 @@ def join_fragments(
     groups = Groups(count)
     seams = seams_of(surface, contacts, count)
     groups.unite((seam.a, seam.b) for seam in seams if is_one_thing(scene, seam, config.rules))
-    groups.unite(bottoms(contacts, pieces, config.rules))
-    groups.unite(bridges(surface, labels, pieces, config.hidden))
+    # By groups: the top of a box is a fragment of its own where it is a supporting plane.
+    numbers, first = groups.numbers()
+    hidden = bridges(surface, numbers.astype(np.int32)[labels], config.hidden)
+    groups.unite((int(first[a]), int(first[b])) for a, b in hidden)
     groups.unite(legs(scene, contacts, groups.roots(), config.rules))
     is_bare = bare_planes(pieces, groups.roots(), config.rules)
     groups.unite((seam.a, seam.b) for seam in seams if is_back(scene, seam, is_bare, config.rules))

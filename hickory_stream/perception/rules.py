@@ -27,11 +27,9 @@ class RuleConfig:
     Attributes:
         seam_share: a seam must be at least this share of the square root of the smaller fragment's pixels.
         like_color: difference in Lab (lightness at half weight) under which two fragments are of one colour.
-        rim_m: a seam within this distance of a plane's rim lies on the rim (a chair's back on its seat) ...
-        rim_share: ... and within this share of the plane's size.
-        foot_m: what stands with a wider foot than this inside the top of something was put there.
-        enclosed_share: a piece is in a hollow if more than this share of its outline meets one other piece ...
-        hollow_m2, hollow_color: ... which is no larger than this, rises above it, and is of no other colour than shade makes.
+        rim_m: a seam within this distance of a plane's rim lies on the rim (a chair's back on its seat).
+        foot_m, foot_rim: what stands on something of its colour with a wider foot than this, and farther from the rim
+            than this share of the size of what carries it, was put there: a box on a box.
         below_m: a fragment whose top is at most this far above a plane hangs below it.
         leg_gap_m: a leg is seen up to this far below the plane that it carries.
         carrier_area_m2: a smaller plane carries nothing.
@@ -44,11 +42,8 @@ class RuleConfig:
     seam_share: float = 0.3
     like_color: float = 11.0
     rim_m: float = 0.07
-    rim_share: float = 0.25
     foot_m: float = 0.06
-    enclosed_share: float = 0.75
-    hollow_m2: float = 0.15
-    hollow_color: float = 25.0
+    foot_rim: float = 0.25
     below_m: float = 0.012
     leg_gap_m: float = 0.2
     seat_low_m: float = 0.25
@@ -121,27 +116,6 @@ def bare_planes(pieces: Pieces, groups: NDArray[np.int64], config: RuleConfig) -
     return np.asarray(area_m2 - pieces.area_m2 < config.body_share * pieces.area_m2)
 
 
-def bottoms(contacts: Contacts, pieces: Pieces, config: RuleConfig) -> list[tuple[int, int]]:
-    """Return (bottom, vessel) pairs: a piece that one other encloses and rises above is the inside of a bowl or a pot.
-
-    What lies in it rises above its rim, or is of another colour.
-    """
-    count = len(pieces.pixels)
-    outline = np.zeros((count, count + 1), dtype=np.int64)
-    for here, there in ((contacts.here, contacts.there), (contacts.there, contacts.here)):
-        own = here < count
-        key = here[own].astype(np.int64) * (count + 1) + there[own]
-        outline += np.bincount(key, minlength=outline.size).reshape(outline.shape)
-    vessel = outline[:, :count].argmax(axis=1)
-    enclosed = outline[np.arange(count), vessel] > config.enclosed_share * np.maximum(outline.sum(axis=1), 1)
-    enclosed &= (pieces.z_high_m < pieces.z_high_m[vessel] - 0.01) & (pieces.area_m2[vessel] < config.hollow_m2)
-    return [
-        (i, int(vessel[i]))
-        for i in map(int, np.flatnonzero(enclosed))
-        if pieces.color_difference(i, int(vessel[i])) < config.hollow_color
-    ]
-
-
 def _belongs_to_plane(scene: Scene, seam: Seam, plane: int, other: int, is_long: bool, config: RuleConfig) -> bool:
     """Return whether a fragment hangs below a plane, or rises from its rim in its colour."""
     pieces = scene.pieces
@@ -158,7 +132,7 @@ def _is_put_on(scene: Scene, seam: Seam, upper: int, lower: int, config: RuleCon
     if not scene.standing.stands_on(upper, lower):
         return False
     extent = float(np.linalg.norm(np.ptp(seam.points_world[:, :2], axis=0)))
-    return extent > config.foot_m and not _stands_on_rim(scene, seam, lower, config)
+    return extent > config.foot_m and not _stands_on_rim(scene, seam, lower, config, config.foot_rim)
 
 
 def _stand_side_by_side(standing: Standing, a: int, b: int) -> bool:
@@ -166,8 +140,11 @@ def _stand_side_by_side(standing: Standing, a: int, b: int) -> bool:
     return any(standing.stands_on(a, c) and standing.stands_on(b, c) for c in map(int, np.flatnonzero(standing.on[a])))
 
 
-def _stands_on_rim(scene: Scene, seam: Seam, plane: int, config: RuleConfig) -> bool:
-    """Return whether a seam runs along the rim of a plane and is as long as half of it: a back on its seat."""
+def _stands_on_rim(scene: Scene, seam: Seam, plane: int, config: RuleConfig, share: float = np.inf) -> bool:
+    """Return whether a seam runs along the rim of a plane and is as long as half of it: a back on its seat.
+
+    The rim is no wider than a `share` of the plane's size.
+    """
     at = scene.surface.points_world[scene.labels == plane][:, :2]
     hull = cv2.convexHull(np.ascontiguousarray(at))
     if len(hull) < 3:
@@ -175,8 +152,7 @@ def _stands_on_rim(scene: Scene, seam: Seam, plane: int, config: RuleConfig) -> 
     inside = np.array([cv2.pointPolygonTest(hull, (float(x), float(y)), True) for x, y, _ in seam.points_world])
     extent = float(np.linalg.norm(np.ptp(seam.points_world[:, :2], axis=0)))
     size = float(np.sqrt(max(cv2.contourArea(hull), 1e-6)))
-    rim_m = min(config.rim_m, config.rim_share * size)
-    return bool(np.mean(inside < rim_m) > 0.8) and extent > 0.5 * size
+    return bool(np.mean(inside < min(config.rim_m, share * size)) > 0.8) and extent > 0.5 * size
 
 
 def legs(scene: Scene, contacts: Contacts, groups: NDArray[np.int64], config: RuleConfig) -> list[tuple[int, int]]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 if TYPE_CHECKING:
@@ -28,7 +27,6 @@ class StructureConfig:
         wall_area_m2: the least visible area of a wall or ceiling.
         behind_share: a wall has at most this share of the frame's surface behind it.
         tolerance_m: distance from a plane, beside 3 sigma of depth, that still belongs to it.
-        floor_m: so close to the floor, beside 1.5 sigma, it surely is floor; what is farther must hang together with it.
         floor_below_camera_m: without a known floor, a floor lies at least this far below the camera.
         wall_height_m, wall_foot_m, wall_cut_m, wall_width_m: a vertical plane that is seen from below `wall_foot_m`
             above the floor to `wall_height_m`, or beyond `wall_cut_m` to the edge of the image, and is so wide, is a
@@ -41,7 +39,6 @@ class StructureConfig:
     wall_area_m2: float = 0.45
     behind_share: float = 0.02
     tolerance_m: float = 0.025
-    floor_m: float = 0.008
     floor_below_camera_m: float = 0.25
     wall_height_m: float = 2.1
     wall_foot_m: float = 1.2
@@ -153,21 +150,11 @@ def structure_mask(
     z = surface.points_world[..., 2]
     if floor_z_m is not None:
         level = surface.normals_world[..., 2] > 0.8
-        near = (z < floor_z_m + tolerance) & (level | (z < floor_z_m + 0.6 * tolerance))
-        mask |= _reaching(near, near & (z < floor_z_m + config.floor_m + 1.5 * surface.sigma_m))
+        mask |= (z < floor_z_m + tolerance) & (level | (z < floor_z_m + 0.6 * tolerance))
     mask |= _ceiling(surface, areas_m2, tolerance, config)
     for wall in _walls(surface, areas_m2, floor_z_m, config):
         mask |= wall.mask(surface, tolerance)
     return mask
-
-
-def _reaching(region: NDArray[np.bool_], sure: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the connected parts of a region that are sure for a fifth or more: the bottom of a bowl is no floor."""
-    count, parts = cv2.connectedComponents(region.astype(np.uint8), connectivity=4)
-    total = np.bincount(parts.ravel(), minlength=count)
-    keep = np.bincount(parts[sure], minlength=count) >= 0.2 * total
-    keep[0] = False
-    return np.asarray(keep[parts])
 
 
 def _ceiling(

@@ -87,9 +87,7 @@ def play_first_layer(
 
         published = _handle(core, event, frame.stamp_ns, features)
         snapshot = published.snapshot
-        yield PlayedKeyframe(
-            frame=frame, perceived=perceived, snapshot=snapshot, metrics=dict(published.metrics)
-        )
+        yield PlayedKeyframe(frame=frame, perceived=perceived, snapshot=snapshot, metrics=dict(published.metrics))
 
 
 def _handle(
@@ -103,7 +101,9 @@ def _handle(
         if isinstance(effect, ComputeFeatures):
             waiting += core.handle(features(effect))
         elif isinstance(effect, RequestShape):
-            failed = ShapeFailed(ticket=effect.ticket, object_id=effect.object_id, stamp_ns=stamp_ns, reason="not asked")
+            failed = ShapeFailed(
+                ticket=effect.ticket, object_id=effect.object_id, stamp_ns=stamp_ns, reason="not asked"
+            )
             waiting += core.handle(failed)
         elif isinstance(effect, Publish):
             published = effect

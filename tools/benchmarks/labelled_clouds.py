@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numba
 import numpy as np
 
@@ -96,9 +95,7 @@ def _read_pcd(data: bytes) -> tuple[dict[str, NDArray[np.generic]], int, int]:
     width, height = int(header["WIDTH"][0]), int(header["HEIGHT"][0])
     count = width * height
     names = header["FIELDS"]
-    types = [
-        np.dtype(_TYPES[kind, int(size)]) for kind, size in zip(header["TYPE"], header["SIZE"], strict=True)
-    ]
+    types = [np.dtype(_TYPES[kind, int(size)]) for kind, size in zip(header["TYPE"], header["SIZE"], strict=True)]
     missing = set(_FIELDS) - set(names)
     if missing or height < 2:
         raise ValueError(f"fields {names}, {width}x{height}")

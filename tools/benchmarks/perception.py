@@ -12,7 +12,6 @@ import time
 import tracemalloc
 from collections import defaultdict
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
@@ -32,6 +31,7 @@ from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -153,9 +153,7 @@ def _played(log: Path, name: str) -> Played:
         if i % (10 * _SCORED_EVERY) == 0:
             frames.append(seen)
     same, different = _cosines(features)
-    result = Played(
-        name=name, score=total(scores), same=same, different=different, saved=saved, frames=tuple(frames)
-    )
+    result = Played(name=name, score=total(scores), same=same, different=different, saved=saved, frames=tuple(frames))
     print(f"{name}: {_line(result.score)}, {saved:.0%} of the feature evaluations saved", flush=True)
     return result
 
