@@ -30,7 +30,7 @@ _GREY = (150, 150, 150)
 _MILLIMETRES = 1000.0
 _SEGMENT_LENGTH = 64
 # More reasons than this on one image hide one another; they show when a box is pointed at.
-_MOST_LABELS = 12
+_MOST_LABELS = 6
 
 
 def camera_items(report: FrameReport) -> list[LogItem]:
