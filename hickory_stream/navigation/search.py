@@ -224,24 +224,28 @@ def _searched(
     blocked = space.blocked()
     best: NDArray[np.float64] | None = None
     best_cost, iterations = np.inf, 0
-    for _ in range(config.attempts):
-        # A short run first: most paths are found at once, and drawing samples costs more than using them.
-        most = config.max_iterations - iterations
-        for budget in (min(_FIRST_SAMPLES, most), most - _FIRST_SAMPLES):
-            found, taken = _one(space, cells, config, budget, rng) if budget > 0 else (None, 0)
-            iterations += taken
-            if found is not None:
+    # In the first posture alone, in the first two, ...: a way that ducks must not hide one around.
+    for count in range(1, len(blocked) + 1) if config.shortens else (len(blocked),):
+        allowed, is_last = blocked[:count], count == len(blocked)
+        for _ in range(config.attempts):
+            # A short run first: most paths are found at once, and drawing samples costs more than using them.
+            most = config.max_iterations - iterations
+            budgets = (min(_FIRST_SAMPLES, most), most - _FIRST_SAMPLES) if is_last else (min(_FIRST_SAMPLES, most),)
+            for budget in budgets:
+                found, taken = _one(space, allowed, cells, config, budget, rng) if budget > 0 else (None, 0)
+                iterations += taken
+                if found is not None:
+                    break
+            if found is None:
                 break
-        if found is None:
-            break
-        if config.shortens:
-            found = _tight(blocked, found, costs)
-        states, _ = tree_kernels.states_along(blocked, found, none, none)
-        cost = tree_kernels.cost_along(found, states, costs, blocked.shape[1])
-        if cost < best_cost:
-            best, best_cost = found, cost
-        if len(best if best is not None else found) == 2 and costs[states[0] // blocked.shape[1]] == costs.min():
-            break
+            if config.shortens:
+                found = _tight(allowed, found, costs)
+            states, _ = tree_kernels.states_along(allowed, found, none, none)
+            cost = tree_kernels.cost_along(found, states, costs, blocked.shape[1])
+            if cost < best_cost:
+                best, best_cost = found, cost
+            if len(found) == 2:
+                break
     if config.shortens and best is not None and len(best) > 2 and blocked.shape[1] == 1:
         route = _routed(blocked, cells, costs)
         if route is not None:
@@ -261,18 +265,23 @@ def _searched(
 
 
 def _one(
-    space: FreeSpace, cells: NDArray[np.float64], config: SearchConfig, budget: int, rng: np.random.Generator
+    space: FreeSpace,
+    blocked: NDArray[np.bool_],
+    cells: NDArray[np.float64],
+    config: SearchConfig,
+    budget: int,
+    rng: np.random.Generator,
 ) -> tuple[NDArray[np.float64] | None, int]:
     """Return a path of one search with so many iterations, in cells, or None; and how many it took."""
     none = tree_kernels.NO_STATE
     samples, toss = _samples(space, cells, budget, rng)
     if config.planner == "rrt":
         found, iterations = tree_kernels.grow_rrt(
-            space.blocked(), cells[0], cells[1], none, none, samples, toss, config.step_cells, config.goal_bias
+            blocked, cells[0], cells[1], none, none, samples, toss, config.step_cells, config.goal_bias
         )
     elif config.planner == "rrt-connect" or config.planner == "rrt-star":
         found, iterations = tree_kernels.grow_connect(
-            space.blocked(), cells[0], cells[1], none, none, samples, config.connect_step_cells
+            blocked, cells[0], cells[1], none, none, samples, config.connect_step_cells
         )
     else:
         assert_never(config.planner)

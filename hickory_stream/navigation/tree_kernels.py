@@ -363,7 +363,11 @@ def cost_along(path, states, costs, headings):  # type: ignore[no-untyped-def] #
 
 @numba.njit(cache=True, nogil=True)
 def thinned(blocked, path, start_state):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the places of a path that are left when, from each, the farthest one in sight follows."""
+    """Return the places of a path that are left when, from each, the farthest one in sight follows.
+
+    In no later posture than the first step takes: what could be passed upright is not passed ducked.
+    """
+    headings = blocked.shape[1]
     out = np.empty_like(path)
     out[0] = path[0]
     count, at, state = 1, 0, start_state
@@ -373,7 +377,7 @@ def thinned(blocked, path, start_state):  # type: ignore[no-untyped-def] # pragm
             if path[k, 0] == path[at, 0] and path[k, 1] == path[at, 1]:
                 continue
             found = state_after(blocked, path[at, 0], path[at, 1], state, path[k, 0], path[k, 1], False)
-            if found < 0 and after >= 0:
+            if after >= 0 and (found < 0 or found // headings > after // headings):
                 break
             to, after = k, found
         out[count] = path[to]
