@@ -11,7 +11,17 @@ from pathlib import Path
 import tools.benchmarks
 from tools.benchmarks.figures import Options, print_table, write_json
 
-_HELPERS = {"__main__", "figures", "live_scene", "processes", "shape_meshes", "shape_truth", "small_logs"}
+_HELPERS = {
+    "__main__",
+    "apartment_maps",
+    "figures",
+    "live_scene",
+    "processes",
+    "shape_meshes",
+    "shape_truth",
+    "small_logs",
+    "true_shapes",
+}
 
 
 def main() -> int:
