@@ -13,6 +13,7 @@ from tools.benchmarks.figures import Options, print_table, write_json
 
 _HELPERS = {
     "__main__",
+    "apartment_maps",
     "figures",
     "first_layer",
     "labelled_clouds",
@@ -23,6 +24,7 @@ _HELPERS = {
     "shape_meshes",
     "shape_truth",
     "small_logs",
+    "true_shapes",
 }
 
 
