@@ -29,7 +29,7 @@ class KnownConfig:
     """When two masks are pieces of one known object.
 
     Attributes:
-        enabled: off by default: masks get better by it, but maps of two apartments lost one or two of 42 objects.
+        enabled: off by default: masks get better by it, but the boxes of maps do not.
         min_sightings: an object is known after so many.
         voxel_m: a pixel lies on an object if its point falls into a cell of its points, or a cell beside one.
         min_share: least share of a mask's pixels that must lie on the object.
