@@ -29,6 +29,7 @@ class KnownConfig:
     """When two masks are pieces of one known object.
 
     Attributes:
+        enabled: off by default: masks get better by it, but the boxes of maps do not.
         min_sightings: an object is known after so many.
         voxel_m: a pixel lies on an object if its point falls into a cell of its points, or a cell beside one.
         min_share: least share of a mask's pixels that must lie on the object.
@@ -36,6 +37,7 @@ class KnownConfig:
         stride_px: masks touch where pixels so far apart are of one surface.
     """
 
+    enabled: bool = False
     min_sightings: int = 4
     voxel_m: float = 0.04
     min_share: float = 0.6
@@ -50,7 +52,7 @@ def with_known(
     instances = segmentation.instances
     count = int(instances.max(initial=0)) + 1
     settled = [o for o in known if o.phase is not Phase.TENTATIVE and o.sightings >= config.min_sightings]
-    if count <= 2 or not settled:
+    if not config.enabled or count <= 2 or not settled:
         return segmentation
     stride = config.stride_px
     labels, depth = instances[::stride, ::stride], frame.depth_m[::stride, ::stride]

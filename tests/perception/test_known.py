@@ -50,7 +50,7 @@ def known(points, **changes):
 
 def joined(blocks, *objects):
     frame, segmentation, _ = scene(*blocks)
-    return with_known(frame, segmentation, objects, KnownConfig()).instances, segmentation.instances
+    return with_known(frame, segmentation, objects, KnownConfig(enabled=True)).instances, segmentation.instances
 
 
 def test_two_masks_apart_on_one_known_object_become_one():
@@ -81,6 +81,6 @@ def test_an_object_that_is_hardly_known_joins_nothing(changes):
 
 def test_without_masks_or_objects_nothing_changes():
     frame, segmentation, points = scene(LEFT, RIGHT)
-    assert with_known(frame, segmentation, (), KnownConfig()) is segmentation
+    assert with_known(frame, segmentation, (), KnownConfig(enabled=True)) is segmentation
     empty = replace(segmentation, instances=np.zeros_like(segmentation.instances))
-    assert with_known(frame, empty, (known(points[0]),), KnownConfig()) is empty
+    assert with_known(frame, empty, (known(points[0]),), KnownConfig(enabled=True)) is empty
