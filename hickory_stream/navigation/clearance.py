@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import ObservedSpace, TrackedObject
+    from hickory_stream.records import ObjectShape, ObservedSpace, TrackedObject
 
 _BLOCK_M = 0.8
 # Blocks of room around the objects, so that one that is added nearby needs no new grid.
@@ -58,6 +58,12 @@ class Body:
     radii_m: NDArray[np.float64]
 
 
+def _seen_shares(shape: ObjectShape) -> NDArray[np.float64]:
+    """Return (N,) how much was seen of what each inflated primitive holds; a box around everything holds all of it."""
+    shares = np.asarray(shape.seen_share, dtype=np.float64)
+    return shares if len(shares) == len(shape.inflated) else np.full(len(shape.inflated), shares.mean())
+
+
 class ClearanceScene:
     """The superquadrics of a scene, by object."""
 
@@ -84,7 +90,7 @@ class ClearanceScene:
         shaped = [tracked for tracked in objects if tracked.shape is not None]
         for tracked in shaped:
             assert tracked.shape is not None
-            scene.put(tracked.id, tracked.shape.inflated, tracked.shape.seen_share)
+            scene.put(tracked.id, tracked.shape.inflated, _seen_shares(tracked.shape))
         return scene
 
     @property

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.perception.fragments import FragmentConfig, concave_creases, fragments_of, support_labels
-from hickory_stream.perception.holes import HoleConfig, filled
 from hickory_stream.perception.join import JoinConfig, join_fragments
 from hickory_stream.perception.masks import enlarged, hidden_shares, why_no_object
 from hickory_stream.perception.pieces import label_boxes
@@ -42,7 +41,6 @@ class GeometricConfig:
     structure: StructureConfig = field(default_factory=StructureConfig)
     fragments: FragmentConfig = field(default_factory=FragmentConfig)
     join: JoinConfig = field(default_factory=JoinConfig)
-    holes: HoleConfig = field(default_factory=HoleConfig)
     min_area_px: int = 60
     max_extent_m: float = 3.0
     hidden_share: float = 0.6
@@ -71,7 +69,6 @@ class GeometricSegmenter:
         labels = fragments_of(surface, structure, supports, creases, config.fragments)
         labels = join_fragments(surface, labels, supports, areas_m2, structure, floor_z_m, config.join)
         labels, rejected = _usable(surface, labels, config)
-        labels = filled(labels, np.isfinite(surface.depth_m), config.holes)
         size = (frame.camera.width, frame.camera.height)
         return Segmentation(
             instances=enlarged(labels, surface.factor, size),

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal, assert_never
 import numpy as np
 
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
-from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, sorted_by_volume, volumes_m3
+from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, volumes_m3
 from hickory_stream.records import Containment
 from hickory_stream.shapes.certify import Certificate, certify, inside_of, uncovered_cells
 from hickory_stream.shapes.cover import (
@@ -114,7 +114,7 @@ def inflated(
             grown = share.grown()
         certificate = certify(grown, vertices_world, faces, points_world, inside, **checked)
         if certificate.holds:
-            return Inflated(primitives=sorted_by_volume(grown), certificate=certificate, is_fallback=False)
+            return Inflated(primitives=grown, certificate=certificate, is_fallback=False)
     box = box_around(np.concatenate([vertices_world, points_world]), config)
     certificate = certify(box, vertices_world, faces, points_world, inside, **checked)
     return Inflated(primitives=box, certificate=certificate, is_fallback=True)

@@ -11,7 +11,8 @@ import trimesh
 
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.superquadric import display_mesh, support
+from hickory_stream.geometry.superquadric import support
+from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.navigation.nav2 import pgm_of, read_served_map, yaml_of
 from hickory_stream.navigation.observed import Band, wall_hulls
 from hickory_stream.navigation.occupancy import Cell, frame_around
@@ -67,7 +68,7 @@ def test_the_polyhedron_around_a_primitive_holds_it_and_is_closed(seed: int) -> 
         # Convex: behind each of its faces, and so behind all of them.
         heights = np.einsum("ij,ij->i", solid.face_normals, solid.triangles[:, 0])
         assert (support(primitives, i, solid.face_normals) <= heights + 1e-9).all()
-        inner = trimesh.Trimesh(*display_mesh(primitives, i, segments=48), process=False)
+        inner = trimesh.Trimesh(*display_mesh(primitives, i), process=False)
         assert solid.volume < 2.2 * inner.volume
 
 

@@ -6,8 +6,6 @@ one before. Things and masks under 0.2 % of the image do not count.
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import time
 import tracemalloc
 from collections import defaultdict
@@ -27,6 +25,7 @@ from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.first_layer import PlayedKeyframe, play_first_layer
 from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
 from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_masks, total
+from tools.benchmarks.perception_models import measure_models
 from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
@@ -40,7 +39,6 @@ if TYPE_CHECKING:
     from tools.benchmarks.labelled_clouds import LabelledFrame
 
 _CLOUDS = ROOT.parent / "shared" / "data" / "mosd"
-_MODELS = "tools.benchmarks.perception_models"
 _APARTMENTS, _TABLETOPS = 4, 3
 _MIN_SHARE = 0.002
 _SCORED_EVERY = 3
@@ -84,9 +82,7 @@ def measure(options: Options) -> list[Figure]:
         _figure("s_saved_fraction", float(np.mean([p.saved for p in played])), "", "higher"),
     ]
     figures += _of_keyframes([keyframe for p in played for keyframe in p.frames])
-    if importlib.util.find_spec(_MODELS) is not None:
-        figures += importlib.import_module(_MODELS).measure(options)
-    return figures
+    return [*figures, *measure_models(options.seed)]
 
 
 def score_cloud(cloud: LabelledFrame, config: GeometricConfig | None = None) -> MaskScore:
