@@ -102,7 +102,7 @@ def test_a_map_and_itself_are_the_same_place() -> None:
 def test_a_mirror_image_is_refused() -> None:
     # Of these seeds some have so many objects near the mirror that they would do for an alignment.
     kinds = set()
-    for seed in (4, 10, 25):
+    for seed in (6, 10, 27):
         pair = simulate_pair(SimulationConfig(outliers=0.0, difficulty="hard" if seed % 2 else "easy"), seed)
         kinds.add(refused(align(pair.map_a, mirrored_map(pair.map_b))).refusal)
     assert Refusal.MIRRORED in kinds

@@ -88,7 +88,7 @@ def _scenes(options: Options) -> list[Scene]:
         return [_scene_at(folder) for given in options.scenes for folder in _truth_folders(given)]
     if options.quick:
         return [_scene_at(ROOT / "recordings" / "demo.truth")]
-    base = 1000 + 10 * options.seed
+    base = 1001 + 10 * options.seed
     configs = [_config("apartment", base + i, walk) for i in range(_APARTMENTS) for walk in range(_WALKS)]
     configs += [_config("tabletop", base + i, 0) for i in range(_TABLETOPS)]
     # One log at full rate: what the real-time factor is promised for.
