@@ -58,7 +58,8 @@ def run(options: argparse.Namespace) -> int:
         files = {out: _WRITERS[options.format](saved)}
     try:
         for path, data in files.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
+            if options.format in _SEVERAL:
+                path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
     except OSError as error:
         raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error

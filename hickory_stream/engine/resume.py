@@ -66,14 +66,14 @@ def reopen(
         raise RecordingError(
             f"{info.uri} is not the log that {path} was made of ({manifest.source['uri']}); give that one"
         )
+    if manifest.extractor not in ("", extractor):
+        raise MapFolderError(
+            f"{path} has features of {manifest.extractor}, not of {extractor}; resume it with that one"
+        )
     if was_sought(path):
         raise MapFolderError(
             f"{path}: somebody went to and fro in the log, so that nobody knows which frames are left; "
             "`hickory-stream resume` saves what it had, or play the log again"
-        )
-    if manifest.extractor not in ("", extractor):
-        raise MapFolderError(
-            f"{path} has features of {manifest.extractor}, not of {extractor}; resume it with that one"
         )
     folder = reopen_map_folder(path)
     try:

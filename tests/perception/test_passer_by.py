@@ -57,7 +57,7 @@ def played(steps):
         )
         for effect in waiting:
             if isinstance(effect, ComputeFeatures):
-                features = features_of(frame, seen.observations, effect.observation_indices, extractor)
+                features, _ = features_of(frame, seen.observations, effect.observation_indices, extractor)
                 waiting += core.handle(FeaturesReady(frame_index=i, features=features))
             elif isinstance(effect, RequestShape):
                 waiting += core.handle(

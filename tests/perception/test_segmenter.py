@@ -175,21 +175,3 @@ def test_a_box_put_on_a_box_of_its_colour_is_another_one():
     (iou_lower, label_lower), (iou_upper, label_upper) = (best_iou(instances, shown == i) for i in (1, 2))
     assert min(iou_lower, iou_upper) > 0.7
     assert label_lower != label_upper
-
-
-def test_a_hole_without_depth_inside_a_thing_is_of_its_mask():
-    frame, shown = render([floor(), Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=RED)], VIEW)
-    ys, xs = np.nonzero(shown == 1)
-    y, x = int(ys.mean()), int(xs.mean())
-    depth = frame.depth_m.copy()
-    depth[y - 5 : y + 5, x - 5 : x + 5] = np.nan
-    holed = Frame(
-        index=0,
-        stamp_ns=0,
-        rgb=frame.rgb,
-        depth_m=depth,
-        camera=frame.camera,
-        world_from_camera=frame.world_from_camera,
-    )
-    instances = segment(holed).instances
-    assert (instances[y - 5 : y + 5, x - 5 : x + 5] == instances[ys.min() + 20, x]).all()
