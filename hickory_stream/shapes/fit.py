@@ -19,7 +19,7 @@ from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.sketch import sketch
-from hickory_stream.geometry.superquadric import Superquadrics, moved
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, moved, volumes_m3
 from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
 from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
@@ -138,13 +138,24 @@ def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superq
 
 
 def around_all(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size_m: float) -> Superquadrics:
-    """Return one superquadric about the surface of a mesh as a whole, its box where the mesh is flat."""
+    """Return one superquadric about the surface of a mesh as a whole, its box where that holds it in less space.
+
+    A bowl is round; the boards of a shelf are not, and what is round would have to be grown far to hold its corners.
+    """
     extent = np.ptp(vertices, axis=0)
     whole = box_superquadric(vertices, min_size_m)
     if extent.min() <= min_size_m:
         return whole
     box = OrientedBox(world_from_box=whole.world_from_local[0], half_extents_m=whole.semi_axes_m[0])
-    return sketch(_surface_samples(vertices, faces), box) or whole
+    surface = _surface_samples(vertices, faces)
+    found = sketch(surface, box)
+    return whole if found is None or _cover_m3(whole, surface) <= _cover_m3(found, surface) else found
+
+
+def _cover_m3(primitive: Superquadrics, points: NDArray[np.float64]) -> float:
+    """Return the volume of a superquadric scaled until it holds (N, 3) points: G grows with the power 2 / e1."""
+    scale = np.exp(float(log_implicit_value(primitive, 0, points).max()) * primitive.exponents[0, 0] / 2)
+    return float(volumes_m3(primitive)[0] * scale**3)
 
 
 def _surface_samples(vertices: NDArray[np.float64], faces: NDArray[np.int32], count: int = 500) -> NDArray[np.float64]:

@@ -17,7 +17,14 @@ from hickory_stream.engine.replay import replay
 from hickory_stream.engine.resume import save_live, was_sought
 from hickory_stream.engine.session import open_map
 from hickory_stream.errors import MapFolderError
-from hickory_stream.testing import PERIOD_NS, START_NS, InstanceSegmenter, RememberingSink, SceneSource
+from hickory_stream.testing import (
+    PERIOD_NS,
+    START_NS,
+    InstanceSegmenter,
+    MeanColorExtractor,
+    RememberingSink,
+    SceneSource,
+)
 from players.playback import PlaybackClock, PlayedSource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
 
@@ -164,7 +171,7 @@ def test_a_run_that_was_sought_in_and_stopped_cannot_be_resumed_but_saved(tmp_pa
     assert was_sought(path)
 
     async def resume() -> None:
-        async with Mapper.resuming(path) as mapper:
+        async with Mapper.resuming(path, extractor=MeanColorExtractor()) as mapper:
             async for _ in mapper.run(SceneSource(NUM_FRAMES)):
                 pass
 
