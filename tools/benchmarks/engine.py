@@ -41,8 +41,6 @@ _COARSE = (
     "mapper.shapes.fit.fine_samples=300",
     "mapper.shapes.fit.fine_iterations=4",
     "mapper.shapes.fit.gain_samples=1000",
-    "mapper.shapes.inflate.num_samples=500",
-    "mapper.shapes.inflate.num_checks=300",
     # Asked for early, so that a short run has jobs under way most of the time.
     "mapper.mapping.requests.first_sightings=4",
     "mapper.mapping.requests.latency_s=1.0",
