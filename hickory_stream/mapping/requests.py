@@ -94,14 +94,17 @@ def predicted_s(track: Track, config: RequestConfig) -> float:
 
 
 def gain_of(track: Track) -> float:
-    """Return what a new shape would know more: the share of new views and of new surface; 10 for a first one."""
+    """Return what a new shape would know more: the share of new views and of new surface; 10 for a first one.
+
+    Surface that is gone, to another object or to a wall, counts twice: the shape claims what the object is not.
+    """
     state = track.shape_state
     if _is_new(track):
         return 10.0
     names = {view.name for view in track.views}
     new_views = len(names - set(state.asked_views)) / max(len(names), 1)
     growth = len(track.solid.keys) / max(state.asked_points, 1) - 1.0
-    return new_views + min(max(growth, 0.0), 1.0)
+    return new_views + min(max(growth, -2.0 * growth), 1.0)
 
 
 def support_height_m(track: Track, others: Iterable[Track], floor_z_m: float | None) -> float | None:
@@ -140,7 +143,10 @@ def _rank(track: Track, config: RequestConfig) -> tuple[bool, float, float, int]
 
 def _is_wanted(track: Track, clock_ns: int, *, is_final: bool, config: RequestConfig) -> bool:
     state = track.shape_state
-    if track.phase is Phase.TENTATIVE or not track.views or state.open_ticket is not None:
+    if track.phase is Phase.TENTATIVE or state.open_ticket is not None:
+        return False
+    # A part that became an object and was not seen again has no view of its own: its points must do.
+    if not track.views and not is_final:
         return False
     if state.failures >= config.max_failures:
         return False

@@ -33,7 +33,8 @@ class ShapeConfig:
     reconstructor: ReconstructorName = "fused"
     fused: FusedConfig = field(default_factory=FusedConfig)
     single_view: SingleViewConfig = field(default_factory=SingleViewConfig)
-    fit: FitConfig = field(default_factory=FitConfig)
+    # A reconstruction is known to about a centimetre: a finer grid would describe its noise, and take longer.
+    fit: FitConfig = field(default_factory=lambda: FitConfig(cells=40))
     inflate: InflateConfig = field(default_factory=InflateConfig)
 
 

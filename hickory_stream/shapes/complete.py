@@ -27,13 +27,17 @@ class CompletionConfig:
 
     Of the 26 directions around an unknown voxel at least `min_hit_share` must meet the object, and those that meet free
     space may be at most `max_free_ratio` times as many, times the share of the object's box that was not seen free.
-    `max_support_gap_m`: an object whose seen part ends this close above its support is continued down to it.
+    What ends within `max_support_gap_m` above the support is continued down to it, through what nobody saw. So is an
+    object that would float by `min_hidden_m` to `max_hidden_m`: something hid its foot. One that floats by less may
+    well be a sofa on short feet, whose bottom is where it was seen to be.
     `min_piece_share`: a separate piece smaller than this share of the largest is dropped.
     """
 
     min_hit_share: float = 0.3
     max_free_ratio: float = 1.3
     max_support_gap_m: float = 0.08
+    min_hidden_m: float = 0.15
+    max_hidden_m: float = 0.3
     min_piece_share: float = 0.02
 
 

@@ -201,7 +201,7 @@ def _inscribed(row):  # type: ignore[no-untyped-def] # pragma: no cover
 @numba.njit(cache=True, nogil=True)
 def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty((high[0] - low[0], high[1] - low[1], high[2] - low[2]), np.float32)
-    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     axes, within = np.exp(row[2:5]), _inscribed(row)
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
@@ -217,7 +217,7 @@ def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no c
 
 @numba.njit(cache=True, nogil=True)
 def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
-    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     axes, within = np.exp(row[2:5]), _inscribed(row)
     total = 0.0
     size_y, size_z = high[1] - low[1], high[2] - low[2]

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _ITERATIONS = 40
+_AT_REST = 1e-6
 # Normals are pooled in bins of this width before the search, and taken one by one for the last steps.
 _BIN = 0.08
 _FINAL_STEPS = 8
@@ -50,7 +51,9 @@ def _manhattan(
     starts = [np.linalg.eigh((normals.T * areas) @ normals)[1], np.linalg.eigh((centered.T * areas) @ centered)[1]]
     axes = np.concatenate([start @ _TURNS for start in starts])
     for _ in range(_ITERATIONS):
-        axes = _raised(axes, pooled, weights)
+        before, axes = axes, _raised(axes, pooled, weights)
+        if np.abs(axes - before).max() < _AT_REST:
+            break
     contrast = (weights @ np.abs(pooled @ axes) ** 4).sum(axis=1)
     best = axes[int(np.argmax(np.round(contrast, 9)))][None]
     step = max(1, len(normals) // _MAX_FINAL)

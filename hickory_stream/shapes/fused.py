@@ -1,22 +1,29 @@
-"""Layer 2 from all kept views: a truncated signed distance field over the object's box, completed and meshed."""
+"""Layer 2 from all kept views: a truncated signed distance field over the object's box, completed and meshed.
+
+What is round in its best view is completed by its views turned to its far side; the rest by what surrounds it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.complete import CompletionConfig, classify, solid_of
+from hickory_stream.shapes.revolution import RevolutionConfig, half_turn_of
 from hickory_stream.shapes.surface import extract, in_object_frame, painted, surface_field, taubin_smoothed
-from hickory_stream.shapes.tsdf import DepthView, Evidence, VoxelGrid, integrate
+from hickory_stream.shapes.tsdf import DepthView, Evidence, VoxelGrid, integrate, smoothed_depth
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.ports import Crop
 
 _MARGIN_VOXELS = 3
 _MIN_POINTS = 20
@@ -43,10 +50,15 @@ class VolumeConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FusedConfig:
-    """`volume` is the grid, `completion` says how unseen space is filled."""
+    """`volume` is the grid, `completion` says how unseen space is filled, `revolution` what counts as round.
+
+    `turned_trust` is the weight of a view of the far side of what is round, relative to that of a view.
+    """
 
     volume: VolumeConfig = field(default_factory=VolumeConfig)
     completion: CompletionConfig = field(default_factory=CompletionConfig)
+    revolution: RevolutionConfig = field(default_factory=RevolutionConfig)
+    turned_trust: float = 0.2
 
 
 class FusedReconstructor:
@@ -70,20 +82,64 @@ class FusedReconstructor:
             )
             for crop in inputs.crops
         ]
+        inputs, views = completed_round(inputs, views, self._config)
         return reconstruct_views(inputs, views, self._config.volume, self._config.completion)
+
+
+def completed_round(
+    inputs: ShapeInputs, views: list[DepthView], config: FusedConfig
+) -> tuple[ShapeInputs, list[DepthView]]:
+    """Return the inputs with a box around the whole, and the views turned to the far side, of an object that is round.
+
+    What is not round, by its best view, is returned as it is.
+    """
+    if not inputs.crops:
+        return inputs, views
+    best = inputs.crops[0]
+    points, _ = seen_points(best, config.volume.noise_per_m)
+    if len(points) < _MIN_POINTS:
+        return inputs, views
+    tolerance = noise_m(points, views[0], config.volume)
+    world_from_turned = half_turn_of(points, best.world_from_camera[:3, 3], views, tolerance, config.revolution)
+    if world_from_turned is None:
+        return inputs, views
+    around = np.concatenate([inputs.points_world.astype(np.float64), apply(world_from_turned, points)])
+    turned = [
+        replace(view, camera_from_world=view.camera_from_world @ world_from_turned, trust=config.turned_trust)
+        for view in views
+    ]
+    return replace(inputs, box=gravity_aligned_box(around, 2 * config.volume.min_voxel_m)), views + turned
+
+
+def seen_points(crop: Crop, noise_per_m: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Return the (N, 3) world points of the crop's mask and their (N, 3) colours, without those far from the rest."""
+    depth = smoothed_depth(crop.depth_m, crop.mask, noise_per_m)
+    valid = np.isfinite(depth)
+    if not valid.any():
+        return np.empty((0, 3)), np.empty((0, 3), np.uint8)
+    points = apply(crop.world_from_camera, backproject(depth, crop.camera)[valid].astype(np.float64))
+    low, high = np.quantile(points, [0.005, 0.995], axis=0)
+    slack = 0.05 * (high - low) + 0.01
+    kept = ((points >= low - slack) & (points <= high + slack)).all(axis=1)
+    return points[kept], crop.rgb[valid][kept]
+
+
+def noise_m(points_world: NDArray[np.float64], view: DepthView, volume: VolumeConfig) -> float:
+    """Return three sigma of the depth of (N, 3) points in a view, at least two voxels."""
+    median_z = float(np.median(apply(view.camera_from_world, points_world)[:, 2]))
+    return max(3 * volume.noise_per_m * median_z**2, 2 * volume.min_voxel_m)
 
 
 def reconstruct_views(
     inputs: ShapeInputs, views: list[DepthView], volume: VolumeConfig, completion: CompletionConfig
 ) -> Reconstruction | NoShape:
     """Return the mesh of the surface that `views` and the points of `inputs` show within the box of `inputs`."""
-    block = block_over(inputs.box, inputs.support_z_m, volume, completion.max_support_gap_m)
+    block = block_over(inputs.box, inputs.support_z_m, volume, completion)
     grid = block.grid
     evidence = integrate(grid, views, volume.noise_per_m)
     cells = grid.cells(inputs.points_world)
     states = classify(evidence, cells[grid.contains(cells)])
-    max_gap = int(np.ceil(completion.max_support_gap_m / grid.voxel_m)) + 1
-    solid = solid_of(states, block.fillable, block.support_index, max_gap, completion)
+    solid = solid_of(states, block.fillable, block.support_index, block.max_gap, completion)
     if not solid.any():
         return NoShape(reason="no voxel of the object's box is solid: its views contradict one another")
     return _mesh_of(solid, evidence, grid, inputs, volume)
@@ -93,19 +149,25 @@ def reconstruct_views(
 class Block:
     """The grid of one object: unseen space is filled within `fillable` only, the object's box.
 
-    `support_index` is the lowest layer above the support, None where the object does not rest on one.
+    `support_index` is the lowest layer above the support, None where the object does not rest on one; what ends within
+    `max_gap` layers above it is continued down to it.
     """
 
     grid: VoxelGrid
     fillable: tuple[slice, slice, slice]
     support_index: int | None
+    max_gap: int
 
 
-def block_over(box: OrientedBox, support_z_m: float | None, volume: VolumeConfig, max_gap_m: float) -> Block:
-    """Return the grid over the box and a margin, down to the support where the box ends at most `max_gap_m` above."""
+def block_over(
+    box: OrientedBox, support_z_m: float | None, volume: VolumeConfig, completion: CompletionConfig
+) -> Block:
+    """Return the grid over the box and a margin, down to the support where the box ends not far above it."""
     half = box.half_extents_m
     low_z = float(-half[2])
-    rests = support_z_m is not None and low_z + box.center[2] - support_z_m <= max_gap_m
+    float_m = 0.0 if support_z_m is None else max(low_z + float(box.center[2]) - support_z_m, 0.0)
+    is_hidden = completion.min_hidden_m <= float_m <= completion.max_hidden_m
+    rests = support_z_m is not None and (float_m <= completion.max_support_gap_m or is_hidden)
     if rests and support_z_m is not None:
         low_z = min(low_z, support_z_m - float(box.center[2]))
     area = 8 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
@@ -124,6 +186,7 @@ def block_over(box: OrientedBox, support_z_m: float | None, volume: VolumeConfig
         grid=VoxelGrid(world_from_grid=world_from_grid, voxel_m=voxel, shape=(counts[0], counts[1], counts[2])),
         fillable=(inner[0], inner[1], inner[2]),
         support_index=support_index,
+        max_gap=int(np.ceil((float_m + completion.max_support_gap_m) / voxel)) + 1 if rests else 0,
     )
 
 

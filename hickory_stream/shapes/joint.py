@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 # The simple shapes, as exponents, and how often the axes are turned on: a box looks the same along each.
 _SIMPLE = ((0.1, 0.1, 1), (1.0, 1.0, 1), (0.1, 1.0, 3), (2.0, 1.0, 3))
+_FINALISTS = 3
 
 
 def jointly_refined(
@@ -88,15 +89,25 @@ def simplified(
         others = _union(beside, own, band)
         before = _misfit(np.minimum(others, cut_distances(rows[k], own, band)), goal, band)
         best, least = rows[k], before + tolerance
-        for e1, e2, turns in _SIMPLE:
-            for turn in range(turns):
-                trial = _turned(rows[k], turn)
-                trial[:2] = e1, e2
-                trial, misfit = _stepped_beside(trial, own, goal, others, band, sweeps, max_log_axis, False)
-                # What leaves the samples around the primitive was not judged.
-                if misfit < least and _stays(trial, rows[k]):
-                    best, least = trial, misfit
+        # The first steps tell which shapes have a chance; only these are followed to the end.
+        tried = [_stepped_beside(row, own, goal, others, band, 2, max_log_axis, False) for row in _simple_rows(rows[k])]
+        for first, _ in sorted(tried, key=lambda one: float(one[1]))[:_FINALISTS]:
+            trial, misfit = _stepped_beside(first, own, goal, others, band, sweeps - 2, max_log_axis, False)
+            # What leaves the samples around the primitive was not judged.
+            if misfit < least and _stays(trial, rows[k]):
+                best, least = trial, misfit
         rows[k] = best
+    return rows
+
+
+def _simple_rows(row: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return a primitive with each of the simple exponents, along each axis that these tell apart."""
+    rows = []
+    for e1, e2, turns in _SIMPLE:
+        for turn in range(turns):
+            trial = _turned(row, turn)
+            trial[:2] = e1, e2
+            rows.append(trial)
     return rows
 
 

@@ -69,7 +69,7 @@ def owners_of(points, rows):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _distances(point, rows, out):  # type: ignore[no-untyped-def] # pragma: no cover
-    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     for k in range(len(rows)):
         out[k] = tangent_distance(rows[k], point[0], point[1], point[2], local, gradient, shape, False, np.inf)
 

@@ -65,51 +65,80 @@ def distances_to(row: NDArray[np.float64], points: NDArray[np.float64]) -> NDArr
 
 
 @numba.njit(cache=True, nogil=True)
-def _log_gauge(row, px, py, pz, local, gradient, shape, with_shape):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return ln h at a grid point; fill the local point and, there, the derivatives."""
-    dx, dy, dz = px - row[5], py - row[6], pz - row[7]
+def tangent_distance(  # type: ignore[no-untyped-def] # pragma: no cover
+    row, x, y, z, local, gradient, shape, with_shape, depth
+):
+    """Return the signed distance of a point to a tangent plane near it; fill the local point and the derivatives there.
+
+    `gradient` (3,) is that of ln h at the point of `local` (3,), `shape` (5,) its derivatives by e1, e2, ln a1, ln a2
+    and ln a3. A convex body lies behind its tangent planes: the distance to one bounds the true distance from below
+    outside, from above inside. Outside the plane is that of the ray from the centre; inside it is the closest of that
+    and of those met along the three axes, or else the rim of a plate would seem to be nearer than its faces. For points
+    that are deeper than `depth` a bound is returned that is deeper, too, and nothing is filled.
+    """
+    dx, dy, dz = x - row[5], y - row[6], z - row[7]
     # The columns of the rotation are the local axes.
-    x = row[8] * dx + row[11] * dy + row[14] * dz
-    y = row[9] * dx + row[12] * dy + row[15] * dz
-    z = row[10] * dx + row[13] * dy + row[16] * dz
-    return _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape, 0)
+    px = row[8] * dx + row[11] * dy + row[14] * dz
+    py = row[9] * dx + row[12] * dy + row[15] * dz
+    pz = row[10] * dx + row[13] * dy + row[16] * dz
+    px = px if abs(px) > 1e-6 else 1e-6
+    py = py if abs(py) > 1e-6 else 1e-6
+    pz = pz if abs(pz) > 1e-6 else 1e-6
+    log_x, log_y, log_z = np.log(abs(px)) - row[2], np.log(abs(py)) - row[3], np.log(abs(pz)) - row[4]
+    # ln of the gauge in the xy plane, and of all three: the shares are the softmax weights of the nested sums.
+    log_rho, share_x, share_y = _softmax(log_x, log_y, row[1])
+    log_h, share_r, share_z = _softmax(log_rho, log_z, row[0])
+    local[0], local[1], local[2] = px, py, pz
+    gradient[0], gradient[1], gradient[2] = share_r * share_x / px, share_r * share_y / py, share_z / pz
+    slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+    if log_h >= 0.0:
+        if with_shape:
+            _fill_shape(share_x, share_y, share_r, share_z, shape)
+        return (1.0 - np.exp(-log_h)) / slope
+    h = max(np.exp(log_h), 1e-200)
+    # The body holds the ellipsoid, or else the octahedron, of its semi-axes; 1 - h is the share of the way out.
+    smallest = np.exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
+    if (1.0 - h) * smallest > depth:
+        return -(1.0 - h) * smallest
+    best = (1.0 / h - 1.0) / slope
+    axis, reach, foot_x, foot_y, foot_r, foot_z = _nearest_along_axes(
+        row, px, py, pz, log_rho, log_h, share_x, share_y, share_r, share_z
+    )
+    if reach < best * 4.0:
+        sx = px + (reach if px > 0.0 else -reach) * (axis == 0)
+        sy = py + (reach if py > 0.0 else -reach) * (axis == 1)
+        sz = pz + (reach if pz > 0.0 else -reach) * (axis == 2)
+        gx, gy, gz = foot_r * foot_x / sx, foot_r * foot_y / sy, foot_z / sz
+        along = gx if axis == 0 else (gy if axis == 1 else gz)
+        planar = reach * abs(along) / np.sqrt(gx * gx + gy * gy + gz * gz)
+        if planar < best:
+            best = planar
+            gradient[0], gradient[1], gradient[2] = gx, gy, gz
+            share_x, share_y, share_r, share_z = foot_x, foot_y, foot_r, foot_z
+    if with_shape:
+        _fill_shape(share_x, share_y, share_r, share_z, shape)
+    return -best
 
 
 @numba.njit(cache=True, nogil=True)
-def _log_gauge_local(row, x, y, z, local, gradient, shape, with_shape, at):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return ln h at a local point; fill its gradient there and, if asked, d ln h / d (e1, e2, ln a1, ln a2, ln a3).
+def _softmax(log_a, log_b, exponent):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return ln (a^(2/e) + b^(2/e))^(e/2) and the shares of both in the sum, without overflow."""
+    gap = 2.0 / exponent * (log_b - log_a)
+    small = np.exp(-abs(gap))
+    total = 1.0 + small
+    log_sum = max(log_a, log_b) + 0.5 * exponent * np.log(total)
+    large = 1.0 / total
+    return (log_sum, small * large, large) if gap > 0.0 else (log_sum, large, small * large)
 
-    The arrays have room for two points, so that nothing is allocated per point: `at` 0 fills the first half of each.
-    """
-    e1, e2 = row[0], row[1]
-    i, j = 3 * at, 5 * at
-    local[i] = x if abs(x) > 1e-6 else 1e-6
-    local[i + 1] = y if abs(y) > 1e-6 else 1e-6
-    local[i + 2] = z if abs(z) > 1e-6 else 1e-6
-    log_x, log_y = np.log(abs(local[i])) - row[2], np.log(abs(local[i + 1])) - row[3]
-    log_z = np.log(abs(local[i + 2])) - row[4]
-    # ln of the gauge in the xy plane.
-    high = max(log_x, log_y)
-    share_x, share_y = np.exp(2.0 / e2 * (log_x - high)), np.exp(2.0 / e2 * (log_y - high))
-    total = share_x + share_y
-    log_rho = high + 0.5 * e2 * np.log(total)
-    share_x, share_y = share_x / total, share_y / total
-    # ln of the gauge along z and in the plane.
-    top = max(log_rho, log_z)
-    share_r, share_z = np.exp(2.0 / e1 * (log_rho - top)), np.exp(2.0 / e1 * (log_z - top))
-    whole = share_r + share_z
-    log_h = top + 0.5 * e1 * np.log(whole)
-    share_r, share_z = share_r / whole, share_z / whole
-    gradient[i] = share_r * share_x / local[i]
-    gradient[i + 1] = share_r * share_y / local[i + 1]
-    gradient[i + 2] = share_z / local[i + 2]
-    if with_shape:
-        shape[j] = 0.5 * _entropy(share_r, share_z)
-        shape[j + 1] = 0.5 * share_r * _entropy(share_x, share_y)
-        shape[j + 2] = -share_r * share_x
-        shape[j + 3] = -share_r * share_y
-        shape[j + 4] = -share_z
-    return log_h
+
+@numba.njit(cache=True, nogil=True)
+def _fill_shape(share_x, share_y, share_r, share_z, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill d ln h / d (e1, e2, ln a1, ln a2, ln a3)."""
+    shape[0] = 0.5 * _entropy(share_r, share_z)
+    shape[1] = 0.5 * share_r * _entropy(share_x, share_y)
+    shape[2] = -share_r * share_x
+    shape[3] = -share_r * share_y
+    shape[4] = -share_z
 
 
 @numba.njit(cache=True, nogil=True)
@@ -118,69 +147,37 @@ def _entropy(p, q):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def tangent_distance(  # type: ignore[no-untyped-def] # pragma: no cover
-    row, x, y, z, local, gradient, shape, with_shape, depth
+def _nearest_along_axes(  # type: ignore[no-untyped-def] # pragma: no cover
+    row, px, py, pz, log_rho, log_h, share_x, share_y, share_r, share_z
 ):
-    """Return the signed distance of a point to a tangent plane near it; fill the local point and the derivatives there.
-
-    A convex body lies behind its tangent planes: the distance to one bounds the true distance from below outside, from
-    above inside. Outside the plane is that of the ray from the centre; inside it is the closest of that and of those
-    met along the three axes, or else the rim of a plate would seem to be nearer than its faces. For points that are
-    deeper than `depth` a bound is returned that is deeper, too.
-    """
-    log_h = _log_gauge(row, x, y, z, local, gradient, shape, with_shape)
-    slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-    if log_h >= 0.0:
-        return (1.0 - np.exp(-log_h)) / slope
-    # The body holds the ellipsoid, or else the octahedron, of its semi-axes; 1 - h is the share of the way out.
-    smallest = np.exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
-    if (1.0 - np.exp(log_h)) * smallest > depth:
-        return -(1.0 - np.exp(log_h)) * smallest
-    best = (np.exp(min(-log_h, 500.0)) - 1.0) / slope
-    p0, p1, p2 = local[0], local[1], local[2]
-    axis, reach = _nearest_along_axes(row, p0, p1, p2)
-    if reach >= best * 4.0:
-        return -best
-    s0 = p0 + (reach if p0 > 0.0 else -reach) * (axis == 0)
-    s1 = p1 + (reach if p1 > 0.0 else -reach) * (axis == 1)
-    s2 = p2 + (reach if p2 > 0.0 else -reach) * (axis == 2)
-    _log_gauge_local(row, s0, s1, s2, local, gradient, shape, with_shape, 1)
-    at_slope = np.sqrt(gradient[3] ** 2 + gradient[4] ** 2 + gradient[5] ** 2)
-    planar = reach * abs(gradient[3 + axis]) / at_slope
-    if planar < best:
-        for p in range(3):
-            gradient[p] = gradient[3 + p]
-        for p in range(5):
-            shape[p] = shape[5 + p]
-        best = planar
-    return -best
-
-
-@numba.njit(cache=True, nogil=True)
-def _nearest_along_axes(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the axis along which the surface is nearest to an inner point, and how far away it is."""
+    """Return where the surface is nearest to an inner point along its axes: the axis, how far, and the shares there."""
     e1, e2 = row[0], row[1]
-    log_x, log_y = np.log(abs(x)) - row[2], np.log(abs(y)) - row[3]
-    log_z = np.log(abs(z)) - row[4]
-    high = max(log_x, log_y)
-    log_rho = high + 0.5 * e2 * np.log(np.exp(2.0 / e2 * (log_x - high)) + np.exp(2.0 / e2 * (log_y - high)))
-    best_axis = 2
-    best = np.exp(row[4] + 0.5 * e1 * np.log(max(-np.expm1(2.0 / e1 * log_rho), 1e-300))) - abs(z)
-    # ln of the largest gauge in the plane at this height.
-    log_most = 0.5 * e1 * np.log(max(-np.expm1(2.0 / e1 * log_z), 1e-300))
-    for axis in range(2):
-        other = log_y if axis == 0 else log_x
-        rest = max(-np.expm1(min(2.0 / e2 * (other - log_most), 0.0)), 1e-300)
-        reach = np.exp(row[2 + axis] + log_most + 0.5 * e2 * np.log(rest)) - abs(x if axis == 0 else y)
-        if reach < best:
-            best_axis, best = axis, reach
-    return best_axis, max(best, 0.0)
+    whole = np.exp(2.0 / e1 * log_h)
+    in_plane, along_z = share_r * whole, share_z * whole
+    rest_z, rest_r = max(1.0 - in_plane, 1e-300), max(1.0 - along_z, 1e-300)
+    best_axis, best = 2, np.exp(row[4] + 0.5 * e1 * np.log(rest_z)) - abs(pz)
+    # ln of the largest gauge in the plane at this height, and what the point's own is of it.
+    log_most = 0.5 * e1 * np.log(rest_r)
+    own = np.exp(min(2.0 / e2 * (log_rho - log_most), 0.0))
+    rest_x, rest_y = max(1.0 - share_y * own, 1e-300), max(1.0 - share_x * own, 1e-300)
+    reach_x = np.exp(row[2] + log_most + 0.5 * e2 * np.log(rest_x)) - abs(px)
+    reach_y = np.exp(row[3] + log_most + 0.5 * e2 * np.log(rest_y)) - abs(py)
+    if reach_x < best:
+        best_axis, best = 0, reach_x
+    if reach_y < best:
+        best_axis, best = 1, reach_y
+    best = max(best, 0.0)
+    if best_axis == 2:
+        return best_axis, best, share_x, share_y, in_plane, rest_z
+    if best_axis == 0:
+        return best_axis, best, rest_x, 1.0 - rest_x, rest_r, along_z
+    return best_axis, best, 1.0 - rest_y, rest_y, rest_r, along_z
 
 
 @numba.njit(cache=True, nogil=True)
 def _distances(row, points, depth):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty(points.shape[0])
-    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     for n in range(points.shape[0]):
         out[n] = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False, depth)
     return out
@@ -204,7 +201,7 @@ def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ign
     a = np.zeros((11, 11))
     b = np.zeros(11)
     jacobian = np.empty(11)
-    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     for n in range(points.shape[0]):
         d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True, band)
         if d > OUTER_BAND or d < -band:
@@ -312,7 +309,7 @@ def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: 
     """Return the (N,) distances to a primitive, cut off at the band; what is outside its box is not looked at."""
     out = np.full(len(points), OUTER_BAND)
     reach = np.exp(row[2:5]) + OUTER_BAND
-    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     for n in range(len(points)):
         dx, dy, dz = points[n, 0] - row[5], points[n, 1] - row[6], points[n, 2] - row[7]
         if (
@@ -335,7 +332,7 @@ def normal_step(  # type: ignore[no-untyped-def] # pragma: no cover
     """
     a, b = np.zeros((11, 11)), np.zeros(11)
     jacobian = np.empty(11)
-    local, gradient, shape = np.empty(6), np.empty(6), np.empty(10)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     cost = 0.0
     for n in range(len(points)):
         r = min(found[n], others[n]) - targets[n]

@@ -203,11 +203,17 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
     Only the surface of the solid counts: where parts overlap, what lies within another part is skipped.
     """
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    nearest, normal = np.empty(3), np.empty(3)
+    nearest, normal, middle = np.empty(3), np.empty(3), np.empty(3)
     for f in range(corners.shape[0]):
         t = corners[f]
         if not _normal(t, normal):
             continue
+        radius2 = 0.0
+        for axis in range(3):
+            middle[axis] = (t[0, axis] + t[1, axis] + t[2, axis]) / 3.0
+        for corner in range(3):
+            x, y, z = t[corner, 0] - middle[0], t[corner, 1] - middle[1], t[corner, 2] - middle[2]
+            radius2 = max(radius2, x * x + y * y + z * z)
         for axis in range(3):
             size = squared.shape[axis]
             low[axis] = max(int(np.ceil(min(t[0, axis], t[1, axis], t[2, axis]) - band)), 0)
@@ -215,6 +221,15 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
+                    # No point of a triangle is nearer than its plane or the ball around it: most cells have a nearer
+                    # one already, but for rounding.
+                    known = (1.0 - 1e-5) * squared[i, j, k]
+                    x, y, z = i - middle[0], j - middle[1], k - middle[2]
+                    out = normal[0] * x + normal[1] * y + normal[2] * z
+                    away = x * x + y * y + z * z
+                    slack = away + radius2 - known
+                    if out * out >= known or (away > radius2 and slack > 0.0 and slack * slack >= 4.0 * radius2 * away):
+                        continue
                     d = _squared_distance(float(i), float(j), float(k), t, nearest)
                     if d < squared[i, j, k] and not _is_buried(inside, nearest, normal):
                         squared[i, j, k] = d

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.complete import CompletionConfig
-from hickory_stream.shapes.fused import VolumeConfig, reconstruct_views
+from hickory_stream.shapes.fused import VolumeConfig, noise_m, reconstruct_views, seen_points
 from hickory_stream.shapes.symmetry import SymmetryConfig, mirror_plane
-from hickory_stream.shapes.tsdf import DepthView, smoothed_depth
+from hickory_stream.shapes.tsdf import DepthView
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -69,19 +68,6 @@ class SingleViewReconstructor:
         return reconstruct_views(alone, views, config.volume, config.completion)
 
 
-def seen_points(crop: Crop, noise_per_m: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Return the (N, 3) world points of the crop's mask and their (N, 3) colours, without those far from the rest."""
-    depth = smoothed_depth(crop.depth_m, crop.mask, noise_per_m)
-    valid = np.isfinite(depth)
-    if not valid.any():
-        return np.empty((0, 3)), np.empty((0, 3), np.uint8)
-    points = apply(crop.world_from_camera, backproject(depth, crop.camera)[valid].astype(np.float64))
-    low, high = np.quantile(points, [0.005, 0.995], axis=0)
-    slack = 0.05 * (high - low) + 0.01
-    kept = ((points >= low - slack) & (points <= high + slack)).all(axis=1)
-    return points[kept], crop.rgb[valid][kept]
-
-
 def crop_pose(crop: Crop) -> NDArray[np.float64]:
     """Return camera_from_world of a crop."""
     return invert(crop.world_from_camera)
@@ -94,8 +80,7 @@ def with_mirrored(crop: Crop, points: NDArray[np.float64], config: SingleViewCon
     )
     views = [view]
     seen = points
-    median_z = float(np.median(apply(view.camera_from_world, points)[:, 2]))
-    tolerance = max(3 * config.volume.noise_per_m * median_z**2, 2 * config.volume.min_voxel_m)
+    tolerance = noise_m(points, view, config.volume)
     # Some first plane is always better than a back that is open; a second one must show.
     for min_score in (-config.symmetry.growth_penalty - 0.2, config.symmetry.min_second_score):
         reflection = mirror_plane(seen, [view], tolerance, min_score, config.symmetry)

@@ -57,7 +57,7 @@ def mirror_plane(
         for offset in _offsets(low, high, config.num_offsets):
             reflection = reflection_about(normal, offset)
             mirrored = apply(reflection, points)
-            overlap, contradiction = _judged(mirrored, views, tolerance_m)
+            overlap, contradiction = shares_against(mirrored, views, tolerance_m)
             if contradiction > config.max_contradiction:
                 continue
             grown = (max(high, 2 * offset - low) - min(low, 2 * offset - high)) / max(high - low, tolerance_m) - 1
@@ -80,8 +80,8 @@ def _offsets(low: float, high: float, count: int) -> NDArray[np.float64]:
     return np.concatenate([np.linspace((low + high) / 2, end, count // 2 + 1)[i:] for i, end in ((0, low), (1, high))])
 
 
-def _judged(mirrored: NDArray[np.float64], views: list[DepthView], tolerance_m: float) -> tuple[float, float]:
-    """Return the shares of mirrored points that fall on measured surface, and into space seen free (by any view)."""
+def shares_against(mirrored: NDArray[np.float64], views: list[DepthView], tolerance_m: float) -> tuple[float, float]:
+    """Return the shares of (N, 3) world points that fall on measured surface, and into space seen free, by any view."""
     on_surface = np.zeros(len(mirrored), dtype=bool)
     in_free = np.zeros(len(mirrored), dtype=bool)
     for view in views:

@@ -157,6 +157,18 @@ def test_the_gain_is_the_share_of_new_views_and_of_new_surface() -> None:
     assert gain_of(seen(1)) > gain_of(built(1, new_views=1000))
 
 
+def test_surface_that_is_gone_counts_twice() -> None:
+    shrunk = built(1)
+    asked_points = round(len(shrunk.solid.keys) / 0.8)
+    shrunk = replace(shrunk, shape_state=replace(shrunk.shape_state, asked_points=asked_points))
+    assert gain_of(shrunk) == pytest.approx(0.4, abs=0.01)
+    assert asked(shrunk, is_final=True) == [1]
+
+
+def test_at_the_end_points_without_a_view_are_enough() -> None:
+    assert asked(seen(1, num_views=0), is_final=True) == [1]
+
+
 def test_an_object_whose_shape_failed_too_often_is_set_aside() -> None:
     grown = failed(seen(1), failures=1)
     assert asked(grown) == [1]

@@ -1,0 +1,93 @@
+"""The vertical axis about which the front of an object is round: its back, where nobody looked, is round as well.
+
+Seen from above, the front of what is round is an arc as wide as the object: half as deep as wide. The front of a box is
+a line, or a corner. A front that an arc explains better than a line is turned by half a turn, unless the views saw free
+space there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.shapes.symmetry import shares_against
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.shapes.tsdf import DepthView
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RevolutionConfig:
+    """How round fronts are told.
+
+    The front is measured in `num_bins` across the width. The misfit of the arc, the root of its mean square, may be at
+    most `max_misfit` of the radius and `max_ratio` of the misfit of a line. At most `max_contradiction` of the turned
+    points may lie in space seen free.
+    """
+
+    num_bins: int = 13
+    max_misfit: float = 0.11
+    max_ratio: float = 0.7
+    max_contradiction: float = 0.12
+
+
+def half_turn_of(
+    points_world: NDArray[np.float64],
+    camera_world: NDArray[np.float64],
+    views: list[DepthView],
+    tolerance_m: float,
+    config: RevolutionConfig,
+) -> NDArray[np.float64] | None:
+    """Return world_from_turned (4, 4), half a turn about the vertical axis of a round object; None where it is not.
+
+    `points_world` (N, 3) are seen from `camera_world` (3,); `views` tell free space, `tolerance_m` is their noise.
+    """
+    forward = points_world[:, :2].mean(axis=0) - camera_world[:2]
+    distance = float(np.linalg.norm(forward))
+    if distance < 1e-6:
+        return None
+    forward /= distance
+    across = (points_world[:, :2] - camera_world[:2]) @ np.array([-forward[1], forward[0]])
+    ahead = (points_world[:, :2] - camera_world[:2]) @ forward
+    axis = _axis(across, ahead, config)
+    if axis is None:
+        return None
+    middle, depth = axis
+    center = camera_world[:2] + depth * forward + middle * np.array([-forward[1], forward[0]])
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    turn[:2, 3] = 2 * center
+    _, in_free = shares_against(apply(turn, points_world[:: max(len(points_world) // 800, 1)]), views, tolerance_m)
+    return turn if in_free <= config.max_contradiction else None
+
+
+def _axis(
+    across: NDArray[np.float64], ahead: NDArray[np.float64], config: RevolutionConfig
+) -> tuple[float, float] | None:
+    """Return where the axis is, across and ahead, of what is round as seen from above; None where it is not."""
+    low, high = np.quantile(across, [0.01, 0.99])
+    radius, middle = (high - low) / 2, (high + low) / 2
+    if not radius > 0:
+        return None
+    place = (across - low) / (2 * radius) * config.num_bins
+    fronts, places = [], []
+    for n in range(config.num_bins):
+        mine = ahead[(place >= n) & (place < n + 1)]
+        if len(mine) >= 3:
+            fronts.append(float(np.quantile(mine, 0.1)))
+            places.append(low + (n + 0.5) / config.num_bins * 2 * radius - middle)
+    if len(fronts) < 0.8 * config.num_bins:
+        return None
+    front, offset = np.array(fronts), np.array(places)
+    arc = np.sqrt(np.maximum((1.02 * radius) ** 2 - offset**2, 0.0))
+    depth = float(np.median(front + arc))
+    misfit = float(np.sqrt(np.mean((front + arc - depth) ** 2)))
+    line = np.polyval(np.polyfit(offset, front, 1), offset)
+    flat_misfit = float(np.sqrt(np.mean((front - line) ** 2)))
+    if misfit > config.max_misfit * radius or misfit > config.max_ratio * flat_misfit:
+        return None
+    return float(middle), depth
