@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+# A faced box is looked for in such steps, among rectangles this much larger than the smallest, with so many points.
+_FACE_STEP_DEG = 2.0
+_FACE_SLACK = 1.25
+_FACE_POINTS = 800
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OrientedBox:
     """A box: `world_from_box` (4, 4), its centre the origin of the box frame; `half_extents_m` (3,), all positive."""
@@ -76,23 +82,59 @@ def gravity_aligned_box(points_world: NDArray[Any], min_half_extent_m: float) ->
     """
     points = np.asarray(points_world, dtype=np.float64)
     hull = _hull_2d(points[:, :2])
-    edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
-    angles = np.unique(np.mod(np.arctan2(edges[:, 1], edges[:, 0]), np.pi / 2))
-    c, s = np.cos(angles), np.sin(angles)
-    along = hull @ np.stack([c, s])
-    across = hull @ np.stack([-s, c])
-    sizes = np.stack([np.ptp(along, axis=0), np.ptp(across, axis=0)])
+    angles = _side_angles(hull)
+    sizes, _ = _rectangles(hull, angles)
     best = int(np.argmin(sizes[0] * sizes[1] + 1e-9 * sizes.sum(axis=0)))
-    rotation = yaw_rotation(float(angles[best]))
+    return _upright_box(points, hull, float(angles[best]), min_half_extent_m)
+
+
+def faced_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedBox:
+    """Return the upright box around (N, 3) points, N >= 1, whose sides the points lie along.
+
+    Of a box whose front and one side were seen, the footprint is a triangle: the rectangle along its longest side is as
+    small as the true one. Of the rectangles that are hardly larger than the smallest, this is the one with the sides
+    closest to the points (the closeness criterion of Zhang et al., Efficient L-Shape Fitting, 2017).
+    """
+    points = np.asarray(points_world, dtype=np.float64)
+    hull = _hull_2d(points[:, :2])
+    angles = np.unique(np.concatenate([_side_angles(hull), np.deg2rad(np.arange(0, 90, _FACE_STEP_DEG))]))
+    sizes, lows = _rectangles(hull, angles)
+    areas = sizes[0] * sizes[1] + 1e-9 * sizes.sum(axis=0)
+    near = np.flatnonzero(areas <= _FACE_SLACK * areas.min())
+    some = points[:: max(1, len(points) // _FACE_POINTS), :2]
+    scores = np.empty(len(near))
+    for n, i in enumerate(near):
+        c, s = np.cos(angles[i]), np.sin(angles[i])
+        along, across = some @ np.array([c, s]) - lows[0, i], some @ np.array([-s, c]) - lows[1, i]
+        away = np.minimum(np.minimum(along, sizes[0, i] - along), np.minimum(across, sizes[1, i] - across))
+        scores[n] = (1.0 / np.maximum(away, 2 * min_half_extent_m)).sum()
+    return _upright_box(points, hull, float(angles[near[int(np.argmax(scores))]]), min_half_extent_m)
+
+
+def _side_angles(hull: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the directions of a hull's sides, within a quarter of a turn."""
+    edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
+    return np.unique(np.mod(np.arctan2(edges[:, 1], edges[:, 0]), np.pi / 2))
+
+
+def _rectangles(
+    hull: NDArray[np.float64], angles: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (2, A) sizes along and across each of A directions, and where they begin."""
+    c, s = np.cos(angles), np.sin(angles)
+    along, across = hull @ np.stack([c, s]), hull @ np.stack([-s, c])
+    sizes = np.stack([np.ptp(along, axis=0), np.ptp(across, axis=0)])
+    return sizes, np.stack([along.min(axis=0), across.min(axis=0)])
+
+
+def _upright_box(
+    points: NDArray[np.float64], hull: NDArray[np.float64], angle: float, min_half_extent_m: float
+) -> OrientedBox:
+    sizes, lows = _rectangles(hull, np.array([angle]))
+    rotation = yaw_rotation(angle)
     z_low, z_high = float(points[:, 2].min()), float(points[:, 2].max())
-    middle = rotation @ np.array(
-        [
-            (along[:, best].min() + along[:, best].max()) / 2,
-            (across[:, best].min() + across[:, best].max()) / 2,
-            (z_low + z_high) / 2,
-        ]
-    )
-    half = np.array([sizes[0, best], sizes[1, best], z_high - z_low]) / 2
+    middle = rotation @ np.array([*(lows[:, 0] + sizes[:, 0] / 2), (z_low + z_high) / 2])
+    half = np.array([*sizes[:, 0], z_high - z_low]) / 2
     return OrientedBox(
         world_from_box=from_rotation_translation(rotation, middle),
         half_extents_m=np.maximum(half, min_half_extent_m),

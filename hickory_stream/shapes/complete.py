@@ -33,8 +33,8 @@ class CompletionConfig:
     `min_piece_share`: a separate piece smaller than this share of the largest is dropped.
     """
 
-    min_hit_share: float = 0.3
-    max_free_ratio: float = 1.3
+    min_hit_share: float = 0.08
+    max_free_ratio: float = 0.9
     max_support_gap_m: float = 0.08
     min_hidden_m: float = 0.15
     max_hidden_m: float = 0.3

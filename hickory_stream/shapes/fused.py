@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.boxes import faced_box, gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _MARGIN_VOXELS = 3
 _MIN_POINTS = 20
+_MIN_HALF_EXTENT_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -82,8 +83,16 @@ class FusedReconstructor:
             )
             for crop in inputs.crops
         ]
-        inputs, views = completed_round(inputs, views, self._config)
+        inputs, views = completed_round(with_faced_box(inputs), views, self._config)
         return reconstruct_views(inputs, views, self._config.volume, self._config.completion)
+
+
+def with_faced_box(inputs: ShapeInputs) -> ShapeInputs:
+    """Return the inputs with a box along the sides that were seen: what was not seen is filled within it."""
+    points = inputs.points_world[inputs.box.contains(inputs.points_world, 1e-3)]
+    if len(points) < _MIN_POINTS:
+        return inputs
+    return replace(inputs, box=faced_box(points, _MIN_HALF_EXTENT_M))
 
 
 def completed_round(

@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from scipy.spatial.transform import Rotation
 
-from hickory_stream.geometry.boxes import OrientedBox, box_iou, gravity_aligned_box, intersection_volume_m3
+from hickory_stream.geometry.boxes import OrientedBox, box_iou, faced_box, gravity_aligned_box, intersection_volume_m3
 from hickory_stream.geometry.rigid import from_rotation_translation
 from tests.strategies import oriented_boxes, point_sets, rigid_transforms, seeds
 
@@ -224,3 +224,36 @@ def test_a_cloud_without_volume_gets_a_box_of_the_least_thickness(
     assert sorted(a.half_extents_m[:2]) == pytest.approx(sorted(half[:2]), abs=1e-6)
     assert a.half_extents_m[2] == pytest.approx(half[2], abs=1e-6)
     assert a.contains(np.array(points), 1e-6).all()
+
+
+def two_sides(yaw_rad: float, width_m: float = 1.2, depth_m: float = 0.5) -> np.ndarray:
+    """The front and a part of one side of a cupboard, as a camera sees them."""
+    along = np.linspace(0, 1, 60)
+    front = np.stack([width_m * along, 0 * along], axis=1)
+    side = np.stack([0 * along, 0.7 * depth_m * along], axis=1)
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    flat = np.concatenate([front, side]) @ np.array([[c, s], [-s, c]])
+    return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in (0.0, 0.4, 0.8)])
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 7, 30, 62, 88])
+def test_a_faced_box_lies_along_the_sides_that_were_seen(yaw_deg: float) -> None:
+    noise = np.random.default_rng(2).normal(size=(360, 3)) * 0.004
+    box = faced_box(two_sides(np.deg2rad(yaw_deg)) + noise, 0.01)
+    heading = np.rad2deg(np.arctan2(box.world_from_box[1, 0], box.world_from_box[0, 0]))
+    off = (heading - yaw_deg + 45) % 90 - 45
+    assert abs(off) <= 3
+    assert np.sort(2 * box.half_extents_m) == pytest.approx([0.35, 0.8, 1.2], abs=0.06)
+
+
+def test_a_faced_box_of_one_point_has_the_least_size() -> None:
+    box = faced_box(np.array([[1.0, 2.0, 3.0]]), 0.01)
+    assert box.center == pytest.approx([1, 2, 3])
+    assert box.half_extents_m == pytest.approx([0.01, 0.01, 0.01])
+
+
+@given(point_sets())
+def test_a_faced_box_holds_all_points_in_little_more_than_the_smallest(points: np.ndarray) -> None:
+    box, smallest = faced_box(points, 0.01), gravity_aligned_box(points, 0.01)
+    assert box.contains(points, 1e-6 * (1 + float(np.abs(points).max()))).all()
+    assert box.volume_m3 <= 1.6 * smallest.volume_m3
