@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import cv2
+import numba
 import numpy as np
 
 if TYPE_CHECKING:
@@ -79,8 +80,8 @@ class ColorTextureDescriptor:
         # Half the resolution: a quarter of the time, and a patch still has 49 pixels.
         small = cv2.resize(padded, (padded.shape[1] // 2, padded.shape[0] // 2), interpolation=cv2.INTER_AREA)
         lab = cv2.cvtColor(small.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)
-        channels = [*_lightness(lab), *_hues(lab), *_gradients(lab[..., 0], 0.5), *_gradients(lab[..., 0], 1)]
-        pooled = np.stack([cv2.resize(c, (columns, rows), interpolation=cv2.INTER_AREA) for c in channels], axis=-1)
+        light = np.ascontiguousarray(lab[..., 0])
+        pooled = _pooled(lab, *_gradients(light, 0.5), *_gradients(light, 1.0), self.patch_px // 2)
         # Square roots make the inner product of two histograms their Bhattacharyya coefficient.
         features = np.sqrt(np.maximum(pooled, 0.0)) + 1e-4
         features /= np.linalg.norm(features, axis=-1, keepdims=True)
@@ -112,30 +113,45 @@ def mask_feature(observation: Observation, features: NDArray[np.float32], patch_
     )
 
 
-def _lightness(lab: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-    position = lab[..., 0] / 100 * (_LIGHT_BINS - 1)
-    return [np.maximum(0, 1 - np.abs(position - i)).astype(np.float32) for i in range(_LIGHT_BINS)]
-
-
-def _hues(lab: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-    chroma = np.minimum(np.hypot(lab[..., 1], lab[..., 2]) / 40, 1)
-    position = np.mod(np.arctan2(lab[..., 2], lab[..., 1]) / (2 * np.pi) * _HUE_BINS, _HUE_BINS)
-    hues = []
-    for i in range(_HUE_BINS):
-        distance = np.abs(position - i)
-        distance = np.minimum(distance, _HUE_BINS - distance)
-        hues.append((2 * chroma * np.maximum(0, 1 - distance)).astype(np.float32))
-    return [*hues, (1 - chroma).astype(np.float32)]
-
-
-def _gradients(light: NDArray[np.float32], scale: float) -> list[NDArray[np.float32]]:
+def _gradients(light: NDArray[np.float32], scale: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     small = cv2.GaussianBlur(light, (0, 0), 0.7 * scale)
-    gx, gy = cv2.Sobel(small, cv2.CV_32F, 1, 0), cv2.Sobel(small, cv2.CV_32F, 0, 1)
-    strength = np.minimum(np.hypot(gx, gy) / 40, 2)
-    position = np.mod(np.arctan2(gy, gx) / np.pi * _ORIENTATIONS, _ORIENTATIONS)
-    parts = []
-    for i in range(_ORIENTATIONS):
-        distance = np.abs(position - i)
-        distance = np.minimum(distance, _ORIENTATIONS - distance)
-        parts.append((0.5 * strength * np.maximum(0, 1 - distance)).astype(np.float32))
-    return parts
+    return cv2.Sobel(small, cv2.CV_32F, 1, 0), cv2.Sobel(small, cv2.CV_32F, 0, 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _pooled(lab, fine_x, fine_y, coarse_x, coarse_y, side):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (h, w, 30) soft histograms of patches of `side` pixels: every pixel is shared by the two nearest bins."""
+    rows, columns = lab.shape[0] // side, lab.shape[1] // side
+    out = np.zeros((rows, columns, _LIGHT_BINS + _HUE_BINS + 1 + 2 * _ORIENTATIONS), np.float32)
+    share = 1.0 / (side * side)
+    grey = _LIGHT_BINS + _HUE_BINS
+    for row in range(rows * side):
+        for column in range(columns * side):
+            bins = out[row // side, column // side]
+            light, a, b = lab[row, column, 0], lab[row, column, 1], lab[row, column, 2]
+            position = min(max(light / 100.0 * (_LIGHT_BINS - 1), 0.0), _LIGHT_BINS - 1.0)
+            low = min(int(position), _LIGHT_BINS - 2)
+            bins[low] += share * (1.0 - (position - low))
+            bins[low + 1] += share * (position - low)
+            chroma = min(np.sqrt(a * a + b * b) / 40.0, 1.0)
+            if chroma > 0.0:
+                _add(bins, _LIGHT_BINS, _HUE_BINS, np.arctan2(b, a) / (2 * np.pi), share * 2.0 * chroma)
+            bins[grey] += share * (1.0 - chroma)
+            for scale in range(2):
+                gx = fine_x[row, column] if scale == 0 else coarse_x[row, column]
+                gy = fine_y[row, column] if scale == 0 else coarse_y[row, column]
+                strength = min(np.sqrt(gx * gx + gy * gy) / 40.0, 2.0)
+                if strength > 0.0:
+                    first = grey + 1 + scale * _ORIENTATIONS
+                    _add(bins, first, _ORIENTATIONS, np.arctan2(gy, gx) / np.pi, share * 0.5 * strength)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _add(bins, first, count, turns, weight):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Share a weight between the two of `count` cyclic bins, from `first` on, that are nearest to so many turns."""
+    position = (turns - np.floor(turns)) * count
+    low = int(position)
+    rest = position - low
+    bins[first + low % count] += weight * (1.0 - rest)
+    bins[first + (low + 1) % count] += weight * rest
