@@ -61,9 +61,10 @@ class Pairs:
 
     Sums over neighbouring pixels: `meet` all, `touch` those that meet in 3D, and over these `lean` (how far the normals
     lean towards each other, per distance), `concave` (how many do), `parallel` (cosine of the normals), `contrast`
-    (Lab, lightness at half weight), `step_m` (distance), `seam` (3) and `seam_squares` (3); `far_contrast` over the
-    others. `nearer` (2): pixels where a, where b is before the other; `above` (2): where a, where b is above the other
-    in the image. `bridged` (2): lines that bridge what hides a level and an upright plane of theirs (`hidden`).
+    (Lab, lightness at half weight), `step_m` (distance), `seam` (3) and `seam_squares` (3), the places of the pixels
+    whose label is lower; `far_contrast` over the others. `nearer` (2): pixels where a, where b is before the other;
+    `above` (2): where a, where b is above the other in the image. `bridged` (2): lines that bridge what hides a level
+    and an upright plane of theirs (`hidden`).
     `gap_m`: the least distance found, infinite beyond reach.
     """
 

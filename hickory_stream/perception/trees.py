@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from hickory_stream.errors import ConfigError
+from hickory_stream.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -75,17 +76,17 @@ def load_trees(path: Path) -> Trees:
     """Return the trees in a file.
 
     Raises:
-        ConfigError: the file is not there or holds no such trees.
+        ModelError: the file is not there or holds no such trees.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             trees = Trees(
                 features=tuple(str(name) for name in file["features"]),
                 baseline=float(file["baseline"]),
                 **{name: file[name] for name in _ARRAYS},
             )
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise ConfigError(f"{path} holds no trees as tools/train_segmenter writes them: {error}") from error
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ModelError(f"{path} holds no trees as tools/train_segmenter writes them: {error}") from error
     _check(trees, path)
     return trees
 
@@ -97,13 +98,13 @@ def _check(trees: Trees, path: Path) -> None:
     own = np.arange(count)
     for name in _ARRAYS[1:]:
         if len(getattr(trees, name)) != count:
-            raise ConfigError(f"{path}: {len(getattr(trees, name))} of {name} for {count} nodes")
+            raise ModelError(f"{path}: {len(getattr(trees, name))} of {name} for {count} nodes")
     for name in ("left", "right"):
         next_node = getattr(trees, name)
         if ((next_node <= own) | (next_node >= count))[inner].any():
-            raise ConfigError(f"{path}: a node leads {name} to none that comes after it")
+            raise ModelError(f"{path}: a node leads {name} to none that comes after it")
     if (trees.feature >= len(trees.features)).any() or (trees.roots < 0).any() or (trees.roots >= count).any():
-        raise ConfigError(f"{path}: a node asks for an input, or a tree begins at a node, that is not there")
+        raise ModelError(f"{path}: a node asks for an input, or a tree begins at a node, that is not there")
 
 
 @numba.njit(cache=True, nogil=True)
