@@ -38,7 +38,7 @@ class JoinConfig:
         gap_m: fragments that do not meet are looked at together up to this distance.
     """
 
-    probability: float = 0.4
+    probability: float = 0.55
     rounds: int = 12
     reach_px: int = 3
     gap_m: float = 0.2
