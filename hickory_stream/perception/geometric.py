@@ -15,9 +15,10 @@ from hickory_stream.perception.fragments import FragmentConfig, concave_creases,
 from hickory_stream.perception.join import JoinConfig, join_fragments
 from hickory_stream.perception.masks import enlarged, hidden_shares, why_no_object
 from hickory_stream.perception.pieces import label_boxes
-from hickory_stream.perception.scenery import scenery_of
+from hickory_stream.perception.scenery import Scenery, scenery_of
 from hickory_stream.perception.structure import StructureConfig
 from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
+from hickory_stream.perception.trees import Trees, embedded_trees
 from hickory_stream.records import RejectedMask, Segmentation
 
 if TYPE_CHECKING:
@@ -47,11 +48,25 @@ class GeometricConfig:
     support_area_m2: float = 0.03
 
 
-class GeometricSegmenter:
-    """Segments frames by geometry and colour; it has no state but its configuration."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Fragments:
+    """A frame in pieces at working resolution (h, w): `labels` 1..n, and the supporting plane of each pixel or 0."""
 
-    def __init__(self, config: GeometricConfig) -> None:
+    surface: Surface
+    scenery: Scenery
+    supports: NDArray[np.int32]
+    labels: NDArray[np.int32]
+
+
+class GeometricSegmenter:
+    """Segments frames by geometry and colour; it has no state but its configuration.
+
+    `trees` tell what is one thing; None: those of the package.
+    """
+
+    def __init__(self, config: GeometricConfig, trees: Trees | None = None) -> None:
         self._config = config
+        self._trees = trees or embedded_trees()
 
     def prepare(self, frame: Frame) -> Surface:
         """Return the surface of a frame: what takes longest of it, and needs no map."""
@@ -60,22 +75,29 @@ class GeometricSegmenter:
     def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
         config = self._config
-        surface = prepared if isinstance(prepared, Surface) else self.prepare(frame)
-        scenery = scenery_of(surface, prior, config.structure, config.support_area_m2)
-        areas_m2, floor_z_m, structure = scenery.areas_m2, scenery.floor_z_m, scenery.structure
-        heights = np.array([p.z_m for p in scenery.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
-        supports = support_labels(surface, heights, min_pixels=config.min_area_px)
-        creases = concave_creases(surface, config.fragments)
-        labels = fragments_of(surface, structure, supports, creases, config.fragments)
-        labels = join_fragments(surface, labels, supports, areas_m2, structure, floor_z_m, config.join)
+        pieces = self.fragments(frame, prior, prepared)
+        surface, structure = pieces.surface, pieces.scenery.structure
+        labels = join_fragments(surface, pieces.labels, pieces.supports, pieces.scenery, self._trees, config.join)
         labels, rejected = _usable(surface, labels, config)
         size = (frame.camera.width, frame.camera.height)
         return Segmentation(
             instances=enlarged(labels, surface.factor, size),
             structure=enlarged(structure.astype(np.uint8), surface.factor, size) > 0,
-            floor_z_m=floor_z_m,
+            floor_z_m=pieces.scenery.floor_z_m,
             rejected=rejected,
         )
+
+    def fragments(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Fragments:
+        """Return the pieces that a frame falls into, before any are joined."""
+        config = self._config
+        surface = prepared if isinstance(prepared, Surface) else self.prepare(frame)
+        scenery = scenery_of(surface, prior, config.structure, config.support_area_m2)
+        floor_z_m = scenery.floor_z_m
+        heights = np.array([p.z_m for p in scenery.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
+        supports = support_labels(surface, heights, min_pixels=config.min_area_px)
+        creases = concave_creases(surface, config.fragments)
+        labels = fragments_of(surface, scenery.structure, supports, creases, config.fragments)
+        return Fragments(surface=surface, scenery=scenery, supports=supports, labels=labels)
 
 
 def _usable(

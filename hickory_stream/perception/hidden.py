@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HiddenConfig:
-    """When two pieces are one behind what hides it.
+    """When a plane comes into view again, and when two parts are one behind what hides it.
 
     Attributes:
         gap_m: as far as a plane is followed.
-        tolerance_m: distance from the plane, beside 3 sigma, at which it comes into view again.
-        min_lines: of every other row and column, so many must bridge two pieces ...
+        tolerance_m: distance from it, beside 3 sigma, that is still in it.
+        min_lines: of every other row and column, so many must bridge two parts ...
         min_share: ... and as many as this share of the square root of the smaller one's pixels.
         other_lines: so many of them must bridge a level plane of theirs, and so many an upright one.
     """
@@ -38,10 +38,10 @@ class HiddenConfig:
     other_lines: int = 2
 
 
-def bridges(surface: Surface, labels: NDArray[np.int32], config: HiddenConfig) -> list[tuple[int, int]]:
-    """Return the pairs of labels that are one thing behind what is before it."""
+def bridges(surface: Surface, labels: NDArray[np.int32], config: HiddenConfig) -> NDArray[np.int64]:
+    """Return (M, 3) two labels and whether their plane is level, for every other row and column that bridges them."""
     camera = surface.camera
-    found = _bridges(
+    found: NDArray[np.int64] = _bridges(
         surface.depth_m,
         surface.points_world,
         surface.normals_world,
@@ -53,19 +53,19 @@ def bridges(surface: Surface, labels: NDArray[np.int32], config: HiddenConfig) -
         np.float32(config.gap_m),
         np.float32(config.tolerance_m),
     )
-    pixels = np.bincount(labels.ravel())
-    count = len(pixels)
-    level = found[:, 2] > 0
-    key = np.minimum(found[:, 0], found[:, 1]) * count + np.maximum(found[:, 0], found[:, 1])
-    pairs: list[tuple[int, int]] = []
-    for pair in np.unique(key):
-        of_pair = key == pair
-        a, b = int(pair) // count, int(pair) % count
-        num_level, num_steep = int((of_pair & level).sum()), int((of_pair & ~level).sum())
-        least = max(config.min_lines, config.min_share * float(np.sqrt(min(pixels[a], pixels[b]))))
-        if max(num_level, num_steep) >= least and min(num_level, num_steep) >= config.other_lines:
-            pairs.append((a, b))
-    return pairs
+    return found
+
+
+def are_one_behind(
+    level: NDArray[np.float64], upright: NDArray[np.float64], pixels: NDArray[np.float64], config: HiddenConfig
+) -> NDArray[np.bool_]:
+    """Return (K,) which pairs are one thing behind what is before it.
+
+    `level` and `upright` count the lines that bridge a plane of theirs, `pixels` are those of the smaller part.
+    """
+    most, other = np.maximum(level, upright), np.minimum(level, upright)
+    enough = np.maximum(config.min_lines, config.min_share * np.sqrt(pixels))
+    return np.asarray((most >= enough) & (other >= config.other_lines))
 
 
 @numba.njit(cache=True, nogil=True)

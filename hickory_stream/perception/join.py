@@ -1,7 +1,8 @@
-"""Joining fragments into things: along their seams, planes with their legs, and what would fall with what holds it.
+"""Joining fragments into things: by rounds, those that learned trees take for one thing.
 
-The order is fixed (seams, what goes on behind something, legs, floating pieces by rounds), and within each step only
-the set of pairs counts.
+A round looks at every two groups of fragments that meet, nearly meet or are bridged behind what hides them, and joins
+those that are likelier one thing with each other than with any third group. The next round sees the groups. Planes that
+go on behind what hides them prove what trees only guess.
 """
 
 from __future__ import annotations
@@ -11,42 +12,37 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.perception.floating import FloatConfig, Loose, holders
-from hickory_stream.perception.hidden import HiddenConfig, bridges
-from hickory_stream.perception.pieces import measure
-from hickory_stream.perception.rules import (
-    RuleConfig,
-    Scene,
-    bare_planes,
-    carriers,
-    is_back,
-    is_one_thing,
-    legs,
-    seats,
-)
-from hickory_stream.perception.seams import contacts_of, seams_of
-from hickory_stream.perception.standing import standing_of
+from hickory_stream.perception.affinity import pair_features
+from hickory_stream.perception.hidden import HiddenConfig, are_one_behind
+from hickory_stream.perception.parts import measure
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
+    from hickory_stream.perception.parts import Measures
+    from hickory_stream.perception.scenery import Scenery
     from hickory_stream.perception.surface import Surface
+    from hickory_stream.perception.trees import Trees
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JoinConfig:
-    """How fragments are joined.
+    """How fragments are joined; the trees were grown with the defaults of `reach_px`, `gap_m` and `hidden`.
 
     Attributes:
+        probability: two groups are joined from this probability of being one thing.
+        rounds: at most so many.
         reach_px: pixels are neighbours across fewer than this many pixels without a label.
+        gap_m: fragments that do not meet are looked at together up to this distance.
     """
 
-    rules: RuleConfig = field(default_factory=RuleConfig)
-    floating: FloatConfig = field(default_factory=FloatConfig)
-    hidden: HiddenConfig = field(default_factory=HiddenConfig)
+    probability: float = 0.55
+    rounds: int = 12
     reach_px: int = 3
+    gap_m: float = 0.2
+    hidden: HiddenConfig = field(default_factory=HiddenConfig)
 
 
 class Groups:
@@ -61,13 +57,10 @@ class Groups:
             ra, rb = self._root(a), self._root(b)
             self._parent[max(ra, rb)] = min(ra, rb)
 
-    def roots(self) -> NDArray[np.int64]:
-        """Return (n,) the name of each label's group."""
-        return np.array([self._root(i) for i in range(len(self._parent))])
-
     def numbers(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return (n,) the groups numbered without gaps in the order of their names, and the names (groups,)."""
-        names, numbers = np.unique(self.roots(), return_inverse=True)
+        roots = np.array([self._root(i) for i in range(len(self._parent))])
+        names, numbers = np.unique(roots, return_inverse=True)
         return numbers, names
 
     def _root(self, i: int) -> int:
@@ -76,54 +69,76 @@ class Groups:
         return i
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Round:
+    """What a round of joining looks at: `numbers` (n,) the group of each fragment, `pairs` (K, 2) of groups."""
+
+    numbers: NDArray[np.int64]
+    pairs: NDArray[np.int64]
+    features: Mapping[str, NDArray[np.float64]]
+
+
 def join_fragments(
     surface: Surface,
     labels: NDArray[np.int32],
     supports: NDArray[np.int32],
-    areas_m2: NDArray[np.float32],
-    structure: NDArray[np.bool_],
-    floor_z_m: float | None,
+    scenery: Scenery,
+    trees: Trees,
     config: JoinConfig,
 ) -> NDArray[np.int32]:
     """Return (h, w) instance labels 1..n: joined fragments, numbered in the order of their first fragment."""
-    count = int(labels.max()) + 1
-    if count == 1:
+    measures = measured(surface, labels, supports, scenery, config)
+    if measures is None:
         return labels
-    level = (surface.normals_world[..., 2] > 0.7) | (supports > 0)
-    heights = surface.points_world[..., 2]
-    contacts = contacts_of(surface, np.where(structure, np.int32(count), labels), config.reach_px)
-    pieces = measure(surface, labels, supports, areas_m2)
-    scene = Scene(
-        surface=surface,
-        labels=labels,
-        pieces=pieces,
-        standing=standing_of(contacts, np.arange(count + 1), heights, level),
-        is_seat=seats(pieces, floor_z_m, config.rules),
+    numbers = np.arange(len(measures.parts.pixels))
+    for step in rounds(measures, trees.probabilities, config):
+        numbers = step.numbers
+    return numbers.astype(np.int32)[labels]
+
+
+def measured(
+    surface: Surface, labels: NDArray[np.int32], supports: NDArray[np.int32], scenery: Scenery, config: JoinConfig
+) -> Measures | None:
+    """Return what is measured of fragments before they are joined; None where there are none."""
+    if not labels.any():
+        return None
+    return measure(
+        surface,
+        labels,
+        supports,
+        scenery.areas_m2,
+        scenery.structure,
+        scenery.floor_z_m,
+        reach_px=config.reach_px,
+        gap_m=config.gap_m,
+        hidden=config.hidden,
     )
-    groups = Groups(count)
-    seams = seams_of(surface, contacts, count)
-    groups.unite((seam.a, seam.b) for seam in seams if is_one_thing(scene, seam, config.rules))
-    # By groups: the top of a box is a fragment of its own where it is a supporting plane.
-    numbers, first = groups.numbers()
-    hidden = bridges(surface, numbers.astype(np.int32)[labels], config.hidden)
-    groups.unite((int(first[a]), int(first[b])) for a, b in hidden)
-    groups.unite(legs(scene, contacts, groups.roots(), config.rules))
-    is_bare = bare_planes(pieces, groups.roots(), config.rules)
-    groups.unite((seam.a, seam.b) for seam in seams if is_back(scene, seam, is_bare, config.rules))
-    is_carrier = carriers(scene, config.rules)
-    for _ in range(config.floating.rounds):
-        numbers, first = groups.numbers()
-        joined = numbers.astype(np.int32)[labels]
-        pieces = measure(surface, joined, supports, areas_m2)
-        loose = Loose(
-            groups=joined,
-            pieces=pieces,
-            standing=standing_of(contacts, np.append(numbers, len(first)), heights, level),
-            carries=np.bincount(numbers, weights=is_carrier, minlength=len(first)) > 0,
-            is_seat=seats(pieces, floor_z_m, config.rules),
+
+
+def rounds(
+    measures: Measures,
+    probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]],
+    config: JoinConfig,
+) -> Iterator[Round]:
+    """Yield the rounds of joining by the `probabilities` of features, from single fragments to the final groups."""
+    groups = Groups(len(measures.parts.pixels))
+    for i in range(config.rounds + 1):
+        numbers, names = groups.numbers()
+        pairs, features = pair_features(measures, numbers, len(names))
+        yield Round(numbers=numbers, pairs=pairs, features=features)
+        # Seen so rarely that trees learn little of it, and certain.
+        proven = are_one_behind(
+            features["bridged_level"], features["bridged_upright"], np.exp(features["small_pixels"]), config.hidden
         )
-        pairs = holders(surface, loose, config.floating)
-        if not pairs:
-            break
-        groups.unite((int(first[i]), int(first[j])) for i, j in pairs)
-    return groups.numbers()[0].astype(np.int32)[labels]
+        chosen = _closest(pairs, np.where(proven, 1.0, probabilities(features)), len(names), config.probability)
+        if len(chosen) == 0 or i == config.rounds:
+            return
+        groups.unite((int(names[a]), int(names[b])) for a, b in chosen)
+
+
+def _closest(pairs: NDArray[np.int64], probability: NDArray[np.float64], count: int, least: float) -> NDArray[np.int64]:
+    """Return the (M, 2) pairs that are likely enough, and for both of which no other pair is likelier."""
+    best = np.zeros(count)
+    for side in (0, 1):
+        np.maximum.at(best, pairs[:, side], probability)
+    return pairs[(probability >= least) & (probability >= best[pairs].max(axis=1))]

@@ -1,4 +1,4 @@
-"""Where fragments meet: neighbouring pixels of different labels, and the seams that those that touch in 3D form.
+"""Where fragments meet: neighbouring pixels of different labels, and which of them touch in 3D.
 
 Structure takes part under a label of its own, so that what stands on the floor is found like what stands on a table.
 """
@@ -37,15 +37,6 @@ class Contacts:
     cut_px: NDArray[np.int64]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Seam:
-    """Where fragments a < b touch in 3D: (N, 3) points of a, one for each pair of neighbouring pixels."""
-
-    a: int
-    b: int
-    points_world: NDArray[np.float32]
-
-
 def contacts_of(surface: Surface, scene: NDArray[np.int32], reach_px: int) -> Contacts:
     """Return the contacts of a label image (h, w), across at most `reach_px - 1` pixels without a label."""
     pairs = _contacts(scene, reach_px)
@@ -70,22 +61,6 @@ def contacts_of(surface: Surface, scene: NDArray[np.int32], reach_px: int) -> Co
         cut=scene.ravel()[border],
         cut_px=border,
     )
-
-
-def seams_of(surface: Surface, contacts: Contacts, num_labels: int) -> list[Seam]:
-    """Return the seams between the labels 1..num_labels - 1, in the order of their labels."""
-    chosen = contacts.touches & (contacts.here < num_labels) & (contacts.there < num_labels)
-    low = np.minimum(contacts.here, contacts.there)[chosen].astype(np.int64)
-    high = np.maximum(contacts.here, contacts.there)[chosen].astype(np.int64)
-    key, at = low * num_labels + high, surface.points_world.reshape(-1, 3)[contacts.here_px[chosen]]
-    order = np.argsort(key, kind="stable")
-    key, at = key[order], at[order]
-    starts = np.flatnonzero(np.diff(key, prepend=-1))
-    ends = np.append(starts, len(key))[1:]
-    return [
-        Seam(a=int(key[i]) // num_labels, b=int(key[i]) % num_labels, points_world=at[i:j])
-        for i, j in zip(starts, ends, strict=True)
-    ]
 
 
 @numba.njit(cache=True, nogil=True)

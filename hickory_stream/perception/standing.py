@@ -32,20 +32,6 @@ class Standing:
     free: NDArray[np.int64]
     on: NDArray[np.int64]
 
-    def floats(self) -> NDArray[np.bool_]:
-        """Return (count,) which pieces would fall if nothing else held them."""
-        grounded = self.on.sum(axis=1)
-        return (self.free > 0.5 * self.outline) & (grounded < 0.1 * self.outline)
-
-    def carries(self) -> NDArray[np.bool_]:
-        """Return (count,) which pieces have another one standing on them."""
-        stands = self.on[:, :-1] > np.maximum(2.0, 0.25 * self.outline)[:, None]
-        return np.asarray(stands.any(axis=0))
-
-    def stands_on(self, piece: int, carrier: int) -> bool:
-        """Return whether a good part of a piece's foot is on another piece (`carrier` = count: on structure)."""
-        return bool(self.on[piece, carrier] > max(2.0, 0.25 * self.outline[piece]))
-
 
 def standing_of(
     contacts: Contacts, pieces: NDArray[np.int64], heights_m: NDArray[np.float32], level: NDArray[np.bool_]

@@ -1,0 +1,319 @@
+"""What is measured of the fragments of a frame, and of every two of them that meet or nearly do.
+
+All measures are sums, least or greatest values: those of a group of fragments follow from those of its members, so that
+joining needs no second look at the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from hickory_stream.perception.hidden import bridges
+from hickory_stream.perception.pieces import lab_of
+from hickory_stream.perception.seams import contacts_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.hidden import HiddenConfig
+    from hickory_stream.perception.seams import Contacts
+    from hickory_stream.perception.surface import Surface
+
+HEIGHT_BIN_M = 0.01
+_CONCAVE = 0.15
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Parts:
+    """Measures of n parts, row 0 is nothing; all arrays (n, ...).
+
+    Sums over pixels: `pixels`, `area_m2`, `depth_m`, `lab` (n, 3) and `lab_squares` (n, 3), `place` (n, 3) and
+    `place_products` (n, 6: xx xy xz yy yz zz) from the middle of the frame's surface, `normals` (n, 3), `planes`
+    (n, 1 + planes) pixels in no plane and in each supporting plane, `heights` (n, bins) a histogram from `bottom_m` up;
+    of the outline: `outline` all of it, `cut` what the image's border cuts; `members`: fragments in it.
+    `low`, `high` (n, 3): the box of its points.
+    """
+
+    pixels: NDArray[np.float64]
+    area_m2: NDArray[np.float64]
+    depth_m: NDArray[np.float64]
+    lab: NDArray[np.float64]
+    lab_squares: NDArray[np.float64]
+    place: NDArray[np.float64]
+    place_products: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    planes: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    outline: NDArray[np.float64]
+    cut: NDArray[np.float64]
+    members: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Pairs:
+    """Measures of K pairs of parts a < b that are neighbours in the image, near in space or bridged; arrays (K, ...).
+
+    Sums over neighbouring pixels: `meet` all, `touch` those that meet in 3D, and over these `lean` (how far the normals
+    lean towards each other, per distance), `concave` (how many do), `parallel` (cosine of the normals), `contrast`
+    (Lab, lightness at half weight), `step_m` (distance), `seam` (3) and `seam_squares` (3), the places of the pixels
+    whose label is lower; `far_contrast` over the others. `nearer` (2): pixels where a, where b is before the other;
+    `above` (2): where a, where b is above the other in the image. `bridged` (2): lines that bridge what hides a level
+    and an upright plane of theirs (`hidden`).
+    `gap_m`: the least distance found, infinite beyond reach.
+    """
+
+    a: NDArray[np.int64]
+    b: NDArray[np.int64]
+    meet: NDArray[np.float64]
+    touch: NDArray[np.float64]
+    lean: NDArray[np.float64]
+    concave: NDArray[np.float64]
+    parallel: NDArray[np.float64]
+    contrast: NDArray[np.float64]
+    far_contrast: NDArray[np.float64]
+    step_m: NDArray[np.float64]
+    seam: NDArray[np.float64]
+    seam_squares: NDArray[np.float64]
+    nearer: NDArray[np.float64]
+    above: NDArray[np.float64]
+    bridged: NDArray[np.float64]
+    gap_m: NDArray[np.float64]
+
+
+_PART_SUMS = tuple(name for name in Parts.__slots__ if name not in ("low", "high"))
+_PAIR_SUMS = tuple(name for name in Pairs.__slots__ if name not in ("a", "b", "nearer", "above", "gap_m"))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Measures:
+    """The fragments of a frame as they were measured: themselves, their pairs, and what they stand on.
+
+    `labels` (h, w) the fragments; `middle` (3,) and `bottom_m`: from where places and heights count; `floor_z_m`: NaN
+    where no floor is known; `level` (h, w): pixels on which something can stand, `heights_m` (h, w) above any level.
+    """
+
+    labels: NDArray[np.int32]
+    parts: Parts
+    pairs: Pairs
+    contacts: Contacts
+    middle: NDArray[np.float64]
+    bottom_m: float
+    floor_z_m: float
+    level: NDArray[np.bool_]
+    heights_m: NDArray[np.float32]
+
+
+def measure(
+    surface: Surface,
+    labels: NDArray[np.int32],
+    supports: NDArray[np.int32],
+    areas_m2: NDArray[np.float32],
+    structure: NDArray[np.bool_],
+    floor_z_m: float | None,
+    *,
+    reach_px: int,
+    gap_m: float,
+    hidden: HiddenConfig,
+) -> Measures:
+    """Return the measures of the fragments `labels` (h, w), of which there is at least one.
+
+    Pixels are neighbours across fewer than `reach_px` pixels without a label; parts are near up to `gap_m`.
+    """
+    count = int(labels.max()) + 1
+    used = np.flatnonzero(labels.ravel())
+    names = labels.ravel()[used]
+    points = surface.points_world.reshape(-1, 3)[used].astype(np.float64)
+    middle, bottom_m = points.mean(axis=0), float(points[:, 2].min())
+    contacts = contacts_of(surface, np.where(structure, np.int32(count), labels), reach_px)
+    lab = lab_of(surface.rgb).reshape(-1, 3)
+
+    def total(values: NDArray[np.float64] | NDArray[np.float32]) -> NDArray[np.float64]:
+        columns = values.reshape(len(names), -1).T
+        summed = np.stack([np.bincount(names, weights=column, minlength=count) for column in columns], axis=1)
+        return np.asarray(summed.reshape(count, *values.shape[1:]))
+
+    def histogram(bins: NDArray[np.int64]) -> NDArray[np.float64]:
+        width = int(bins.max()) + 1
+        key = names.astype(np.int64) * width + bins
+        return np.bincount(key, minlength=count * width).reshape(count, width).astype(np.float64)
+
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    for axis in range(3):
+        np.minimum.at(low[:, axis], names, points[:, axis])
+        np.maximum.at(high[:, axis], names, points[:, axis])
+    place = points - middle
+    ends = np.concatenate([contacts.here, contacts.there, contacts.cut])
+    parts = Parts(
+        pixels=np.bincount(names, minlength=count).astype(np.float64),
+        area_m2=total(areas_m2.ravel()[used]),
+        depth_m=total(surface.depth_m.ravel()[used]),
+        lab=total(lab[used]),
+        lab_squares=total(lab[used] ** 2),
+        place=total(place),
+        place_products=total(place[:, [0, 0, 0, 1, 1, 2]] * place[:, [0, 1, 2, 1, 2, 2]]),
+        normals=total(np.nan_to_num(surface.normals_world.reshape(-1, 3)[used])),
+        planes=histogram(supports.ravel()[used].astype(np.int64)),
+        heights=histogram(((points[:, 2] - bottom_m) / HEIGHT_BIN_M).astype(np.int64)),
+        outline=np.bincount(ends, minlength=count + 1)[:count].astype(np.float64),
+        cut=np.bincount(contacts.cut, minlength=count + 1)[:count].astype(np.float64),
+        members=np.minimum(np.arange(count), 1).astype(np.float64),
+        low=low,
+        high=high,
+    )
+    reach = np.float32(gap_m * max(surface.camera.fx, surface.camera.fy))
+    gaps = _gaps(labels, surface.depth_m, surface.points_world, count, reach, np.float32(gap_m))
+    return Measures(
+        labels=labels,
+        parts=parts,
+        pairs=_pairs(surface, lab, contacts, count, middle, gaps, bridges(surface, labels, hidden)),
+        contacts=contacts,
+        middle=middle,
+        bottom_m=bottom_m,
+        floor_z_m=np.nan if floor_z_m is None else floor_z_m,
+        level=(surface.normals_world[..., 2] > 0.7) | (supports > 0),
+        heights_m=surface.points_world[..., 2],
+    )
+
+
+def grouped_parts(parts: Parts, numbers: NDArray[np.int64], count: int) -> Parts:
+    """Return the measures of `count` groups; `numbers` (n,) names the group of each part."""
+    member = (numbers == np.arange(count)[:, None]).astype(np.float64)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, numbers, parts.low)
+    np.maximum.at(high, numbers, parts.high)
+    return Parts(low=low, high=high, **{name: member @ getattr(parts, name) for name in _PART_SUMS})
+
+
+def grouped_pairs(pairs: Pairs, numbers: NDArray[np.int64]) -> Pairs:
+    """Return the measures of the pairs of groups, in the order of their names; pairs within a group are gone."""
+    a, b = numbers[pairs.a], numbers[pairs.b]
+    turned = (a > b)[:, None]
+    count = int(numbers.max(initial=0)) + 1
+    apart = a != b
+    keys, place = np.unique((np.minimum(a, b) * count + np.maximum(a, b))[apart], return_inverse=True)
+
+    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        summed = np.zeros((len(keys), *values.shape[1:]))
+        np.add.at(summed, place, values[apart])
+        return summed
+
+    gap_m = np.full(len(keys), np.inf)
+    np.minimum.at(gap_m, place, pairs.gap_m[apart])
+    return Pairs(
+        a=keys // count,
+        b=keys % count,
+        gap_m=gap_m,
+        nearer=total(np.where(turned, pairs.nearer[:, ::-1], pairs.nearer)),
+        above=total(np.where(turned, pairs.above[:, ::-1], pairs.above)),
+        **{name: total(getattr(pairs, name)) for name in _PAIR_SUMS},
+    )
+
+
+def _pairs(
+    surface: Surface,
+    lab: NDArray[np.float32],
+    contacts: Contacts,
+    count: int,
+    middle: NDArray[np.float64],
+    gaps: NDArray[np.float32],
+    bridged: NDArray[np.int64],
+) -> Pairs:
+    """Return the measures of the pairs of fragments; `lab` (h * w, 3), `gaps` (n, n), `bridged` (M, 3)."""
+    inner = (contacts.here < count) & (contacts.there < count)
+    here, there = contacts.here[inner].astype(np.int64), contacts.there[inner].astype(np.int64)
+    turned = here > there
+    at_a = np.where(turned, contacts.there_px[inner], contacts.here_px[inner])
+    at_b = np.where(turned, contacts.here_px[inner], contacts.there_px[inner])
+    contact_key = np.minimum(here, there) * count + np.maximum(here, there)
+    near_a, near_b = np.nonzero(np.isfinite(gaps))
+    near_key = np.minimum(near_a, near_b) * count + np.maximum(near_a, near_b)
+    bridge_key = np.minimum(bridged[:, 0], bridged[:, 1]) * count + np.maximum(bridged[:, 0], bridged[:, 1])
+    keys = np.unique(np.concatenate([contact_key, near_key, bridge_key]))
+    place = np.searchsorted(keys, contact_key)
+
+    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.bincount(place, weights=values, minlength=len(keys)).astype(np.float64)
+
+    def columns(*values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([total(column) for column in values], axis=1)
+
+    points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
+    touch = contacts.touches[inner].astype(np.float64)
+    across = (points[at_b] - points[at_a]).astype(np.float64)
+    step_m = np.linalg.norm(across, axis=1) + 1e-6
+    normal_a, normal_b = np.nan_to_num(normals[at_a]), np.nan_to_num(normals[at_b])
+    lean = np.einsum("ij,ij->i", across, normal_a - normal_b) / step_m
+    light, green, blue = (lab[at_b] - lab[at_a]).T.astype(np.float64)
+    contrast = np.sqrt(0.25 * light * light + green * green + blue * blue)
+    depth = surface.depth_m.ravel()
+    behind, limit = depth[at_b] - depth[at_a], 0.02 * depth[at_a] + 0.01
+    is_below = contacts.is_below[inner]
+    seam = (points[at_a] - middle) * touch[:, None]
+    gap_m = np.full(len(keys), np.inf)
+    np.minimum.at(gap_m, np.searchsorted(keys, near_key), gaps[near_a, near_b].astype(np.float64))
+    lines = np.zeros((len(keys), 2))
+    np.add.at(lines, (np.searchsorted(keys, bridge_key), 1 - bridged[:, 2]), 1.0)
+    return Pairs(
+        a=keys // count,
+        b=keys % count,
+        meet=total(np.ones(len(place))),
+        touch=total(touch),
+        lean=total(touch * lean),
+        concave=total(touch * (lean > _CONCAVE)),
+        parallel=total(touch * np.einsum("ij,ij->i", normal_a, normal_b)),
+        contrast=total(touch * contrast),
+        far_contrast=total((1 - touch) * contrast),
+        step_m=total(touch * step_m),
+        seam=columns(*seam.T),
+        seam_squares=columns(*(seam**2).T),
+        nearer=columns((behind > limit).astype(np.float64), (behind < -limit).astype(np.float64)),
+        above=columns((is_below & ~turned).astype(np.float64), (is_below & turned).astype(np.float64)),
+        bridged=lines,
+        gap_m=gap_m,
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _gaps(labels, depth, points, count, reach, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (count, count) the least distance of each two labels, every other pixel; infinite beyond the limit."""
+    height, width = labels.shape
+    out = np.full((count, count), np.inf, dtype=np.float32)
+    for y in range(0, height, 2):
+        for x in range(0, width, 2):
+            i = labels[y, x]
+            if i == 0:
+                continue
+            # Only outlines can be nearest, and what is to the right or below: the other half is found from there.
+            if (
+                0 < x < width - 1
+                and 0 < y < height - 1
+                and labels[y, x - 1] == i
+                and labels[y, x + 1] == i
+                and labels[y - 1, x] == i
+                and labels[y + 1, x] == i
+                and labels[max(0, y - 2), x] == i
+                and labels[min(height - 1, y + 2), x] == i
+                and labels[y, max(0, x - 2)] == i
+                and labels[y, min(width - 1, x + 2)] == i
+            ):
+                continue
+            radius = int(reach / depth[y, x]) + 1
+            for yy in range(y, min(height, y + radius + 1), 2):
+                first = x + 2 if yy == y else max(x % 2, x - radius // 2 * 2)
+                for xx in range(first, min(width, x + radius + 1), 2):
+                    j = labels[yy, xx]
+                    if j == 0 or j == i or abs(depth[yy, xx] - depth[y, x]) > limit:
+                        continue
+                    d0 = points[yy, xx, 0] - points[y, x, 0]
+                    d1 = points[yy, xx, 1] - points[y, x, 1]
+                    d2 = points[yy, xx, 2] - points[y, x, 2]
+                    distance = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+                    if distance < min(out[i, j], limit):
+                        out[i, j] = out[j, i] = distance
+    return out

@@ -1,0 +1,121 @@
+"""Boosted trees that tell whether two parts are one thing: read from the package, evaluated with Numba.
+
+`tools/train_segmenter` grows them and writes them with a card that says from what, and how well they do.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from hickory_stream.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+EMBEDDED = "weights/join.npz"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Trees:
+    """A forest whose leaves add up to a log-odds; the nodes of all trees in one row, all arrays (nodes,).
+
+    `features`: the names of the inputs in order; `roots` (trees,) the first node of each tree; `baseline` the log-odds
+    without any tree. Node i asks whether input `feature[i]` is at most `threshold[i]` and goes on at `left[i]`, else at
+    `right[i]`; a NaN goes left where `nan_left[i]`. A leaf has feature -1 and adds `value[i]`.
+    """
+
+    features: tuple[str, ...]
+    baseline: float
+    roots: NDArray[np.int32]
+    feature: NDArray[np.int16]
+    threshold: NDArray[np.float64]
+    left: NDArray[np.int32]
+    right: NDArray[np.int32]
+    nan_left: NDArray[np.bool_]
+    value: NDArray[np.float32]
+
+    def probabilities(self, inputs: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return (K,) the probability that each pair is one thing; `inputs` holds (K,) of every feature by name."""
+        rows = np.stack([inputs[name] for name in self.features], axis=1)
+        odds = self.baseline + _sums_of_leaves(
+            rows, self.roots, self.feature, self.threshold, self.left, self.right, self.nan_left, self.value
+        )
+        return np.asarray(1 / (1 + np.exp(-odds)))
+
+    def save(self, path: Path) -> None:
+        """Write the trees as a NumPy archive."""
+        np.savez_compressed(
+            path,
+            features=np.array(self.features),
+            baseline=np.array(self.baseline),
+            **{name: getattr(self, name) for name in _ARRAYS},
+        )
+
+
+_ARRAYS = ("roots", "feature", "threshold", "left", "right", "nan_left", "value")
+
+
+@cache
+def embedded_trees() -> Trees:
+    """Return the trees that come with the package."""
+    with resources.as_file(resources.files("hickory_stream.perception").joinpath(EMBEDDED)) as path:
+        return load_trees(path)
+
+
+def load_trees(path: Path) -> Trees:
+    """Return the trees in a file.
+
+    Raises:
+        ModelError: the file is not there or holds no such trees.
+    """
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            trees = Trees(
+                features=tuple(str(name) for name in file["features"]),
+                baseline=float(file["baseline"]),
+                **{name: file[name] for name in _ARRAYS},
+            )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ModelError(f"{path} holds no trees as tools/train_segmenter writes them: {error}") from error
+    _check(trees, path)
+    return trees
+
+
+def _check(trees: Trees, path: Path) -> None:
+    """Raise where a node leads nowhere or back: the walk down a tree must end."""
+    count = len(trees.feature)
+    inner = trees.feature >= 0
+    own = np.arange(count)
+    for name in _ARRAYS[1:]:
+        if len(getattr(trees, name)) != count:
+            raise ModelError(f"{path}: {len(getattr(trees, name))} of {name} for {count} nodes")
+    for name in ("left", "right"):
+        next_node = getattr(trees, name)
+        if ((next_node <= own) | (next_node >= count))[inner].any():
+            raise ModelError(f"{path}: a node leads {name} to none that comes after it")
+    if (trees.feature >= len(trees.features)).any() or (trees.roots < 0).any() or (trees.roots >= count).any():
+        raise ModelError(f"{path}: a node asks for an input, or a tree begins at a node, that is not there")
+
+
+@numba.njit(cache=True, nogil=True)
+def _sums_of_leaves(rows, roots, feature, threshold, left, right, nan_left, value):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.zeros(len(rows))
+    for i in range(len(rows)):
+        for root in roots:
+            node = root
+            while feature[node] >= 0:
+                x = rows[i, feature[node]]
+                goes_left = nan_left[node] if np.isnan(x) else x <= threshold[node]
+                node = left[node] if goes_left else right[node]
+            out[i] += value[node]
+    return out

@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from perception_scenes import Block, Cylinder, floor, looking, render
+
+from hickory_stream.perception.affinity import pair_features
+from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.join import Groups, JoinConfig, measured, rounds
+from hickory_stream.perception.parts import grouped_pairs, grouped_parts
+
+VIEW = looking((0.0, 0.0, 0.4), start=(-1.6, -0.3, 1.4))
+RED, BLUE, WOOD = (190, 40, 40), (40, 60, 190), (170, 130, 80)
+
+
+@pytest.fixture(scope="module")
+def pieces():
+    table = Block(low=(-0.3, -0.5, 0.5), high=(0.3, 0.5, 0.54), color=WOOD)
+    leg = Block(low=(-0.05, -0.05, 0.0), high=(0.05, 0.05, 0.5), color=WOOD)
+    boxes = [Block(low=(-0.1, y, 0.54), high=(0.1, y + 0.15, 0.7), color=c) for y, c in ((-0.3, RED), (-0.1, BLUE))]
+    mug = Cylinder(foot=(-0.1, 0.3, 0.54), radius=0.05, height=0.1, color=BLUE)
+    frame, _ = render([floor(), table, leg, *boxes, mug], VIEW)
+    return GeometricSegmenter(GeometricConfig()).fragments(frame)
+
+
+def measures_of(pieces, labels):
+    return measured(pieces.surface, labels, pieces.supports, pieces.scenery, JoinConfig())
+
+
+@pytest.fixture(scope="module")
+def measures(pieces):
+    return measures_of(pieces, pieces.labels)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_groups_are_measured_as_if_they_had_been_one_fragment(pieces, measures, seed):
+    count = len(measures.parts.pixels)
+    drawn = np.random.default_rng(seed).integers(1, count, count - 1)
+    numbers = np.append(0, np.unique(drawn, return_inverse=True)[1] + 1)
+    groups = int(numbers.max()) + 1
+    anew = measures_of(pieces, numbers.astype(np.int32)[pieces.labels])
+    parts = grouped_parts(measures.parts, numbers, groups)
+    for name in ("pixels", "area_m2", "lab", "place", "place_products", "normals", "planes", "heights", "low", "high"):
+        np.testing.assert_allclose(getattr(parts, name), getattr(anew.parts, name), atol=1e-6, err_msg=name)
+    # What only `anew` measures is between pixels that were of one fragment before.
+    pairs, direct = grouped_pairs(measures.pairs, numbers), anew.pairs
+    np.testing.assert_array_equal(pairs.a * groups + pairs.b, direct.a * groups + direct.b)
+    for name in ("meet", "touch", "lean", "parallel", "contrast", "nearer", "above", "step_m"):
+        np.testing.assert_allclose(getattr(pairs, name), getattr(direct, name), atol=1e-6, err_msg=name)
+
+
+def test_what_large_and_small_are_does_not_depend_on_the_order_of_labels(pieces, measures):
+    count = len(measures.parts.pixels)
+    pairs, features = pair_features(measures, np.arange(count), count)
+    turned = np.append(0, np.arange(count - 1, 0, -1))
+    other_pairs, other = pair_features(
+        measures_of(pieces, turned.astype(np.int32)[pieces.labels]), np.arange(count), count
+    )
+    place = {tuple(turned[pair]): i for i, pair in enumerate(other_pairs.tolist())}
+    uneven = [i for i, (a, b) in enumerate(pairs) if measures.parts.pixels[a] != measures.parts.pixels[b]]
+    assert len(uneven) >= 5
+    order = [place[tuple(pairs[i])] for i in uneven]
+    for name, values in features.items():
+        if not name.startswith(("seam_width", "seam_height", "seam_in")):  # taken on the side of the lower label
+            np.testing.assert_allclose(other[name][order], values[uneven], atol=1e-5, err_msg=name)
+
+
+def test_each_round_joins_what_is_likeliest_for_both_sides(measures):
+    steps = list(rounds(measures, lambda features: np.ones(len(features["gap"])), JoinConfig(rounds=50)))
+    assert (np.diff([step.numbers.max() for step in steps]) < 0).all()
+    assert len(steps[-1].pairs) == 0 or steps[-1].numbers.max() == 1
+
+
+def test_nothing_is_joined_that_is_not_likely(measures):
+    steps = list(rounds(measures, lambda features: np.full(len(features["gap"]), 0.3), JoinConfig(probability=0.31)))
+    assert len(steps) == 1
+    np.testing.assert_array_equal(steps[0].numbers, np.arange(len(measures.parts.pixels)))
+
+
+def test_no_more_rounds_than_asked_for(measures):
+    def by_size(features):
+        return features["small_pixels"] / 20
+
+    steps = list(rounds(measures, by_size, JoinConfig(rounds=1, probability=0.0)))
+    assert len(steps) == 2
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=12), st.randoms())
+def test_groups_do_not_depend_on_the_order_of_joining(pairs, random):
+    one, other = Groups(10), Groups(10)
+    one.unite(pairs)
+    random.shuffle(pairs)
+    other.unite(pairs)
+    np.testing.assert_array_equal(one.numbers()[0], other.numbers()[0])
+    assert all(one.numbers()[0][a] == one.numbers()[0][b] for a, b in pairs)
