@@ -50,9 +50,9 @@ _SLACK = 1e-7
 _ROUNDS = 6
 _WORST = 12
 # Strays are looked at where they make a primitive take this much more space than without them.
-_OVERGROWN = 1.25
+_OVERGROWN = 1.1
 # Boxes around strays stay where all primitives then take less space by at least this share.
-_LEAST_GAIN = 0.1
+_LEAST_GAIN = 0.05
 # Half the thickness of a box around strays in one plane.
 _THINNEST = 0.01
 
