@@ -282,9 +282,9 @@ class ObjectShape:
     """Layers 2 to 4 of an object.
 
     `mesh_name` is a file in the map folder's `shapes/`, in the object frame; `world_from_object` (4, 4) places it.
-    `fitted` and `inflated` are in the world, the inflated ones in the order of those they hold, or one box around
-    everything; `seen_share` (N,) is the share of each fitted primitive's surface that was seen rather than generated.
-    `revision` is the ticket of the job that made it.
+    `fitted` and `inflated` are in the world: the inflated ones in the order of those they hold, then boxes around what
+    the fit left out; or one box around everything. `seen_share` (N,) is the share of each fitted primitive's surface
+    that was seen rather than generated. `revision` is the ticket of the job that made it.
     """
 
     revision: int

@@ -17,6 +17,8 @@ from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, invert
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
 MIN_EXPONENT = 0.1
@@ -139,6 +141,15 @@ def taken(primitives: Superquadrics, indices: NDArray[Any]) -> Superquadrics:
         exponents=primitives.exponents[indices],
         semi_axes_m=primitives.semi_axes_m[indices],
         world_from_local=primitives.world_from_local[indices],
+    )
+
+
+def joined(parts: Sequence[Superquadrics]) -> Superquadrics:
+    """Return the primitives of all parts, one part after the other."""
+    return Superquadrics(
+        exponents=np.concatenate([part.exponents for part in parts]),
+        semi_axes_m=np.concatenate([part.semi_axes_m for part in parts]),
+        world_from_local=np.concatenate([part.world_from_local for part in parts]),
     )
 
 

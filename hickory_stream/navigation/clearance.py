@@ -59,9 +59,14 @@ class Body:
 
 
 def _seen_shares(shape: ObjectShape) -> NDArray[np.float64]:
-    """Return (N,) how much was seen of what each inflated primitive holds; a box around everything holds all of it."""
-    shares = np.asarray(shape.seen_share, dtype=np.float64)
-    return shares if len(shares) == len(shape.inflated) else np.full(len(shape.inflated), shares.mean())
+    """Return (N,) how much was seen of what each inflated primitive holds.
+
+    A box around everything holds all of it. A box for what the fit left out counts as seen, the graver answer.
+    """
+    shares, count = np.asarray(shape.seen_share, dtype=np.float64), len(shape.inflated)
+    if shape.containment.is_fallback or count < len(shares):
+        return np.full(count, shares.mean())
+    return np.concatenate([shares, np.ones(count - len(shares))])
 
 
 class ClearanceScene:

@@ -48,11 +48,17 @@ class SeenColumns:
 
 
 def seen_columns(submaps: Sequence[Submap], frame: GridFrame, band: Band, floor_z_m: float) -> SeenColumns:
-    """Return what the submaps saw of the band, on the grid."""
+    """Return what the submaps saw of the band, on the grid.
+
+    They count together: where one ends and the next begins, each saw a part of a cell or of its height.
+    """
     walls = [_NO_HULLS, *(wall_hulls(submap, band, floor_z_m) for submap in submaps)]
-    is_known = np.zeros(frame.shape, bool)
+    heights = _heights(submaps, band)
+    is_seen = np.zeros((len(heights), frame.rows + 1, frame.columns + 1), bool)
     for submap in submaps:
-        is_known |= _known_in(submap, frame, band)
+        is_seen |= _seen_in(submap, frame, heights)
+    corners = is_seen.sum(axis=0) >= _SEEN_SHARE * len(heights)
+    is_known = corners[1:, 1:] & corners[1:, :-1] & corners[:-1, 1:] & corners[:-1, :-1]
     return SeenColumns(walls=np.concatenate(walls), is_known=is_known)
 
 
@@ -117,42 +123,44 @@ def box_corners(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
     return bounds[:, picks]
 
 
-def _known_in(submap: Submap, frame: GridFrame, band: Band) -> NDArray[np.bool_]:
-    """Return (rows, columns) whether a cell, with all of its corners, lies in columns that were seen."""
+def _heights(submaps: Sequence[Submap], band: Band) -> NDArray[np.float64]:
+    """Return (L,) heights in the middles of layers as thick as the smallest voxels, at least one."""
+    voxel_m = min((submap.observed_space.voxel_m for submap in submaps), default=band.high_m - band.low_m)
+    count = max(round((band.high_m - band.low_m) / voxel_m), 1)
+    return np.asarray(band.low_m + (np.arange(count) + 0.5) * (band.high_m - band.low_m) / count)
+
+
+def _seen_in(submap: Submap, frame: GridFrame, heights: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return (L, rows + 1, columns + 1) whether a submap saw the corners of the cells at these heights."""
     space = submap.observed_space
     # Upright or nearly so: the height in the submap is that in the world, but for its own height.
-    low, high = np.array([band.low_m, band.high_m]) - submap.world_from_submap[2, 3]
-    first_layer, last_layer = (
-        round(low / space.voxel_m),
-        max(round(high / space.voxel_m), round(low / space.voxel_m) + 1),
-    )
-    first, seen = _seen_per_column(space.free, space.structure, first_layer, last_layer)
-    if seen.size == 0:
-        return np.zeros(frame.shape, bool)
+    layers = np.floor((heights - submap.world_from_submap[2, 3]) / space.voxel_m + 1e-9).astype(np.int64)
+    first, seen = _seen_columns_of(space.free, space.structure, layers)
     x = frame.origin_m[0] + np.arange(frame.columns + 1) * frame.cell_m
     y = frame.origin_m[1] + np.arange(frame.rows + 1) * frame.cell_m
-    places = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), band.low_m)], axis=-1).reshape(-1, 3)
+    places = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), heights[0])], axis=-1).reshape(-1, 3)
     local = apply(invert(submap.world_from_submap), places)[:, :2]
     column = np.floor(local / space.voxel_m).astype(np.int64) - first
-    is_inside = ((column >= 0) & (column < seen.shape)).all(axis=1)
-    is_seen = np.zeros(len(column), bool)
-    is_seen[is_inside] = seen[tuple(column[is_inside].T)] >= _SEEN_SHARE * (last_layer - first_layer)
-    corners = is_seen.reshape(len(y), len(x))
-    return np.asarray(corners[1:, 1:] & corners[1:, :-1] & corners[:-1, 1:] & corners[:-1, :-1])
+    is_inside = ((column >= 0) & (column < seen.shape[1:])).all(axis=1)
+    is_seen = np.zeros((len(layers), len(column)), bool)
+    is_seen[:, is_inside] = seen[:, column[is_inside, 0], column[is_inside, 1]]
+    return is_seen.reshape(len(layers), len(y), len(x))
 
 
-def _seen_per_column(
-    free: NDArray[np.int64], structure: NDArray[np.int64], first_layer: int, last_layer: int
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Return the first column (2,), and how many voxels of these layers were seen in each of (X, Y) columns."""
-    parts = []
+def _seen_columns_of(
+    free: NDArray[np.int64], structure: NDArray[np.int64], layers: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the first column (2,), and (L, X, Y) which voxels of these layers were seen."""
+    cells = []
     for keys in (free, structure):
         layer = layers_of_keys(keys)
-        parts.append(keys[(layer >= first_layer) & (layer < last_layer)])
-    cells = cells_of_keys(np.concatenate(parts))[:, :2]
-    if len(cells) == 0:
-        return np.zeros(2, np.int64), np.zeros((0, 0), np.int32)
-    first = cells.min(axis=0)
-    shape = np.ptp(cells, axis=0) + 1
-    flat = (cells[:, 0] - first[0]) * shape[1] + cells[:, 1] - first[1]
-    return first, np.bincount(flat, minlength=int(shape.prod())).reshape(shape).astype(np.int32)
+        cells.append(cells_of_keys(keys[(layer >= layers.min()) & (layer <= layers.max())]))
+    found = np.concatenate(cells)
+    if len(found) == 0:
+        return np.zeros(2, np.int64), np.zeros((len(layers), 0, 0), bool)
+    first = found.min(axis=0)
+    first[2] = layers.min()
+    shape = np.maximum(np.ptp(found, axis=0) + 1, [1, 1, layers.max() - layers.min() + 1])
+    seen = np.zeros(shape, bool)
+    seen[tuple((found - first).T)] = True
+    return first[:2], np.moveaxis(seen[:, :, layers - layers.min()], 2, 0)

@@ -19,7 +19,7 @@ from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.sketch import sketch
-from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, moved, volumes_m3
+from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, log_implicit_value, moved, volumes_m3
 from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
 from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
@@ -138,9 +138,10 @@ def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superq
 
 
 def around_all(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size_m: float) -> Superquadrics:
-    """Return one superquadric about the surface of a mesh as a whole, its box where that holds it in less space.
+    """Return one superquadric about the surface of a mesh as a whole: what holds it in the least space.
 
-    A bowl is round; the boards of a shelf are not, and what is round would have to be grown far to hold its corners.
+    Its box, the cylinder in that along each axis, or what is fitted to the surface: a bowl is round and so is a bin,
+    the boards of a shelf are not.
     """
     extent = np.ptp(vertices, axis=0)
     whole = box_superquadric(vertices, min_size_m)
@@ -149,7 +150,25 @@ def around_all(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size
     box = OrientedBox(world_from_box=whole.world_from_local[0], half_extents_m=whole.semi_axes_m[0])
     surface = _surface_samples(vertices, faces)
     found = sketch(surface, box)
-    return whole if found is None or _cover_m3(whole, surface) <= _cover_m3(found, surface) else found
+    candidates = [whole, *_cylinders_in(whole), *([] if found is None else [found])]
+    return min(candidates, key=lambda candidate: _cover_m3(candidate, surface))
+
+
+def _cylinders_in(box: Superquadrics) -> list[Superquadrics]:
+    """Return the elliptic cylinders along each axis of a box-like primitive."""
+    pose = box.world_from_local[0]
+    cylinders = []
+    for turn in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
+        turned = pose.copy()
+        turned[:3, :3] = pose[:3, turn]
+        cylinders.append(
+            Superquadrics(
+                exponents=np.array([[MIN_EXPONENT, 1.0]]),
+                semi_axes_m=box.semi_axes_m[:, turn],
+                world_from_local=turned[None],
+            )
+        )
+    return cylinders
 
 
 def _cover_m3(primitive: Superquadrics, points: NDArray[np.float64]) -> float:

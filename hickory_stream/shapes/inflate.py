@@ -2,8 +2,10 @@
 
 What is contained is the Minkowski sum of the surface and the points of layer 1 with a ball of the margin, and the
 inside of a closed mesh. The surface is shared out among the primitives in pieces (`pieces`), each of them grows to the
-least volume that holds its share (`cover`), and the result is checked by code that knows nothing of how it came about
-(`certify`). Where the check fails, a box around everything takes the place of the primitives, and says so.
+least volume that holds its share (`cover`). What a fit left out, such as the leaves of a plant, would make a primitive
+grow far: it gets boxes of its own (`strays`) where that takes clearly less space. The result is checked by code that
+knows nothing of how it came about (`certify`). Where the check fails, a box around everything takes the place of the
+primitives, and says so.
 
 The paper grows all three axes by one factor, which makes a huge block of a thin plate: by default each semi-axis grows
 on its own, and edges may become rounder, as those of the Minkowski sum are.
@@ -11,15 +13,15 @@ on its own, and edges may become rounder, as those of the Minkowski sum are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, assert_never
 
 import numpy as np
 
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
-from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, volumes_m3
+from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, joined, volumes_m3
 from hickory_stream.records import Containment
-from hickory_stream.shapes.certify import Certificate, certify, inside_of, uncovered_cells
+from hickory_stream.shapes.certify import Certificate, Inside, certify, inside_of, uncovered_cells
 from hickory_stream.shapes.cover import (
     NET,
     NET_FACTOR,
@@ -31,6 +33,7 @@ from hickory_stream.shapes.cover import (
 )
 from hickory_stream.shapes.pieces import owned_pieces, owners_of
 from hickory_stream.shapes.quadric_lm import row_of
+from hickory_stream.shapes.strays import boxes_around
 
 if TYPE_CHECKING:
     from typing import Any
@@ -41,11 +44,17 @@ if TYPE_CHECKING:
 
 _UNIT_CELLS = 64
 # Exponents below these may rise to them: the rounder of the candidates wins where it takes less volume.
-_ROUNDINGS = (0.0, 0.25, 0.4)
+_ROUNDINGS = (0.25, 0.4)
 # What the growth stays below the limit of ln h by, so that the certificate's own rounding has room.
 _SLACK = 1e-7
 _ROUNDS = 6
 _WORST = 12
+# Strays are looked at where they make a primitive take this much more space than without them.
+_OVERGROWN = 1.1
+# Boxes around strays stay where all primitives then take less space by at least this share.
+_LEAST_GAIN = 0.05
+# Half the thickness of a box around strays in one plane.
+_THINNEST = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,18 +63,23 @@ class InflateConfig:
 
     `rule` is "per_axis" or the paper's "single_factor". `r_safe_m` is the margin; `g` in 0..1 is the value of G that
     nothing may exceed. A triangle that reaches farther out of all primitives than `tolerance` of the object's diagonal
-    is bisected.
+    is bisected. `most_added` is how many boxes there may be besides the fitted primitives, for what these left out; the
+    single factor takes none.
     """
 
     rule: Literal["per_axis", "single_factor"] = "per_axis"
     r_safe_m: float = 0.02
     g: float = 1.0
     tolerance: float = 0.01
+    most_added: int = 8
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Inflated:
-    """The inflated primitives in the world, largest first; their certificate; whether they are the box instead."""
+    """The inflated primitives in the world, their certificate, and whether they are the box instead.
+
+    First those that were fitted, in their order, then the boxes around what these left out.
+    """
 
     primitives: Superquadrics
     certificate: Certificate
@@ -75,7 +89,7 @@ class Inflated:
 def inflate(
     fitted: Superquadrics, reconstruction: Reconstruction, points_world: NDArray[np.float32], config: InflateConfig
 ) -> tuple[Superquadrics, Containment]:
-    """Return the inflated primitives in the world, largest first, and the record of their certificate.
+    """Return the inflated primitives in the world, those fitted first, and the record of their certificate.
 
     `fitted` in the world; `points_world` (N, 3) are those of layer 1.
     """
@@ -104,17 +118,10 @@ def inflated(
     inside = inside_of(vertices_world, faces, r_safe_m=config.r_safe_m)
     checked = {"r_safe_m": config.r_safe_m, "g": config.g}
     if len(fitted):
-        share = _Share.of(fitted, vertices_world, faces, points_world, config)
-        grown = share.grown()
-        for _ in range(_ROUNDS):
-            out = uncovered_cells(grown, inside, config.g)
-            if len(out) == 0:
-                break
-            share = share.with_balls(out[:, :3], out[:, 3] * np.sqrt(3))
-            grown = share.grown()
-        certificate = certify(grown, vertices_world, faces, points_world, inside, **checked)
-        if certificate.holds:
-            return Inflated(primitives=grown, certificate=certificate, is_fallback=False)
+        for grown in _growths(_Share.of(fitted, vertices_world, faces, points_world, config), inside):
+            certificate = certify(grown, vertices_world, faces, points_world, inside, **checked)
+            if certificate.holds:
+                return Inflated(primitives=grown, certificate=certificate, is_fallback=False)
     box = box_around(np.concatenate([vertices_world, points_world]), config)
     certificate = certify(box, vertices_world, faces, points_world, inside, **checked)
     return Inflated(primitives=box, certificate=certificate, is_fallback=True)
@@ -140,19 +147,37 @@ def inflate_to_cover(fitted: Superquadrics, points_world: NDArray[Any], config: 
     return _Share.of(fitted, np.empty((0, 3)), np.empty((0, 3), np.int32), points, config).grown()
 
 
+def _growths(share: _Share, inside: Inside) -> list[Superquadrics]:
+    """Return the primitives grown, with boxes for strays first where these take clearly less space, else without."""
+    grown = share.grown()
+    whole = share.grown_over(inside, grown)
+    if share.config.rule == "single_factor" or share.config.most_added == 0:
+        return [whole]
+    tight = share.with_strays_boxed(grown)
+    if tight is None:
+        return [whole]
+    boxed = tight.grown_over(inside, tight.grown())
+    is_worth_it = volumes_m3(boxed).sum() < (1 - _LEAST_GAIN) * volumes_m3(whole).sum()
+    return [boxed, whole] if is_worth_it else [whole]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Share:
-    """What each primitive has to hold: balls around (N, 3) points, in units of a 64th of the object, by owner.
+    """What each primitive has to hold: balls around (N, 3) points, in units of a 64th of the object.
 
-    The unit keeps every tolerance free of scale, the offset keeps digits far from the origin.
+    `items` (M, 3) are the corners of pieces, or a point three times over; `owners` (M,) the primitives that they belong
+    to, and `distances` (M,) how far outside of them they reach. The unit keeps every tolerance free of scale, the
+    offset keeps digits far from the origin.
     """
 
-    fitted: Superquadrics
+    primitives: Superquadrics
     unit_m: float
     offset_m: NDArray[np.float64]
     points: NDArray[np.float64]
     radii: NDArray[np.float64]
-    belongs: NDArray[np.bool_]
+    items: NDArray[np.int64]
+    owners: NDArray[np.int64]
+    distances: NDArray[np.float64]
     config: InflateConfig
 
     @classmethod
@@ -180,58 +205,103 @@ class _Share:
             ]
         )
         tolerance = config.tolerance * _UNIT_CELLS
-        vertices, pieces, owners = owned_pieces(
+        vertices, pieces, owners, distances = owned_pieces(
             (vertices_world - offset) / unit, faces.astype(np.int64), rows, tolerance, 2 * tolerance
         )
         points = (points_world - offset) / unit
-        owners_of_points, _ = owners_of(points, rows)
-        belongs = np.zeros((len(fitted), len(vertices) + len(points)), bool)
-        for i in range(len(fitted)):
-            belongs[i, pieces[owners == i].ravel()] = True
-            belongs[i, len(vertices) :] = owners_of_points == i
+        owners_of_points, distances_of_points = owners_of(points, rows)
         everything = np.concatenate([vertices, points])
         return cls(
-            fitted=fitted,
+            primitives=fitted,
             unit_m=unit,
             offset_m=offset,
             points=everything,
             radii=np.full(len(everything), config.r_safe_m / unit),
-            belongs=belongs,
+            items=np.concatenate([pieces, _alone(len(vertices), len(points))]),
+            owners=np.concatenate([owners, owners_of_points]),
+            distances=np.concatenate([distances, distances_of_points]),
             config=config,
         )
 
     def with_balls(self, centers_world: NDArray[np.float64], radii_m: NDArray[np.float64]) -> _Share:
         """Return the share with more balls, each given to the primitive that it is nearest to by its gauge."""
         centers = (centers_world - self.offset_m) / self.unit_m
-        gauges = np.stack([_gauge_of(self.fitted, i, centers_world) for i in range(len(self.fitted))])
-        owners = np.argmin(gauges, axis=0)
-        more = owners[None, :] == np.arange(len(self.fitted))[:, None]
-        return _Share(
-            fitted=self.fitted,
-            unit_m=self.unit_m,
-            offset_m=self.offset_m,
+        gauges = np.stack([_gauge_of(self.primitives, i, centers_world) for i in range(len(self.primitives))])
+        return replace(
+            self,
             points=np.concatenate([self.points, centers]),
             radii=np.concatenate([self.radii, radii_m / self.unit_m]),
-            belongs=np.concatenate([self.belongs, more], axis=1),
-            config=self.config,
+            items=np.concatenate([self.items, _alone(len(self.points), len(centers))]),
+            owners=np.concatenate([self.owners, np.argmin(gauges, axis=0)]),
+            # Inside, all of them: they are no strays.
+            distances=np.concatenate([self.distances, np.zeros(len(centers))]),
         )
 
-    def grown(self) -> Superquadrics:
-        """Return the primitives, each grown to hold its share."""
-        exponents, axes = self.fitted.exponents.copy(), self.fitted.semi_axes_m.copy()
-        for i in range(len(self.fitted)):
-            own = self.belongs[i]
+    def with_strays_boxed(self, grown: Superquadrics) -> _Share | None:
+        """Return the share in which strays have boxes of their own; None where none makes a primitive grow far.
+
+        Strays are what lies clearly outside of all primitives; `grown` is what this share makes of these.
+        """
+        is_stray = self.distances > self.config.tolerance * _UNIT_CELLS
+        have_strays = np.unique(self.owners[is_stray])
+        without = self._of_items(~is_stray).grown(have_strays)
+        is_stray &= (volumes_m3(grown) > _OVERGROWN * volumes_m3(without))[self.owners]
+        if not is_stray.any():
+            return None
+        strays = np.flatnonzero(is_stray)
+        largest = int(np.argmax(volumes_m3(self.primitives)))
+        boxes = boxes_around(
+            self.points[self.items[strays]],
+            self.primitives.world_from_local[largest, :3, :3],
+            margin=self.config.r_safe_m / self.unit_m,
+            most=self.config.most_added,
+        )
+        owners = self.owners.copy()
+        for n, box in enumerate(boxes):
+            owners[strays[box.held]] = len(self.primitives) + n
+        added = Superquadrics(
+            exponents=np.full((len(boxes), 2), MIN_EXPONENT),
+            semi_axes_m=np.stack([np.maximum(box.half_extents, _THINNEST) for box in boxes]) * self.unit_m,
+            world_from_local=np.stack(
+                [from_rotation_translation(box.axes, self.offset_m + self.unit_m * box.center) for box in boxes]
+            ),
+        )
+        return replace(self, primitives=joined([self.primitives, added]), owners=owners)
+
+    def grown_over(self, inside: Inside, grown: Superquadrics) -> Superquadrics:
+        """Return the primitives grown until they also hold the inside, or a few rounds have passed.
+
+        `grown` is what this share makes of them to begin with.
+        """
+        share = self
+        for _ in range(_ROUNDS):
+            out = uncovered_cells(grown, inside, self.config.g)
+            if len(out) == 0:
+                break
+            share = share.with_balls(out[:, :3], out[:, 3] * np.sqrt(3))
+            grown = share.grown()
+        return grown
+
+    def grown(self, which: NDArray[np.int64] | None = None) -> Superquadrics:
+        """Return the primitives, each grown to hold its share; only some of them (M,) if so told."""
+        exponents, axes = self.primitives.exponents.copy(), self.primitives.semi_axes_m.copy()
+        for i in range(len(self.primitives)) if which is None else which:
+            own = np.zeros(len(self.points), bool)
+            own[self.items[self.owners == i]] = True
             if own.any():
                 exponents[i], in_units = self._grown_one(i, own)
                 axes[i] = in_units * self.unit_m
-        return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=self.fitted.world_from_local)
+        return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=self.primitives.world_from_local)
+
+    def _of_items(self, are_in: NDArray[np.bool_]) -> _Share:
+        return replace(self, items=self.items[are_in], owners=self.owners[are_in], distances=self.distances[are_in])
 
     def _grown_one(self, index: int, own: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        pose = self.fitted.world_from_local[index].copy()
+        pose = self.primitives.world_from_local[index].copy()
         pose[:3, 3] = (pose[:3, 3] - self.offset_m) / self.unit_m
         points, radii = local_abs(self.points[own], pose), self.radii[own]
-        before = self.fitted.semi_axes_m[index] / self.unit_m
-        exponents = self.fitted.exponents[index]
+        before = self.primitives.semi_axes_m[index] / self.unit_m
+        exponents = self.primitives.exponents[index]
         if self.config.rule == "single_factor":
             return exponents, _by_one_factor(points, radii, before, exponents, self.config.g)
         if self.config.rule != "per_axis":
@@ -241,10 +311,26 @@ class _Share:
         far = extremes(points / scale, _DIRECTIONS)
         binding = with_net(points[far], radii[far], NET, NET_FACTOR)
         binding = binding[extremes(binding / scale, _DIRECTIONS)]
-        candidates = [np.maximum(exponents, rounding) for rounding in _ROUNDINGS]
+        candidates = _candidates(exponents)
         sizes = [_size_around(binding, before, rounder, self.config.g) for rounder in candidates]
         best = candidates[int(np.argmin(sizes))]
         return best, _axes_around(points, radii, binding, before, best, self.config.g)
+
+
+def _candidates(exponents: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the exponents to try, those given first: rounder edges, or round about z as a whole."""
+    rounder = [np.maximum(exponents, rounding) for rounding in _ROUNDINGS]
+    round_along = np.array([exponents[0], max(exponents[1], 1.0)])
+    tried: list[NDArray[np.float64]] = []
+    for candidate in [exponents, *rounder, round_along]:
+        if not any(np.array_equal(candidate, other) for other in tried):
+            tried.append(candidate)
+    return tried
+
+
+def _alone(first: int, count: int) -> NDArray[np.int64]:
+    """Return (count, 3) items that are one point each, counted from `first`."""
+    return np.repeat(np.arange(first, first + count)[:, None], 3, axis=1)
 
 
 def _size_around(

@@ -16,10 +16,11 @@ _MOST_PIECES = 20_000
 
 @numba.njit(cache=True, nogil=True)
 def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the vertices with those that bisection adds, (P, 3) pieces of them, and (P,) the owner of each piece.
+    """Return the vertices with those that bisection adds, (P, 3) pieces of them, and (P,) owner and distance of each.
 
-    `rows` (K, 17) as in `quadric_lm`, in the unit of the vertices. A piece whose farthest corner is more than
-    `tolerance` outside of all primitives is bisected until its edges are shorter than `min_edge`.
+    `rows` (K, 17) as in `quadric_lm`, in the unit of the vertices. The distance is that of the piece's farthest corner
+    to its owner, negative inside. A piece whose farthest corner is more than `tolerance` outside of all primitives is
+    bisected until its edges are shorter than `min_edge`.
     """
     most = len(faces) + _MOST_PIECES
     points = np.empty((len(vertices) + most, 3))
@@ -28,7 +29,7 @@ def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no
     for n in range(num_points):
         points[n] = vertices[n]
         _distances(points[n], rows, distances[n])
-    pieces, owners = np.empty((most, 3), np.int64), np.empty(most, np.int64)
+    pieces, owners, outsides = np.empty((most, 3), np.int64), np.empty(most, np.int64), np.empty(most)
     count = 0
     stack = np.empty((64, 3), np.int64)
     for f in range(len(faces)):
@@ -41,7 +42,7 @@ def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no
             longest, length = _longest_edge(points, corners)
             has_room = depth < 60 and count + depth + len(faces) - f + 2 < most
             if outside <= tolerance or length <= min_edge or not has_room:
-                pieces[count], owners[count] = corners, owner
+                pieces[count], owners[count], outsides[count] = corners, owner, outside
                 count += 1
                 continue
             after = (longest + 1) % 3
@@ -52,7 +53,7 @@ def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no
             stack[depth + 1, longest] = num_points
             num_points += 1
             depth += 2
-    return points[:num_points], pieces[:count], owners[:count]
+    return points[:num_points], pieces[:count], owners[:count], outsides[:count]
 
 
 @numba.njit(cache=True, nogil=True)

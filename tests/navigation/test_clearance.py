@@ -1,5 +1,7 @@
 """Collision checks against brute force over every primitive."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,11 +10,12 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, taken
+from hickory_stream.geometry.superquadric import Superquadrics, joined, log_implicit_value, taken
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.navigation.clearance import Answer, Body, ClearanceScene
 from hickory_stream.records import ObservedSpace
+from tests.navigation.rooms import tracked
 
 
 def random_primitives(rng: np.random.Generator, count: int, size_m: float = 4.0) -> Superquadrics:
@@ -145,6 +148,21 @@ def test_generated_surface_is_a_hit_unless_the_caller_decides_otherwise() -> Non
     assert scene.classify(points).tolist() == [Answer.HIT_SEEN, Answer.HIT_GENERATED, Answer.FREE]
     assert scene.is_free(points).tolist() == [False, False, True]
     assert scene.is_free(points, may_touch_generated=True).tolist() == [False, True, True]
+
+
+def test_a_box_for_what_a_fit_left_out_counts_as_seen_and_one_around_everything_as_its_object_does() -> None:
+    left_out = joined([one((0.5, 0.5, 0.5)), one((0.2, 0.2, 0.2), (2.0, 0, 0))])
+    item = tracked(1, left_out)
+    assert item.shape is not None
+    generated = replace(item.shape, seen_share=np.array([0.1]))
+    points = np.array([[0.0, 0, 0], [2.0, 0, 0]])
+    scene = ClearanceScene.of([replace(item, shape=generated)])
+    assert scene.classify(points).tolist() == [Answer.HIT_GENERATED, Answer.HIT_SEEN]
+    around_all = replace(
+        generated, inflated=one((3.0, 1, 1)), containment=replace(generated.containment, is_fallback=True)
+    )
+    scene = ClearanceScene.of([replace(item, shape=around_all)])
+    assert scene.classify(points).tolist() == [Answer.HIT_GENERATED, Answer.HIT_GENERATED]
 
 
 def test_what_was_never_seen_is_unknown_and_a_wall_is_a_hit() -> None:

@@ -1,5 +1,7 @@
 """Grids: updated one by one as if new, unknown where nobody looked, refused where too large."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,10 +11,12 @@ from scipy.ndimage import distance_transform_edt
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, taken
+from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells
 from hickory_stream.navigation.observed import Band, rectangles, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import Cell, Occupancy, distance_field_m, frame_around
 from hickory_stream.navigation.robot import Part
 from hickory_stream.navigation.voxel_occupancy import VoxelOccupancy
+from hickory_stream.records import Submap
 from tests.navigation.rooms import TABLE_AT, boxes, seen_room, snapshot, table
 from tests.navigation.test_clearance import random_primitives
 
@@ -113,6 +117,30 @@ def test_walls_are_occupied_what_nobody_saw_is_unknown_and_the_floor_is_neither(
     assert at(-0.025, 2.0) == Cell.OCCUPIED
     assert at(4.5, 2.0) == Cell.UNKNOWN
     assert at(-0.5, -0.5) == Cell.UNKNOWN
+
+
+def test_what_submaps_saw_between_them_is_as_known_as_if_one_had_seen_it_all() -> None:
+    whole = seen_room(dark_m=(4.0, 5.0))
+    # At random: columns that are cut across and in height, seams everywhere.
+    is_first = np.random.default_rng(0).random(len(whole.free)) < 0.5
+    first = replace(whole, free=whole.free[is_first], structure=whole.structure[::2])
+    # The second submap's own ground is 10 cm, two voxels, above that of the first one.
+    lowered = [
+        keys_of_cells(cells_of_keys(keys) - [0, 0, 2]) for keys in (whole.free[~is_first], whole.structure[1::2])
+    ]
+    second = replace(whole, free=np.sort(lowered[0]), structure=np.sort(lowered[1]))
+    raised = np.eye(4)
+    raised[2, 3] = 0.1
+    submaps = (
+        Submap(id=0, world_from_submap=np.eye(4), observed_space=first),
+        Submap(id=1, world_from_submap=raised, observed_space=second),
+    )
+    frame = frame_around(np.array([-1.0, -1.0]), np.array([7.0, 5.0]), 0.04)
+    band = Band(low_m=0.05, high_m=0.6)
+    expected = seen_columns(snapshot(space=whole).submaps, frame, band, 0.0).is_known
+    assert 0.3 < expected.mean() < 0.6
+    assert np.array_equal(seen_columns(submaps, frame, band, 0.0).is_known, expected)
+    assert not seen_columns((), frame, band, 0.0).is_known.any()
 
 
 def test_the_traversable_height_under_a_table_is_that_below_its_top() -> None:

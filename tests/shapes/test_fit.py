@@ -87,6 +87,16 @@ def test_a_bowl_becomes_one_primitive_around_it() -> None:
     assert np.abs(np.stack([low, high]) - bowl.bounds).max() < 0.01
 
 
+def test_a_bin_becomes_one_upright_cylinder_around_it() -> None:
+    walls = trimesh.creation.annulus(r_min=0.145, r_max=0.15, height=0.4, sections=48)
+    bottom = trimesh.creation.cylinder(radius=0.15, height=0.006, sections=48)
+    bottom.apply_translation([0, 0, -0.197])
+    found = fit_superquadrics(as_mesh(trimesh.util.concatenate([walls, bottom])), CONFIG)
+    assert found.exponents == pytest.approx(np.array([[0.1, 1.0]]))
+    assert np.abs(found.world_from_local[0, 2, :3]) == pytest.approx([0, 0, 1], abs=1e-6)
+    assert found.semi_axes_m[0] == pytest.approx([0.15, 0.15, 0.2], abs=0.005)
+
+
 def test_a_flat_mesh_becomes_one_box_of_its_extent() -> None:
     square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
     fitted = fit_superquadrics(as_mesh(square), CONFIG)

@@ -176,3 +176,106 @@ def test_without_a_primitive_a_box_takes_its_place_and_says_so() -> None:
     assert found.is_fallback
     assert found.certificate.holds
     assert len(found.primitives) == 1
+
+
+def box_like(half: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> Superquadrics:
+    pose = np.eye(4)
+    pose[:3, 3] = at
+    return Superquadrics(exponents=np.full((1, 2), 0.1), semi_axes_m=np.array([half]), world_from_local=pose[None])
+
+
+def block(size: tuple[float, float, float], at: tuple[float, float, float]) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box(size)
+    mesh.apply_translation(at)
+    return mesh
+
+
+# A seat, and four thin arms that reach far out from it.
+SEAT = block((0.5, 0.5, 0.1), (0, 0, 0))
+ARMS = [block((0.4, 0.02, 0.02), (x, y, 0.3)) for x in (-0.45, 0.45) for y in (-0.2, 0.2)]
+ARMCHAIR = trimesh.util.concatenate([SEAT, *ARMS])
+SEAT_ONLY = box_like((0.25, 0.25, 0.05))
+
+
+def test_what_the_fit_left_out_gets_boxes_of_its_own_where_that_takes_less_space() -> None:
+    vertices, faces = arrays_of(ARMCHAIR)
+    found = inflated(SEAT_ONLY, vertices, faces, NO_POINTS, InflateConfig(r_safe_m=0.02))
+    without = inflated(SEAT_ONLY, vertices, faces, NO_POINTS, InflateConfig(r_safe_m=0.02, most_added=0))
+    assert found.certificate.holds
+    assert not found.is_fallback
+    assert len(without.primitives) == 1
+    # The seat with its margin, then a box for each arm.
+    assert len(found.primitives) == 5
+    assert (found.primitives.world_from_local[0] == SEAT_ONLY.world_from_local[0]).all()
+    by_hand = 0.54 * 0.54 * 0.14 + 4 * 0.44 * 0.06 * 0.06
+    assert volumes_m3(found.primitives).sum() < 1.3 * by_hand
+    assert volumes_m3(without.primitives).sum() > 10 * by_hand
+    assert (lowest_g(found.primitives, sampled_solid(ARMCHAIR, 0.02, np.random.default_rng(0))) <= 1.0).all()
+
+
+def test_no_more_boxes_are_added_than_allowed_and_none_by_the_papers_rule() -> None:
+    vertices, faces = arrays_of(ARMCHAIR)
+    two = inflated(SEAT_ONLY, vertices, faces, NO_POINTS, InflateConfig(r_safe_m=0.02, most_added=2))
+    single = inflated(SEAT_ONLY, vertices, faces, NO_POINTS, InflateConfig(r_safe_m=0.02, rule="single_factor"))
+    assert (len(two.primitives), len(single.primitives)) == (3, 1)
+    assert two.certificate.holds
+    assert single.certificate.holds
+
+
+def test_points_of_layer_1_far_from_the_mesh_get_boxes_of_their_own() -> None:
+    vertices, faces = arrays_of(SEAT)
+    far = np.array([1.0, 0.5, 0.4]) + np.random.default_rng(0).uniform(-0.05, 0.05, (50, 3))
+    found = inflated(SEAT_ONLY, vertices, faces, far, InflateConfig(r_safe_m=0.02))
+    assert found.certificate.holds
+    assert 2 <= len(found.primitives) <= 3
+    assert volumes_m3(found.primitives).sum() < 1.3 * (0.54 * 0.54 * 0.14 + 0.14**3)
+
+
+@pytest.mark.parametrize("name", ["box", "mug", "chair", "table", "monitor"])
+def test_an_object_that_its_fit_explains_gets_no_boxes(name: str) -> None:
+    shape = test_mesh(name)
+    fitted = fit_superquadrics(as_mesh(shape), FitConfig())
+    found = inflated(fitted, *arrays_of(shape), NO_POINTS, InflateConfig(r_safe_m=0.05))
+    assert len(found.primitives) == len(fitted)
+
+
+def test_plates_around_a_solid_do_not_take_the_place_of_one_primitive_that_holds_it() -> None:
+    # Boxes around the faces would be thin, but the inside has to be held, too.
+    cube = trimesh.creation.box((1, 1, 1)).subdivide().subdivide()
+    found = inflated(box_like((0.1, 0.1, 0.1)), *arrays_of(cube), NO_POINTS, InflateConfig(r_safe_m=0.02))
+    assert found.certificate.holds
+    assert volumes_m3(found.primitives).sum() < 1.3 * 1.04**3
+    inside = np.random.default_rng(0).uniform(-0.5, 0.5, (4000, 3))
+    assert (lowest_g(found.primitives, inside) <= 1.0).all()
+
+
+def test_a_box_around_a_round_thing_becomes_round_about_its_axis() -> None:
+    tube = trimesh.creation.cylinder(radius=0.2, height=0.6, sections=64)
+    found = inflated(box_like((0.2, 0.2, 0.3)), *arrays_of(tube), NO_POINTS, InflateConfig(r_safe_m=0.02))
+    assert found.certificate.holds
+    assert found.primitives.exponents[0] == pytest.approx([0.1, 1.0])
+    assert volumes_m3(found.primitives)[0] < 1.2 * np.pi * 0.22**2 * 0.64
+
+
+def test_the_same_object_gives_the_same_boxes_to_the_byte() -> None:
+    first, second = (
+        inflated(SEAT_ONLY, *arrays_of(ARMCHAIR), NO_POINTS, InflateConfig(r_safe_m=0.02)).primitives for _ in range(2)
+    )
+    for name in ("exponents", "semi_axes_m", "world_from_local"):
+        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 6), st.sampled_from([0.0, 0.02, 0.1]), st.sampled_from([0.5, 1.0]))
+def test_whatever_is_left_out_is_contained_and_takes_no_more_space(seed: int, count: int, margin: float, g) -> None:
+    rng = np.random.default_rng(seed)
+    parts = [block(tuple(10 ** rng.uniform(-2, -0.3, 3)), tuple(rng.uniform(-1, 1, 3))) for _ in range(count)]
+    mesh = trimesh.util.concatenate([SEAT, *parts])
+    points = rng.normal(size=(5, 3))
+    config = InflateConfig(r_safe_m=margin, g=g)
+    found = inflated(SEAT_ONLY, *arrays_of(mesh), points, config)
+    assert found.certificate.holds
+    balls = points + margin * on_sphere(rng, 5)
+    assert (lowest_g(found.primitives, np.concatenate([sampled_solid(mesh, margin, rng), balls])) <= g).all()
+    without = inflated(SEAT_ONLY, *arrays_of(mesh), points, InflateConfig(r_safe_m=margin, g=g, most_added=0))
+    assert without.is_fallback or volumes_m3(found.primitives).sum() <= volumes_m3(without.primitives).sum()
