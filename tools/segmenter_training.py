@@ -51,6 +51,7 @@ HELD_OUT = (("apartment", 38, 0), ("apartment", 39, 1), ("tabletop", 40, 0))
 
 _RATE_HZ = 1.5
 _PURE = 0.6
+_EAGER = 0.4
 _SHARES = (0.4, 0.8)
 _LEAST_PIXELS = 20.0
 _MIN_SHARE = 0.002
@@ -233,8 +234,8 @@ def _samples_of_truth(lesson: Lesson, share: float, random: np.random.Generator)
 def _samples_of_rounds(
     lesson: Lesson, probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]]
 ) -> Iterable[Samples]:
-    """Yield the pairs of each round of joining by given probabilities."""
-    for step in rounds(lesson.measures, probabilities, JoinConfig()):
+    """Yield the pairs of each round of joining by given probabilities, more eagerly than a segmenter joins."""
+    for step in rounds(lesson.measures, probabilities, JoinConfig(probability=_EAGER)):
         yield _samples(lesson, step.numbers, step.pairs, step.features)
 
 

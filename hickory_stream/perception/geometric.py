@@ -1,4 +1,4 @@
-"""The segmenter without weights: class-agnostic instances from depth and colour, on a CPU.
+"""The segmenter without networks: class-agnostic instances from depth and colour, on a CPU.
 
 Structure is taken away, the rest falls into fragments at depth edges, concave creases and supporting planes, and
 fragments that are one thing are joined again. Works at a reduced size; labels come back at the size of the frame.
