@@ -36,6 +36,7 @@ class ObjectSummary:
     num_points: int
     num_views: int
     num_superquadrics: int
+    num_inflated: int
     reconstructor: str | None
     layers: tuple[int, ...]
     layer_bytes: tuple[int, int, int, int]
@@ -126,6 +127,7 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject) -> ObjectSummary:
         num_points=len(tracked.points_world),
         num_views=len(tracked.views),
         num_superquadrics=len(shape.fitted) if shape else 0,
+        num_inflated=len(shape.inflated) if shape else 0,
         reconstructor=shape.reconstructor if shape else None,
         layers=tuple(layer for layer, size in zip(LAYERS, sizes, strict=True) if size),
         layer_bytes=sizes,
@@ -161,7 +163,7 @@ def _object_row(row: ObjectSummary) -> tuple[str, ...]:
         str(row.num_views),
         *(_bytes(size) if size else "-" for size in row.layer_bytes[:2]),
         f"{row.num_superquadrics} ({_bytes(row.layer_bytes[2])})" if row.layer_bytes[2] else _sketch_cell(row),
-        f"{row.num_superquadrics} ({_bytes(row.layer_bytes[3])})" if row.layer_bytes[3] else "-",
+        f"{row.num_inflated} ({_bytes(row.layer_bytes[3])})" if row.layer_bytes[3] else "-",
         _share(row.containment.num_outside, row.containment.num_checked) if row.containment else "-",
     )
 

@@ -75,6 +75,8 @@ def test_a_sketch_is_named_as_what_it_is(tmp_path: Path) -> None:
     summary = summarize(open_map(tmp_path / "m"))
     assert [row.is_sketched for row in summary.objects] == [False, True]
     assert (summary.objects[1].num_superquadrics, summary.objects[1].layers) == (0, (1,))
+    assert summary.objects[0].num_superquadrics == len(shaped.shape.fitted)
+    assert summary.objects[0].num_inflated == len(shaped.shape.inflated)
     assert "1 from points" in format_table(summary)
 
 
