@@ -35,9 +35,10 @@ def pair_features(
     is_turned = parts.pixels[pairs.a] < parts.pixels[pairs.b]
     large, small = np.where(is_turned, pairs.b, pairs.a), np.where(is_turned, pairs.a, pairs.b)
     low_m, high_m = _heights(parts, measures.bottom_m)
+    axes_m = _axes(parts.pixels, parts.place, parts.place_products)
     features: dict[str, NDArray[np.float64]] = {}
     for name, values in {
-        **_sizes(parts),
+        **_sizes(parts, axes_m),
         **_colors(parts),
         **_carried(standing),
         "height": high_m - low_m,
@@ -45,7 +46,7 @@ def pair_features(
         "high": high_m - measures.floor_z_m,
     }.items():
         features[f"large_{name}"], features[f"small_{name}"] = values[large], values[small]
-    features |= _relations(parts, low_m, high_m, large, small)
+    features |= _relations(parts, axes_m, low_m, high_m, large, small)
     features |= _standing_of_pairs(standing, large, small)
     features |= _seams(pairs, parts, measures, low_m, high_m, large, small, is_turned)
     return np.stack([large, small], axis=1), features
@@ -58,10 +59,9 @@ def _heights(parts: Parts, bottom_m: float) -> tuple[NDArray[np.float64], NDArra
     return bottom_m + (low + 0.5) * HEIGHT_BIN_M, bottom_m + (high + 0.5) * HEIGHT_BIN_M
 
 
-def _sizes(parts: Parts) -> dict[str, NDArray[np.float64]]:
+def _sizes(parts: Parts, axes_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """Return how large, flat and level each part is, and how much of its outline the image cuts."""
     per = np.maximum(parts.pixels, 1)
-    axes = _axes(parts.pixels, parts.place, parts.place_products)
     extent = parts.high - parts.low
     return {
         "pixels": np.log(per),
@@ -71,9 +71,9 @@ def _sizes(parts: Parts) -> dict[str, NDArray[np.float64]]:
         "in_plane": 1 - parts.planes[:, 0] / per,
         "level": parts.normals[:, 2] / per,
         "flat": np.linalg.norm(parts.normals, axis=1) / per,
-        "thickness": axes[:, 0],
-        "breadth": axes[:, 1],
-        "length": axes[:, 2],
+        "thickness": axes_m[:, 0],
+        "breadth": axes_m[:, 1],
+        "length": axes_m[:, 2],
         "cut": parts.cut / np.maximum(parts.outline, 1),
         "members": parts.members,
     }
@@ -116,6 +116,7 @@ def _standing_of_pairs(
 
 def _relations(
     parts: Parts,
+    axes_m: NDArray[np.float64],
     low_m: NDArray[np.float64],
     high_m: NDArray[np.float64],
     large: NDArray[np.int64],
@@ -135,7 +136,6 @@ def _relations(
         parts.place[large] + parts.place[small],
         parts.place_products[large] + parts.place_products[small],
     )
-    thickness = _axes(parts.pixels, parts.place, parts.place_products)[:, 0]
     aside, shade = center[small] - center[large], color[small] - color[large]
     foot = np.clip(overlap[:, :2], 0, None).prod(axis=1) / np.maximum(extent[small, 0] * extent[small, 1], 1e-4)
     volume = np.prod(extent + 0.01, axis=1)
@@ -159,7 +159,7 @@ def _relations(
         "joined_volume": np.log(np.prod(high - low + 0.01, axis=1) / (volume[large] + volume[small])),
         "joined_thickness": joined[:, 0],
         "joined_breadth": joined[:, 1],
-        "thicker": joined[:, 0] - np.maximum(thickness[large], thickness[small]),
+        "thicker": joined[:, 0] - np.maximum(axes_m[large, 0], axes_m[small, 0]),
     }
 
 

@@ -255,16 +255,6 @@ def _refined_best(field: FitField, starts: list[NDArray[np.float64]], config: Fi
     return _best_by_gain(field, fine + finalists + starts[:2], 1, config.gain_samples // 3)[0]
 
 
-def refitted(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the primitives, each fitted again to what the others leave; a change that gains nothing is not made."""
-    rows = list(rows)
-    for i, row in enumerate(rows):
-        field.cover_with(rows[:i] + rows[i + 1 :])
-        again = field.fitted(row, config.fine_samples, config.fine_iterations)
-        rows[i] = _best_by_gain(field, [row, again], 1, config.gain_samples)[0]
-    return rows
-
-
 def merged(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
     """Return the primitives, pairs replaced by one where that loses less than another primitive must gain."""
     rows = list(rows)

@@ -74,15 +74,7 @@ class FusedReconstructor:
         """Return the closed mesh over the object's box, or why there is none."""
         if len(inputs.points_world) < _MIN_POINTS:
             return NoShape(reason=f"{len(inputs.points_world)} points; a surface needs at least {_MIN_POINTS}")
-        views = [
-            DepthView(
-                depth_m=crop.depth_m,
-                mask=crop.mask,
-                camera=crop.camera,
-                camera_from_world=invert(crop.world_from_camera),
-            )
-            for crop in inputs.crops
-        ]
+        views = [view_of(crop) for crop in inputs.crops]
         inputs, views = completed_round(with_faced_box(inputs), views, self._config)
         return reconstruct_views(inputs, views, self._config.volume, self._config.completion)
 
@@ -113,11 +105,22 @@ def completed_round(
     if world_from_turned is None:
         return inputs, views
     around = np.concatenate([inputs.points_world.astype(np.float64), apply(world_from_turned, points)])
-    turned = [
-        replace(view, camera_from_world=view.camera_from_world @ world_from_turned, trust=config.turned_trust)
-        for view in views
+    box = gravity_aligned_box(around, 2 * config.volume.min_voxel_m)
+    return replace(inputs, box=box), views + moved_views(views, world_from_turned, config.turned_trust)
+
+
+def view_of(crop: Crop) -> DepthView:
+    """Return a kept crop as the integration uses it."""
+    return DepthView(
+        depth_m=crop.depth_m, mask=crop.mask, camera=crop.camera, camera_from_world=invert(crop.world_from_camera)
+    )
+
+
+def moved_views(views: list[DepthView], motion: NDArray[np.float64], trust: float) -> list[DepthView]:
+    """Return what the views would show of an object that a (4, 4) turn or reflection maps to itself, trusted less."""
+    return [
+        replace(view, camera_from_world=view.camera_from_world @ motion, trust=trust * view.trust) for view in views
     ]
-    return replace(inputs, box=gravity_aligned_box(around, 2 * config.volume.min_voxel_m)), views + turned
 
 
 def seen_points(crop: Crop, noise_per_m: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:

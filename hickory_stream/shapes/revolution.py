@@ -52,13 +52,13 @@ def half_turn_of(
     if distance < 1e-6:
         return None
     forward /= distance
-    across = (points_world[:, :2] - camera_world[:2]) @ np.array([-forward[1], forward[0]])
-    ahead = (points_world[:, :2] - camera_world[:2]) @ forward
-    axis = _axis(across, ahead, config)
+    sideways = np.array([-forward[1], forward[0]])
+    seen = points_world[:, :2] - camera_world[:2]
+    axis = _axis(seen @ sideways, seen @ forward, config)
     if axis is None:
         return None
     middle, depth = axis
-    center = camera_world[:2] + depth * forward + middle * np.array([-forward[1], forward[0]])
+    center = camera_world[:2] + depth * forward + middle * sideways
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     turn[:2, 3] = 2 * center
     _, in_free = shares_against(apply(turn, points_world[:: max(len(points_world) // 800, 1)]), views, tolerance_m)

@@ -15,14 +15,14 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.complete import CompletionConfig
-from hickory_stream.shapes.fused import VolumeConfig, noise_m, reconstruct_views, seen_points
+from hickory_stream.shapes.fused import VolumeConfig, moved_views, noise_m, reconstruct_views, seen_points, view_of
 from hickory_stream.shapes.symmetry import SymmetryConfig, mirror_plane
-from hickory_stream.shapes.tsdf import DepthView
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.ports import Crop
+    from hickory_stream.shapes.tsdf import DepthView
 
 _MIN_POINTS = 20
 
@@ -57,7 +57,9 @@ class SingleViewReconstructor:
         if len(points) < _MIN_POINTS:
             return NoShape(reason=f"{len(points)} pixels with depth; a surface needs at least {_MIN_POINTS}")
         views = with_mirrored(crop, points, config)
-        around = np.concatenate([apply(invert(v.camera_from_world) @ crop_pose(crop), points) for v in views])
+        around = np.concatenate(
+            [apply(invert(v.camera_from_world) @ views[0].camera_from_world, points) for v in views]
+        )
         alone = ShapeInputs(
             crops=(crop,),
             points_world=points.astype(np.float32),
@@ -68,16 +70,9 @@ class SingleViewReconstructor:
         return reconstruct_views(alone, views, config.volume, config.completion)
 
 
-def crop_pose(crop: Crop) -> NDArray[np.float64]:
-    """Return camera_from_world of a crop."""
-    return invert(crop.world_from_camera)
-
-
 def with_mirrored(crop: Crop, points: NDArray[np.float64], config: SingleViewConfig) -> list[DepthView]:
     """Return the view of a crop and its mirror images: about the best plane, then about the best one for both."""
-    view = DepthView(
-        depth_m=crop.depth_m, mask=crop.mask, camera=crop.camera, camera_from_world=invert(crop.world_from_camera)
-    )
+    view = view_of(crop)
     views = [view]
     seen = points
     tolerance = noise_m(points, view, config.volume)
@@ -86,15 +81,6 @@ def with_mirrored(crop: Crop, points: NDArray[np.float64], config: SingleViewCon
         reflection = mirror_plane(seen, [view], tolerance, min_score, config.symmetry)
         if reflection is None:
             break
-        views += [
-            DepthView(
-                depth_m=crop.depth_m,
-                mask=crop.mask,
-                camera=crop.camera,
-                camera_from_world=v.camera_from_world @ reflection,
-                trust=config.mirror_trust * v.trust,
-            )
-            for v in views
-        ]
+        views += moved_views(views, reflection, config.mirror_trust)
         seen = np.concatenate([seen, apply(reflection, seen)])
     return views
