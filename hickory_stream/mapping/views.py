@@ -1,10 +1,11 @@
 """Best views, lazily: S, its bound, the strategies that it is compared with, and the views kept for their direction.
 
-    S = ln(1 + sigma^2) * R_area^alpha * R_depth^beta                        (paper, Eq. of the S-score)
+    S = ln(1 + n^2 sigma^2) * R_area^alpha * R_depth^beta                    (paper, Eq. of the S-score)
 
-Patch features have unit norm, so that sigma^2, the trace of their covariance, is at most 1 and
-S <= ln 2 * R_area^alpha * R_depth^beta. The features of a mask are computed only where that bound beats the object's
-best view.
+Patch features have unit norm, so that sigma^2, the trace of their covariance, is at most 1; n^2 gives them the length
+that the paper's features have, and S <= ln(1 + n^2) * R_area^alpha * R_depth^beta. The features of a mask are computed
+only where that bound beats the object's best view. What the border of the image cuts is worth less: the rest of the
+object is missing, however large the mask.
 """
 
 from __future__ import annotations
@@ -31,25 +32,29 @@ class ViewConfig:
         strategy: `s_score`, or one of the paper's four others: the initial view, the largest mask, the largest 2D box,
             the largest 3D box.
         alpha, beta: the exponents of S.
+        feature_norm2: n^2 of S. DINOv2 normalises its features to about unit variance in each of their 768 dimensions:
+            ln(1 + sigma^2) tells a rich view from a bare one, and hardly one rich view from another. With n^2 = 1 it is
+            linear in sigma^2, and a small mask with a colourful edge would beat a whole one.
+        cut_worth: the share of S that a view keeps which touches the border of the image.
         better_by: a kept view of a direction is replaced by one that is better by this factor.
     """
 
     strategy: Strategy = "s_score"
     alpha: float = 0.3
     beta: float = 0.5
+    feature_norm2: float = 768.0
+    cut_worth: float = 0.7
     better_by: float = 1.4
 
 
 def s_score(variance: float, r_area: float, r_depth: float, config: ViewConfig) -> float:
-    """Return S of a view."""
-    return math.log1p(variance) * r_area**config.alpha * r_depth**config.beta
+    """Return S of a view that nothing cuts, from the variance of features of unit norm."""
+    return math.log1p(config.feature_norm2 * variance) * r_area**config.alpha * r_depth**config.beta
 
 
 def score_bound(view: View, config: ViewConfig) -> float:
     """Return the most that a view can score, before its features are known; other strategies need no features."""
-    if config.strategy == "s_score":
-        return s_score(1.0, view.r_area, view.r_depth, config)
-    return score(view, 0.0, config)
+    return score(view, 1.0, config)
 
 
 def score(view: View, variance: float, config: ViewConfig) -> float:
@@ -57,7 +62,8 @@ def score(view: View, variance: float, config: ViewConfig) -> float:
     x0, y0, x1, y1 = view.box_px
     match config.strategy:
         case "s_score":
-            return s_score(variance, view.r_area, view.r_depth, config)
+            worth = config.cut_worth if view.is_cut else 1.0
+            return worth * s_score(variance, view.r_area, view.r_depth, config)
         case "initial":
             return -float(view.frame_index)
         case "max_area":

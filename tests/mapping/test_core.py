@@ -438,7 +438,7 @@ def test_lazily_computed_features_give_the_best_views_that_all_features_would(
         for one, s in zip(seen, (variance, 1 - variance), strict=True):
             variances[i, one.index] = s
             all_scores = {
-                "s_score": math.log(1 + s) * one.r_area**0.3 * one.r_depth**0.5,
+                "s_score": math.log1p(768.0 * s) * one.r_area**0.3 * one.r_depth**0.5,
                 "initial": -i,
                 "max_area": one.r_area,
             }

@@ -43,7 +43,20 @@ scored = st.builds(lambda v, s: replace(v, score=s), views(), st.one_of(st.none(
     ],
 )
 def test_s_is_the_papers_formula(variance: float, r_area: float, r_depth: float, expected: float) -> None:
-    assert s_score(variance, r_area, r_depth, ViewConfig(alpha=0.3, beta=0.5)) == pytest.approx(expected, abs=1e-6)
+    config = ViewConfig(alpha=0.3, beta=0.5, feature_norm2=1.0)
+    assert s_score(variance, r_area, r_depth, config) == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_variance_is_that_of_features_of_the_papers_length() -> None:
+    # ln(1 + 768 * 0.25) = ln 193
+    assert s_score(0.25, 1.0, 1.0, CONFIG) == pytest.approx(5.262690, abs=1e-6)
+
+
+def test_a_view_that_the_border_cuts_is_worth_less_than_the_same_view_whole() -> None:
+    whole = replace(view(1), is_cut=False)
+    cut = replace(whole, is_cut=True)
+    assert score(cut, 0.3, CONFIG) == pytest.approx(CONFIG.cut_worth * score(whole, 0.3, CONFIG))
+    assert score(cut, 0.3, ViewConfig(strategy="max_area")) == score(whole, 0.3, ViewConfig(strategy="max_area"))
 
 
 def test_the_exponents_are_the_papers_by_default() -> None:
@@ -93,7 +106,9 @@ def test_each_strategy_picks_what_its_name_says(seen: list[tuple[View, float]], 
     width, height = ([v.box_px[k + 2] - v.box_px[k] for v in judged] for k in (0, 1))
     match strategy:
         case "s_score":
-            values = [math.log(1 + s) * v.r_area**0.3 * v.r_depth**0.5 for v, s in seen]
+            values = [
+                (0.7 if v.is_cut else 1.0) * math.log(1 + 768 * s) * v.r_area**0.3 * v.r_depth**0.5 for v, s in seen
+            ]
             assert values[i] == pytest.approx(max(values), rel=1e-12)
         case "initial":
             assert i == 0
