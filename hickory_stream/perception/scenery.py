@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.perception.relief import relief
 from hickory_stream.perception.structure import (
     HorizontalPlane,
     StructureConfig,
@@ -46,7 +47,10 @@ def scenery_of(
     planes = horizontal_planes(surface, areas_m2, min_area_m2=support_area_m2)
     known_floor = prior.floor_z_m if prior is not None else None
     floor_z_m = floor_height_m(surface, planes, known_floor, config)
-    structure = structure_mask(surface, areas_m2, floor_z_m, config) | _known_structure(surface, prior)
+    structure, planes_near = structure_mask(surface, areas_m2, floor_z_m, config)
+    # By the map too: its voxels are coarser than what stands off a wall.
+    structure |= _known_structure(surface, prior)
+    structure &= ~relief(planes_near, structure, surface, config.relief)
     return Scenery(areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, structure=structure)
 
 

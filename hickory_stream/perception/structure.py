@@ -7,10 +7,12 @@ one is known by its height, and ends where it is seen to end.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from hickory_stream.perception.relief import NearPlane, ReliefConfig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,6 +35,7 @@ class StructureConfig:
             wall even where something is seen behind it ...
         furniture_depth_m, backing_m2: ... but for a parallel surface of this area this close behind it: then it is the
             front of a cupboard, and that is the wall.
+        relief: what stands off a floor or a wall by less than its tolerance.
     """
 
     floor_area_m2: float = 0.25
@@ -46,6 +49,7 @@ class StructureConfig:
     wall_width_m: float = 0.9
     furniture_depth_m: float = 0.75
     backing_m2: float = 0.15
+    relief: ReliefConfig = field(default_factory=ReliefConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -68,16 +72,20 @@ class Wall:
     offset: float
     cells: NDArray[np.int64] | None
 
-    def mask(self, surface: Surface, tolerance: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def distance_m(self, surface: Surface) -> NDArray[np.float32]:
+        """Return (h, w) how far each pixel lies before the wall."""
+        return np.asarray(surface.points_world[..., :2] @ self.normal - np.float32(self.offset))
+
+    def mask(
+        self, surface: Surface, distance: NDArray[np.float32], tolerance: NDArray[np.float32]
+    ) -> NDArray[np.bool_]:
         """Return (h, w) the pixels that are of the wall, to a tolerance in m per pixel."""
-        at = surface.points_world[..., :2]
-        distance = at @ self.normal - self.offset
         facing = surface.normals_world[..., :2] @ self.normal
         if self.cells is None:
             return np.asarray((distance < 1.5 * tolerance) & ((facing > 0.8) | (distance < 0.6 * tolerance)))
         near = np.abs(distance)
         mask = np.asarray((near < 1.5 * tolerance) & ((facing > 0.8) | (near < 0.6 * tolerance)))
-        mask[mask] = np.isin(_stretches(at[mask], self.normal), self.cells)
+        mask[mask] = np.isin(_stretches(surface.points_world[mask][:, :2], self.normal), self.cells)
         return mask
 
 
@@ -143,18 +151,23 @@ def floor_height_m(
 
 def structure_mask(
     surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None, config: StructureConfig
-) -> NDArray[np.bool_]:
-    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one."""
+) -> tuple[NDArray[np.bool_], list[NearPlane]]:
+    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and what is near the floor and walls."""
     tolerance = config.tolerance_m + 2.0 * surface.sigma_m
-    mask = np.zeros(surface.depth_m.shape, dtype=bool)
-    z = surface.points_world[..., 2]
+    mask = _ceiling(surface, areas_m2, tolerance, config)
+    planes: list[NearPlane] = []
     if floor_z_m is not None:
+        height = surface.points_world[..., 2] - np.float32(floor_z_m)
         level = surface.normals_world[..., 2] > 0.8
-        mask |= (z < floor_z_m + tolerance) & (level | (z < floor_z_m + 0.6 * tolerance))
-    mask |= _ceiling(surface, areas_m2, tolerance, config)
+        near = (height < tolerance) & (level | (height < 0.6 * tolerance))
+        planes.append(NearPlane(distance_m=height, near=near, is_floor=True))
     for wall in _walls(surface, areas_m2, floor_z_m, config):
-        mask |= wall.mask(surface, tolerance)
-    return mask
+        distance = wall.distance_m(surface)
+        near = wall.mask(surface, distance, tolerance)
+        planes.append(NearPlane(distance_m=distance, near=near, is_floor=False))
+    for plane in planes:
+        mask |= plane.near
+    return mask, planes
 
 
 def _ceiling(

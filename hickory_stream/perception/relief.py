@@ -1,0 +1,123 @@
+"""What stands off a floor or a wall by less than a pixel's noise: a lamp's foot, the back of a shelf.
+
+One pixel cannot be told from the plane behind it, a few dozen can: the mean of a window has a fraction of the noise. But
+a real camera's floors have waves as high as such a foot; those have the colour of the floor around them, a foot has not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReliefConfig:
+    """What counts as a part of a thing that stands off a plane.
+
+    Attributes:
+        window_px: side of the window whose mean is looked at.
+        least_m, sigmas: the mean must be off the plane by this, and by so many of its standard deviations.
+        min_area_px: the fewest pixels of a raised patch.
+        color_step: the least distance in CIE Lab between a patch and the plane around it.
+        reach_px: how far around a patch the plane's colour is taken.
+        min_held: the share of its outline along which a patch on a wall borders things in front: a picture or the frame
+            of a door has none. One on the floor needs only `min_touch_px` of it: a foot has a thin leg.
+    """
+
+    window_px: int = 5
+    least_m: float = 0.009
+    sigmas: float = 3.0
+    min_area_px: int = 24
+    color_step: float = 12.0
+    reach_px: int = 12
+    min_held: float = 0.3
+    min_touch_px: int = 2
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class NearPlane:
+    """The pixels `near` (h, w) the floor or a wall, and how far each lies on its front, in m (h, w)."""
+
+    distance_m: NDArray[np.float32]
+    near: NDArray[np.bool_]
+    is_floor: bool
+
+
+def relief(
+    planes: Sequence[NearPlane],
+    structure: NDArray[np.bool_],
+    surface: Surface,
+    config: ReliefConfig,
+) -> NDArray[np.bool_]:
+    """Return (h, w) which pixels of the `structure` stand off every plane that they are near, and belong to a thing."""
+    lab = cv2.cvtColor(surface.rgb.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)
+    things = (~structure & np.isfinite(surface.depth_m)).astype(np.uint8)
+    off, on = np.zeros(structure.shape, dtype=bool), np.zeros(structure.shape, dtype=bool)
+    for plane in planes:
+        patches = _raised(plane, things, surface.sigma_m, lab, config)
+        off |= patches
+        on |= plane.near & ~patches
+    return off & ~on
+
+
+def _raised(
+    plane: NearPlane,
+    things: NDArray[np.uint8],
+    sigma_m: NDArray[np.float32],
+    lab: NDArray[np.float32],
+    config: ReliefConfig,
+) -> NDArray[np.bool_]:
+    mask = np.zeros(plane.near.shape, dtype=bool)
+    mean, count = _window_mean(plane.distance_m, plane.near, config.window_px)
+    noise = sigma_m / np.sqrt(np.maximum(count, 1.0))
+    high = plane.near & (mean > np.maximum(np.float32(config.least_m), config.sigmas * noise))
+    if int(high.sum()) < config.min_area_px:
+        return mask
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(high.astype(np.uint8), connectivity=4)
+    ground = plane.near & ~high
+    for i in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= config.min_area_px).tolist():
+        u, v, width, height = (int(x) for x in stats[i, :4])
+        y, x = max(0, v - config.reach_px), max(0, u - config.reach_px)
+        window = np.s_[y : v + height + config.reach_px, x : u + width + config.reach_px]
+        patch = labels[window] == i
+        if i == 0 or not _is_held(patch, things[window], plane.is_floor, config):
+            continue
+        around = ground[window]
+        color = lab[window][around] if int(around.sum()) >= config.min_area_px else lab[ground]
+        if len(color) and _color_step(lab[window][patch], color) > config.color_step:
+            mask[window] |= patch
+    return mask
+
+
+def _is_held(patch: NDArray[np.bool_], things: NDArray[np.uint8], is_floor: bool, config: ReliefConfig) -> bool:  # noqa: FBT001
+    """Return whether enough of a patch's outline borders on things."""
+    outline = (cv2.dilate(patch.astype(np.uint8), _NEXT) > 0) & ~patch
+    touch = int(things[outline].sum())
+    return touch >= config.min_touch_px if is_floor else touch > config.min_held * int(outline.sum())
+
+
+def _window_mean(
+    values: NDArray[np.float32], mask: NDArray[np.bool_], side: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return (h, w) the mean over the pixels of a mask in the window around each pixel, and how many they are."""
+    total = cv2.blur(np.where(mask, values, np.float32(0)), (side, side), borderType=cv2.BORDER_CONSTANT)
+    share = cv2.blur(mask.astype(np.float32), (side, side), borderType=cv2.BORDER_CONSTANT)
+    count = share * np.float32(side * side)
+    return np.asarray(total / np.maximum(share, np.float32(1e-6))), np.asarray(count)
+
+
+def _color_step(patch: NDArray[np.float32], plane: NDArray[np.float32]) -> float:
+    return float(np.linalg.norm(np.median(patch, axis=0) - np.median(plane, axis=0)))
+
+
+_NEXT = np.ones((3, 3), dtype=np.uint8)
