@@ -16,6 +16,7 @@ from hickory_stream.perception.join import JoinConfig, join_fragments
 from hickory_stream.perception.masks import enlarged, hidden_shares, why_no_object
 from hickory_stream.perception.pieces import label_boxes
 from hickory_stream.perception.scenery import Scenery, scenery_of
+from hickory_stream.perception.shades import ShadeConfig, divided_by_color, lab_of
 from hickory_stream.perception.structure import StructureConfig
 from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
 from hickory_stream.perception.trees import Trees, embedded_trees
@@ -41,6 +42,7 @@ class GeometricConfig:
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)
     structure: StructureConfig = field(default_factory=StructureConfig)
     fragments: FragmentConfig = field(default_factory=FragmentConfig)
+    shades: ShadeConfig = field(default_factory=ShadeConfig)
     join: JoinConfig = field(default_factory=JoinConfig)
     min_area_px: int = 60
     max_extent_m: float = 3.0
@@ -97,6 +99,8 @@ class GeometricSegmenter:
         supports = support_labels(surface, heights, min_pixels=config.min_area_px)
         creases = concave_creases(surface, config.fragments)
         labels = fragments_of(surface, scenery.structure, supports, creases, config.fragments)
+        boxes = label_boxes(labels, int(labels.max()) + 1)
+        labels = divided_by_color(labels, boxes, lab_of(surface.rgb), config.shades)
         return Fragments(surface=surface, scenery=scenery, supports=supports, labels=labels)
 
 

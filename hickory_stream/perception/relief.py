@@ -1,7 +1,8 @@
 """What stands off a floor or a wall by less than a pixel's noise: a lamp's foot, the back of a shelf.
 
-One pixel cannot be told from the plane behind it, a few dozen can: the mean of a window has a fraction of the noise. But
-a real camera's floors have waves as high as such a foot; those have the colour of the floor around them, a foot has not.
+One pixel cannot be told from the plane behind it, a few dozen can: the mean of a window has a fraction of the noise.
+But a real camera's floors have waves as high as such a foot; those have the colour of the floor around them, a foot has
+not.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ def _raised(
         y, x = max(0, v - config.reach_px), max(0, u - config.reach_px)
         window = np.s_[y : v + height + config.reach_px, x : u + width + config.reach_px]
         patch = labels[window] == i
-        if i == 0 or not _is_held(patch, things[window], plane.is_floor, config):
+        if i == 0 or not _is_held(patch, things[window], is_floor=plane.is_floor, config=config):
             continue
         around = ground[window]
         color = lab[window][around] if int(around.sum()) >= config.min_area_px else lab[ground]
@@ -99,7 +100,7 @@ def _raised(
     return mask
 
 
-def _is_held(patch: NDArray[np.bool_], things: NDArray[np.uint8], is_floor: bool, config: ReliefConfig) -> bool:  # noqa: FBT001
+def _is_held(patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_floor: bool, config: ReliefConfig) -> bool:
     """Return whether enough of a patch's outline borders on things."""
     outline = (cv2.dilate(patch.astype(np.uint8), _NEXT) > 0) & ~patch
     touch = int(things[outline].sum())

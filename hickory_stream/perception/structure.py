@@ -152,7 +152,7 @@ def floor_height_m(
 def structure_mask(
     surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None, config: StructureConfig
 ) -> tuple[NDArray[np.bool_], list[NearPlane]]:
-    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and what is near the floor and walls."""
+    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and which are near floor and walls."""
     tolerance = config.tolerance_m + 2.0 * surface.sigma_m
     mask = _ceiling(surface, areas_m2, tolerance, config)
     planes: list[NearPlane] = []

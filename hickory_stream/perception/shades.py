@@ -1,0 +1,135 @@
+"""Fragments fall apart where their colour changes for good: a box flush with the one below it, books on a board.
+
+Geometry cannot divide what noise makes flush. Colour is averaged over windows inside a fragment, so that a pattern has
+one colour, and the windows are divided in two along the direction in which they vary most (Otsu 1979). Whether the
+pieces are one thing after all is decided with all else that is known of them, in `join`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShadeConfig:
+    """When a fragment has two colours.
+
+    Attributes:
+        window_px: side of the windows.
+        lightness: how much lightness counts beside chroma: shadows change it.
+        min_step: the least distance in CIE Lab between the two means.
+        min_separation: the least share of the variance along the direction that is between the two.
+        min_pixels: a piece is at least so large.
+        depth: a piece is divided again, down to so many times.
+    """
+
+    window_px: int = 9
+    lightness: float = 0.5
+    min_step: float = 12.0
+    min_separation: float = 0.7
+    min_pixels: int = 30
+    depth: int = 2
+
+
+def lab_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return (h, w, 3) CIE Lab of an image."""
+    return np.asarray(cv2.cvtColor(rgb.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB))
+
+
+def divided_by_color(
+    labels: NDArray[np.int32], boxes: NDArray[np.int64], lab: NDArray[np.float32], config: ShadeConfig
+) -> NDArray[np.int32]:
+    """Return (h, w) labels 1..n of which some are divided; `boxes` (n + 1, 4) are theirs: x0, y0, x1, y1."""
+    out = labels.copy()
+    count = len(boxes)
+    pixels = np.bincount(labels.ravel(), minlength=count)
+    weighted = lab * np.array([config.lightness, 1, 1], dtype=np.float32)
+    for i in range(1, len(boxes)):
+        if pixels[i] < 2 * config.min_pixels:
+            continue
+        x0, y0, x1, y1 = boxes[i]
+        mask = labels[y0:y1, x0:x1] == i
+        for piece in _pieces(mask, weighted[y0:y1, x0:x1], config, config.depth)[1:]:
+            out[y0:y1, x0:x1][piece] = count
+            count += 1
+    return out
+
+
+def _pieces(
+    mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ShadeConfig, depth: int
+) -> list[NDArray[np.bool_]]:
+    """Return the masks that a mask falls into; itself where it has one colour."""
+    if depth == 0 or int(mask.sum()) < 2 * config.min_pixels:
+        return [mask]
+    bright = _two_colors(mask, lab, config)
+    if bright is None:
+        return [mask]
+    pieces = _regions(mask & bright, mask & ~bright, config.min_pixels)
+    if len(pieces) < 2:
+        return [mask]
+    return [part for piece in pieces for part in _pieces(piece, lab, config, depth - 1)]
+
+
+def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ShadeConfig) -> NDArray[np.bool_] | None:
+    """Return which pixels of a mask have the one of its two colours, None where it has one."""
+    side = (config.window_px, config.window_px)
+    inside = mask.astype(np.float32)
+    share = cv2.blur(inside, side, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.blur(lab * inside[..., None], side, borderType=cv2.BORDER_CONSTANT)
+    colors = total[mask] / share[mask][:, None]
+    centered = (colors - colors.mean(axis=0)).astype(np.float64)
+    variances, axes = np.linalg.eigh(centered.T @ centered / len(centered))
+    # Two means that far apart, of the smallest share that counts, already make this variance.
+    if variances[2] < 0.02 * config.min_step**2:
+        return None
+    along = centered @ axes[:, 2]
+    threshold, separation = _otsu(along)
+    high = along > threshold
+    step = float(np.linalg.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0)))
+    if separation < config.min_separation or step < config.min_step:
+        return None
+    out = np.zeros(mask.shape, dtype=bool)
+    out[mask] = high
+    return out
+
+
+def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the threshold that divides values best, and which share of their variance is between the two sides."""
+    counts, edges = np.histogram(values, bins=48)
+    middles = (edges[:-1] + edges[1:]) / 2
+    below = np.cumsum(counts)[:-1]
+    first = np.cumsum(counts * middles)[:-1]
+    above, last = len(values) - below, float(counts @ middles) - first
+    between = below * above * (last / np.maximum(above, 1) - first / np.maximum(below, 1)) ** 2
+    best = int(np.argmax(between))
+    variance = float(values.var()) * len(values) ** 2
+    return float(edges[best + 1]), float(between[best]) / max(variance, 1e-12)
+
+
+def _regions(one: NDArray[np.bool_], other: NDArray[np.bool_], min_pixels: int) -> list[NDArray[np.bool_]]:
+    """Return the connected regions of two masks that are large enough; the rest goes to the nearest of them."""
+    large: list[NDArray[np.bool_]] = []
+    for mask in (one, other):
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+        large += [labels == i for i in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= min_pixels).tolist() if i > 0]
+    if len(large) < 2:
+        return large
+    seeds = np.zeros(one.shape, dtype=np.int32)
+    for i, region in enumerate(large):
+        seeds[region] = i + 1
+    rest = (one | other) & (seeds == 0)
+    if rest.any():
+        _, nearest = cv2.distanceTransformWithLabels(
+            (seeds == 0).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        names = np.zeros(int(nearest.max()) + 1, dtype=np.int32)
+        names[nearest[seeds > 0]] = seeds[seeds > 0]
+        seeds[rest] = names[nearest[rest]]
+    return [seeds == i + 1 for i in range(len(large))]

@@ -1,0 +1,72 @@
+"""Fragments that fall apart by their colour."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from hickory_stream.perception.pieces import label_boxes
+from hickory_stream.perception.shades import ShadeConfig, divided_by_color, lab_of
+
+CONFIG = ShadeConfig()
+ORANGE, RED, WHITE = (230, 150, 60), (215, 40, 40), (240, 240, 235)
+
+
+def checks(height: int, width: int, one: tuple[int, int, int], side: int = 5) -> NDArray[np.uint8]:
+    v, u = np.mgrid[:height, :width] // side
+    return np.where(((u + v) % 2 == 0)[..., None], one, WHITE).astype(np.uint8)
+
+
+def divided(rgb: NDArray[np.uint8], labels: NDArray[np.int32], config: ShadeConfig = CONFIG) -> NDArray[np.int32]:
+    return divided_by_color(labels, label_boxes(labels, int(labels.max()) + 1), lab_of(rgb), config)
+
+
+def test_two_patterned_boxes_that_are_flush_are_two() -> None:
+    rgb = np.concatenate([checks(30, 40, RED), checks(30, 40, ORANGE)])
+    out = divided(rgb, np.ones((60, 40), dtype=np.int32))
+    assert set(np.unique(out)) == {1, 2}
+    top, bottom = out[:25].ravel(), out[35:].ravel()
+    assert (top == top[0]).all()
+    assert (bottom == bottom[0]).all()
+    assert top[0] != bottom[0]
+
+
+def test_a_pattern_alone_divides_nothing() -> None:
+    assert (divided(checks(60, 40, RED), np.ones((60, 40), dtype=np.int32)) == 1).all()
+
+
+def test_a_shadow_divides_nothing() -> None:
+    rgb = np.full((60, 40, 3), (150, 150, 150), dtype=np.uint8)
+    rgb[30:] = (115, 115, 115)
+    assert (divided(rgb, np.ones((60, 40), dtype=np.int32)) == 1).all()
+
+
+def test_a_speck_divides_nothing() -> None:
+    rgb = np.full((60, 40, 3), WHITE, dtype=np.uint8)
+    rgb[10:14, 10:14] = RED
+    assert (divided(rgb, np.ones((60, 40), dtype=np.int32)) == 1).all()
+
+
+def test_a_piece_is_divided_again() -> None:
+    rgb = np.zeros((90, 40, 3), dtype=np.uint8)
+    rgb[:30], rgb[30:60], rgb[60:] = RED, (60, 90, 200), (70, 200, 90)
+    out = divided(rgb, np.ones((90, 40), dtype=np.int32))
+    assert len({int(out[v, 20]) for v in (10, 45, 80)}) == 3
+    once = divided(rgb, np.ones((90, 40), dtype=np.int32), ShadeConfig(depth=1))
+    assert len(np.unique(once)) == 2
+
+
+@given(st.integers(0, 10_000))
+@pytest.mark.filterwarnings("error")
+def test_pieces_are_of_one_fragment_and_leave_nothing_out(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    labels = np.repeat(np.repeat(random.integers(0, 4, (4, 4)), 12, axis=0), 12, axis=1).astype(np.int32)
+    names, labels = np.unique(labels, return_inverse=True)
+    labels = labels.reshape(48, 48).astype(np.int32) + (0 if names[0] == 0 else 1)
+    rgb = np.repeat(np.repeat(random.integers(0, 256, (6, 6, 3)), 8, axis=0), 8, axis=1).astype(np.uint8)
+    out = divided(rgb, labels)
+    assert ((out > 0) == (labels > 0)).all()
+    for piece in np.unique(out[out > 0]):
+        assert len(np.unique(labels[out == piece])) == 1
+    assert set(np.unique(out[out > 0])) == set(range(1, int(out.max()) + 1))
