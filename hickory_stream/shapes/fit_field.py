@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.shapes.quadric_lm import distances_to, refined, tangent_distance
+from hickory_stream.shapes.seeds import chessboard_depth
 from hickory_stream.shapes.thinning import thinned
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ class FitField:
     def protruding_part(self, min_reach: float) -> NDArray[np.int64] | None:
         """Return the (N, 3) cells of the part that reaches farthest from what is explained; None below `min_reach`."""
         unexplained = self._covered < 0.5
-        reach = np.where(self._distance < 0, ndimage.distance_transform_cdt(unexplained, "chessboard"), 0.0)
+        reach = np.where(self._distance < 0, chessboard_depth(unexplained), 0.0)
         farthest = np.unravel_index(int(np.argmax(reach)), reach.shape)
         if reach[farthest] < min_reach:
             return None
