@@ -152,11 +152,19 @@ class FitField:
 
     def _window(self, row: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first cells and the ends of the part of the grid within `margin` of the box of a primitive."""
-        reach = np.abs(row[8:17].reshape(3, 3)) @ np.exp(row[2:5]) + margin
-        shape = np.array(self._object.shape)
-        low = np.clip(np.floor(row[5:8] - reach), 0, shape - 1).astype(np.int64)
-        high = np.clip(np.ceil(row[5:8] + reach) + 1, low + 1, shape).astype(np.int64)
-        return low, high
+        return _window(row, margin, self._object.shape)  # type: ignore[no-any-return]
+
+
+@numba.njit(cache=True, nogil=True)
+def _window(row, margin, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for i in range(3):
+        reach = margin
+        for j in range(3):
+            reach += abs(row[8 + 3 * i + j]) * np.exp(row[2 + j])
+        low[i] = min(max(int(np.floor(row[5 + i] - reach)), 0), shape[i] - 1)
+        high[i] = min(max(int(np.ceil(row[5 + i] + reach)) + 1, low[i] + 1), shape[i])
+    return low, high
 
 
 @numba.njit(cache=True, nogil=True)
