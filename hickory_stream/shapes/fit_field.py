@@ -152,7 +152,7 @@ class FitField:
 
     def _window(self, row: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first cells and the ends of the part of the grid within `margin` of the box of a primitive."""
-        return _window(row, margin, self._object.shape)  # type: ignore[no-any-return]
+        return _window(row, margin, self._object.shape)
 
 
 @numba.njit(cache=True, nogil=True)
