@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.arrays import freeze, frozen_array
 from hickory_stream.mapping.cloud import Cloud, without
 from hickory_stream.mapping.track import Track
 
@@ -28,9 +28,29 @@ class PackedTrack:
         freeze(self, "is_solid", "?", (len(self.track.cloud.keys),))
 
 
-def packed(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a state of the core with its tracks packed, where that loses nothing."""
-    return {name: _each(value, Track, _packed) for name, value in state.items()}
+class Packer:
+    """Packs states one after another; of a track that did not change the same marks are given again.
+
+    So that who writes arrays by their identity writes these once.
+    """
+
+    def __init__(self) -> None:
+        self._marks: dict[int, _Marks] = {}
+
+    def packed(self, state: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a state of the core with its tracks packed, where that loses nothing."""
+        before, self._marks = self._marks, {}
+
+        def pack(track: Track) -> Track | PackedTrack:
+            marks = before.get(id(track.solid))
+            if marks is None or marks.cloud is not track.cloud:
+                marks = _Marks(cloud=track.cloud, solid=track.solid, is_solid=_solid_marks(track.cloud, track.solid))
+            self._marks[id(track.solid)] = marks
+            if marks.is_solid is None:
+                return track
+            return PackedTrack(track=replace(track, solid=track.cloud), is_solid=marks.is_solid)
+
+        return {name: _each(value, Track, pack) for name, value in state.items()}
 
 
 def unpacked(state: Mapping[str, Any]) -> dict[str, Any]:
@@ -44,13 +64,25 @@ def _each(value: Any, kind: type, change: Any) -> Any:
     return value
 
 
-def _packed(track: Track) -> Track | PackedTrack:
-    if track.solid is track.cloud:
-        return track
-    marked = np.isin(track.cloud.keys, track.solid.keys, assume_unique=True)
-    if not _is_same(without(track.cloud, ~marked), track.solid):
-        return track
-    return PackedTrack(track=replace(track, solid=track.cloud), is_solid=marked)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Marks:
+    """Which of a cloud's points are its solid part; None where that is the whole, none, or more than a choice of them.
+
+    It holds both clouds, whose identities then are nobody else's.
+    """
+
+    cloud: Cloud
+    solid: Cloud
+    is_solid: NDArray[np.bool_] | None
+
+
+def _solid_marks(cloud: Cloud, solid: Cloud) -> NDArray[np.bool_] | None:
+    if solid is cloud or len(solid.keys) == 0:
+        return None
+    # Keys are sorted.
+    places = np.minimum(np.searchsorted(solid.keys, cloud.keys), len(solid.keys) - 1)
+    marked = solid.keys[places] == cloud.keys
+    return frozen_array(marked, "?", (None,), "marks") if _is_same(without(cloud, ~marked), solid) else None
 
 
 def _unpacked(packed_track: PackedTrack) -> Track:

@@ -29,7 +29,7 @@ from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
-from hickory_stream.engine.checkpoints import packed, unpacked
+from hickory_stream.engine.checkpoints import Packer, unpacked
 from hickory_stream.engine.record_codec import decode, encode, encode_array
 from hickory_stream.engine.step import Checkpoint, JournalEntry, Step, StepKind
 from hickory_stream.errors import MapFolderError
@@ -83,6 +83,7 @@ class JournalWriter:
         self._path = folder / JOURNAL
         self._flush_s = flush_s
         self._parts = _Parts()
+        self._packer = Packer()
         self._num_chunks = 0
         self._synced_s = time.monotonic()
         partial = folder / f".{JOURNAL}{PARTIAL_SUFFIX}"
@@ -118,7 +119,7 @@ class JournalWriter:
         """Add the state after the last step; arrays that an earlier checkpoint holds are referred to."""
         with disk_errors(self._path):
             self._parts.begin(self._num_chunks)
-            document = encode(replace(checkpoint, core=packed(checkpoint.core)), self._parts)
+            document = encode(replace(checkpoint, core=self._packer.packed(checkpoint.core)), self._parts)
             new = self._parts.end()
             self._add(_CHECKPOINT, stamp_ns, document)
             for part in new:

@@ -12,6 +12,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from threadpoolctl import threadpool_limits
+
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.journal import JournalWriter
 from hickory_stream.engine.resume import recorded_config, reopen
@@ -47,7 +49,9 @@ class Mapper:
         segmenter, extractor: other perception than the configured one.
         workers: other shape workers than child processes of this machine.
 
-    Entering makes the shape workers available; leaving ends them. One `run` per mapper.
+    Entering makes the shape workers available; leaving ends them. One `run` per mapper. In between linear algebra has
+    one thread in this process: the cores are busy with workers, and sums that are split differently differ in their
+    last bits.
 
     Raises:
         ConfigError: the configuration asks for what is not there.
@@ -72,6 +76,7 @@ class Mapper:
         self._workers = workers or make_workers(self.config)
         self._resumes = False
         self._temporary: Path | None = None
+        self._threads: threadpool_limits | None = None
         self._run: Run | None = None
         self.folder: MapFolder | None = None
 
@@ -102,12 +107,15 @@ class Mapper:
 
     async def __aenter__(self) -> Mapper:
         await self._workers.__aenter__()
+        self._threads = threadpool_limits(limits=1, user_api="blas")
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self._workers.__aexit__(kind, error, trace)
+        if self._threads is not None:
+            self._threads.restore_original_limits()
         if self._temporary is not None:
             shutil.rmtree(self._temporary, ignore_errors=True)
 

@@ -25,7 +25,7 @@ from hickory_stream.shapes.frame import object_axes
 from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
 from hickory_stream.shapes.quadric_lm import ROW, row_of
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
-from hickory_stream.shapes.seeds import grown_box, principal_axes
+from hickory_stream.shapes.seeds import chessboard_depth, grown_box, principal_axes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -348,7 +348,7 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
     sizes[0] = 0
     starts = []
     windows = ndimage.find_objects(labels)
-    depth = ndimage.distance_transform_cdt(left, "chessboard")
+    depth = chessboard_depth(left)
     for label in np.argsort(-sizes, kind="stable")[: min(count, num_seeds)]:
         window = windows[label - 1]
         first = np.array([part.start for part in window]) + first_cell

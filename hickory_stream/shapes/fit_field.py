@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.shapes.quadric_lm import distances_to, refined, tangent_distance
+from hickory_stream.shapes.seeds import chessboard_depth
 from hickory_stream.shapes.thinning import thinned
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ class FitField:
     def protruding_part(self, min_reach: float) -> NDArray[np.int64] | None:
         """Return the (N, 3) cells of the part that reaches farthest from what is explained; None below `min_reach`."""
         unexplained = self._covered < 0.5
-        reach = np.where(self._distance < 0, ndimage.distance_transform_cdt(unexplained, "chessboard"), 0.0)
+        reach = np.where(self._distance < 0, chessboard_depth(unexplained), 0.0)
         farthest = np.unravel_index(int(np.argmax(reach)), reach.shape)
         if reach[farthest] < min_reach:
             return None
@@ -151,11 +152,19 @@ class FitField:
 
     def _window(self, row: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first cells and the ends of the part of the grid within `margin` of the box of a primitive."""
-        reach = np.abs(row[8:17].reshape(3, 3)) @ np.exp(row[2:5]) + margin
-        shape = np.array(self._object.shape)
-        low = np.clip(np.floor(row[5:8] - reach), 0, shape - 1).astype(np.int64)
-        high = np.clip(np.ceil(row[5:8] + reach) + 1, low + 1, shape).astype(np.int64)
-        return low, high
+        return _window(row, margin, self._object.shape)
+
+
+@numba.njit(cache=True, nogil=True)
+def _window(row, margin, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for i in range(3):
+        reach = margin
+        for j in range(3):
+            reach += abs(row[8 + 3 * i + j]) * np.exp(row[2 + j])
+        low[i] = min(max(int(np.floor(row[5 + i] - reach)), 0), shape[i] - 1)
+        high[i] = min(max(int(np.ceil(row[5 + i] + reach)) + 1, low[i] + 1), shape[i])
+    return low, high
 
 
 @numba.njit(cache=True, nogil=True)

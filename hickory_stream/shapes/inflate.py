@@ -156,7 +156,7 @@ def _growths(share: _Share, inside: Inside) -> list[Superquadrics]:
     tight = share.with_strays_boxed(grown)
     if tight is None:
         return [whole]
-    boxed = tight.grown_over(inside, tight.grown())
+    boxed = tight.grown_over(inside, tight.grown_from(share, grown))
     is_worth_it = volumes_m3(boxed).sum() < (1 - _LEAST_GAIN) * volumes_m3(whole).sum()
     return [boxed, whole] if is_worth_it else [whole]
 
@@ -278,8 +278,10 @@ class _Share:
             out = uncovered_cells(grown, inside, self.config.g)
             if len(out) == 0:
                 break
-            share = share.with_balls(out[:, :3], out[:, 3] * np.sqrt(3))
-            grown = share.grown()
+            more = share.with_balls(out[:, :3], out[:, 3] * np.sqrt(3))
+            # The others hold what they held.
+            which = np.unique(more.owners[len(share.owners) :])
+            share, grown = more, _replaced(grown, more.grown(which), which)
         return grown
 
     def grown(self, which: NDArray[np.int64] | None = None) -> Superquadrics:
@@ -292,6 +294,15 @@ class _Share:
                 exponents[i], in_units = self._grown_one(i, own)
                 axes[i] = in_units * self.unit_m
         return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=self.primitives.world_from_local)
+
+    def grown_from(self, before: _Share, grown: Superquadrics) -> Superquadrics:
+        """Return what `grown` does, where `grown` is that of a share of the same items with fewer primitives."""
+        num_before = len(before.primitives)
+        changed = self.owners != before.owners
+        touched = np.unique(np.concatenate([self.owners[changed], before.owners[changed]]))
+        which = np.union1d(touched, np.arange(num_before, len(self.primitives)))
+        kept = np.setdiff1d(np.arange(num_before), which)
+        return _replaced(self.grown(which), grown, kept)
 
     def _of_items(self, are_in: NDArray[np.bool_]) -> _Share:
         return replace(self, items=self.items[are_in], owners=self.owners[are_in], distances=self.distances[are_in])
@@ -315,6 +326,13 @@ class _Share:
         sizes = [_size_around(binding, before, rounder, self.config.g) for rounder in candidates]
         best = candidates[int(np.argmin(sizes))]
         return best, _axes_around(points, radii, binding, before, best, self.config.g)
+
+
+def _replaced(primitives: Superquadrics, others: Superquadrics, which: NDArray[np.int64]) -> Superquadrics:
+    """Return the primitives, those of these indices as the others have them; the poses are the same."""
+    exponents, axes = primitives.exponents.copy(), primitives.semi_axes_m.copy()
+    exponents[which], axes[which] = others.exponents[which], others.semi_axes_m[which]
+    return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=primitives.world_from_local)
 
 
 def _candidates(exponents: NDArray[np.float64]) -> list[NDArray[np.float64]]:

@@ -99,8 +99,19 @@ def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDA
         lines = np.zeros(tuple(np.roll(shape, -axis)), np.float32)
         _crossings(turned, lines)
         winding += np.transpose(lines, np.argsort(np.roll(np.arange(3), -axis)))
-    sign = np.linalg.det(corners).sum()
-    return np.asarray(np.sign(sign) * winding / 3)
+    return np.asarray(np.sign(_signed_volume(corners)) * winding / 3)
+
+
+@numba.njit(cache=True, nogil=True)
+def _signed_volume(corners):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return six times the volume that (F, 3, 3) triangles enclose, positive where they look outwards."""
+    total = 0.0
+    for f in range(len(corners)):
+        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+        total += a[0] * (b[1] * c[2] - b[2] * c[1])
+        total += a[1] * (b[2] * c[0] - b[0] * c[2])
+        total += a[2] * (b[0] * c[1] - b[1] * c[0])
+    return total
 
 
 @numba.njit(cache=True, nogil=True)
@@ -208,6 +219,14 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
         t = corners[f]
         if not _normal(t, normal):
             continue
+        first = (t[0, 0], t[0, 1], t[0, 2])
+        ab = (t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2])
+        ac = (t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2])
+        products = (
+            ab[0] * ab[0] + ab[1] * ab[1] + ab[2] * ab[2],
+            ab[0] * ac[0] + ab[1] * ac[1] + ab[2] * ac[2],
+            ac[0] * ac[0] + ac[1] * ac[1] + ac[2] * ac[2],
+        )
         radius2 = 0.0
         for axis in range(3):
             middle[axis] = (t[0, axis] + t[1, axis] + t[2, axis]) / 3.0
@@ -230,9 +249,12 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
                     slack = away + radius2 - known
                     if out * out >= known or (away > radius2 and slack > 0.0 and slack * slack >= 4.0 * radius2 * away):
                         continue
-                    d = _squared_distance(float(i), float(j), float(k), t, nearest)
-                    if d < squared[i, j, k] and not _is_buried(inside, nearest, normal):
-                        squared[i, j, k] = d
+                    d, v, w = _squared_distance(float(i), float(j), float(k), first, ab, ac, products)
+                    if d < squared[i, j, k]:
+                        for axis in range(3):
+                            nearest[axis] = first[axis] + v * ab[axis] + w * ac[axis]
+                        if not _is_buried(inside, nearest, normal):
+                            squared[i, j, k] = d
 
 
 @numba.njit(cache=True, nogil=True)
@@ -263,19 +285,18 @@ def _is_buried(inside, point, normal):  # type: ignore[no-untyped-def] # pragma:
 
 
 @numba.njit(cache=True, nogil=True)
-def _squared_distance(x, y, z, t, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the squared distance from a point to a triangle, and fill its nearest point.
+def _squared_distance(x, y, z, first, ab, ac, products):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the squared distance from a point to a triangle, and the shares v, w of its edges at its nearest point.
 
+    That point is first + v ab + w ac; `products` are those of the edges: ab ab, ab ac, ac ac.
     Ericson, Real-Time Collision Detection, 5.1.5.
     """
-    abx, aby, abz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
-    acx, acy, acz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
-    apx, apy, apz = x - t[0, 0], y - t[0, 1], z - t[0, 2]
+    abx, aby, abz = ab
+    acx, acy, acz = ac
+    bb, bc, cc = products
+    apx, apy, apz = x - first[0], y - first[1], z - first[2]
     d1 = abx * apx + aby * apy + abz * apz
     d2 = acx * apx + acy * apy + acz * apz
-    bb = abx * abx + aby * aby + abz * abz
-    bc = abx * acx + aby * acy + abz * acz
-    cc = acx * acx + acy * acy + acz * acz
     d3, d4 = d1 - bb, d2 - bc
     d5, d6 = d1 - bc, d2 - cc
     if d1 <= 0.0 and d2 <= 0.0:
@@ -298,9 +319,7 @@ def _squared_distance(x, y, z, t, nearest):  # type: ignore[no-untyped-def] # pr
         else:
             scale = 1.0 / max(va + vb + vc, 1e-30)
             v, w = vb * scale, vc * scale
-    for axis in range(3):
-        nearest[axis] = t[0, axis] + v * (t[1, axis] - t[0, axis]) + w * (t[2, axis] - t[0, axis])
     ex = apx - v * abx - w * acx
     ey = apy - v * aby - w * acy
     ez = apz - v * abz - w * acz
-    return ex * ex + ey * ey + ez * ez
+    return ex * ex + ey * ey + ez * ez, v, w

@@ -20,6 +20,12 @@ def grown_box(solid: NDArray[np.bool_], seed: tuple[int, int, int], min_fill: fl
     return np.asarray(_grow(solid, np.array(seed, dtype=np.int64), min_fill))
 
 
+def chessboard_depth(solid: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return how many steps of a king it takes from each cell to one that is not solid; -1 where all are."""
+    depth = np.asarray(_depth(solid))
+    return depth if not solid.all() else np.full_like(depth, -1)
+
+
 def principal_axes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return (3, 3) right-handed columns, the principal axes of (N, 3) cells."""
     centered = cells - cells.mean(axis=0)
@@ -59,3 +65,34 @@ def _grow(solid, seed, min_fill):  # type: ignore[no-untyped-def] # pragma: no c
                 else:
                     blocked[side, axis] = True
     return box
+
+
+@numba.njit(cache=True, nogil=True)
+def _depth(solid):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Rosenfeld and Pfaltz: one pass forwards, one backwards; each looks at the 13 neighbours before a cell."""
+    nx, ny, nz = solid.shape
+    far = np.int32(nx + ny + nz)
+    # A rim as deep as can be: what is beyond the grid is not known to be empty.
+    depth = np.full((nx + 2, ny + 2, nz + 2), far, np.int32)
+    for i in range(1, nx + 1):
+        for j in range(1, ny + 1):
+            for k in range(1, nz + 1):
+                if not solid[i - 1, j - 1, k - 1]:
+                    depth[i, j, k] = 0
+                    continue
+                least = depth[i, j, k - 1]
+                for w in range(k - 1, k + 2):
+                    least = min(least, depth[i, j - 1, w], depth[i - 1, j - 1, w], depth[i - 1, j, w])
+                    least = min(least, depth[i - 1, j + 1, w])
+                depth[i, j, k] = min(least + 1, far)
+    for i in range(nx, 0, -1):
+        for j in range(ny, 0, -1):
+            for k in range(nz, 0, -1):
+                if depth[i, j, k] == 0:
+                    continue
+                least = depth[i, j, k + 1]
+                for w in range(k - 1, k + 2):
+                    least = min(least, depth[i, j + 1, w], depth[i + 1, j + 1, w], depth[i + 1, j, w])
+                    least = min(least, depth[i + 1, j - 1, w])
+                depth[i, j, k] = min(depth[i, j, k], least + 1)
+    return depth[1:-1, 1:-1, 1:-1].copy()

@@ -6,6 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
+from threadpoolctl import threadpool_info
 
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.session import create_map_folder, open_map
@@ -54,6 +55,19 @@ def test_a_map_folder_of_its_own_is_there_while_mapping_and_gone_afterwards() ->
             return mapper.folder.path
 
     assert not asyncio.run(run()).exists()
+
+
+def test_linear_algebra_has_one_thread_while_mapping_and_all_of_them_again_afterwards() -> None:
+    def threads() -> list[int]:
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    async def run() -> list[int]:
+        async with Mapper():
+            return threads()
+
+    before = threads()
+    assert set(asyncio.run(run())) == {1}
+    assert threads() == before
 
 
 def test_a_consumer_that_leaves_early_leaves_a_map_that_opens_and_no_child(tmp_path: Path) -> None:
