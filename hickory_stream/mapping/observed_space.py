@@ -5,11 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import centers_of_keys, contains, difference, keys_of_cells, keys_of_points, union
+from hickory_stream.geometry.voxels import (
+    centers_of_keys,
+    contains,
+    difference,
+    first_not_below,
+    inserted,
+    keys_of_cells,
+    keys_of_points,
+    sorted_unique,
+    union,
+)
 from hickory_stream.records import ObservedSpace
 
 if TYPE_CHECKING:
@@ -94,7 +105,8 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
 
 
 def _without_disproved(state: SpaceState, free_keys: NDArray[np.int64]) -> SpaceState:
-    disproved = (state.hits > _DISPROVED) & contains(free_keys, state.structure)
+    disproved = state.hits > _DISPROVED
+    disproved[disproved] = contains(free_keys, state.structure[disproved])
     if not disproved.any():
         return state
     hits = state.hits - disproved.astype(np.uint8)
@@ -104,7 +116,7 @@ def _without_disproved(state: SpaceState, free_keys: NDArray[np.int64]) -> Space
 
 def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
     """Return the space in which the voxels of (N, 3) points surely are structure: what was an object, and is none."""
-    keys = np.unique(keys_of_points(points, state.voxel_m))
+    keys = sorted_unique(keys_of_points(points, state.voxel_m))
     old = ~contains(keys, state.structure)
     structure, hits = _with_structure(state.structure[old], state.hits[old], keys, _NO_OBJECT)
     return replace(state, free=difference(state.free, keys), structure=structure, hits=hits)
@@ -112,18 +124,27 @@ def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
 
 def _hits_of(structure: NDArray[np.int64], hits: NDArray[np.uint8], keys: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Return how often each of (N,) voxels was seen as structure."""
-    if len(structure) == 0:
-        return np.zeros(len(keys), dtype=np.uint8)
-    at = np.minimum(np.searchsorted(structure, keys), len(structure) - 1)
-    return np.where(structure[at] == keys, hits[at], np.uint8(0))
+    out: NDArray[np.uint8] = _hits_at(structure, hits, keys)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _hits_at(structure, hits, keys):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.zeros(len(keys), dtype=np.uint8)
+    at = 0
+    for i in range(len(keys)):
+        at = first_not_below(structure, keys[i], at)
+        if at < len(structure) and structure[at] == keys[i]:
+            out[i] = hits[at]
+    return out
 
 
 def _with_structure(
     structure: NDArray[np.int64], hits: NDArray[np.uint8], new: NDArray[np.int64], new_hits: int
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    keys = np.concatenate([structure, new])
-    order = np.argsort(keys, kind="stable")
-    return keys[order], np.concatenate([hits, np.full(len(new), new_hits, dtype=np.uint8)])[order]
+    """Return the voxels and their hits with (M,) sorted new ones among them."""
+    at = np.searchsorted(structure, new)
+    return inserted(structure, at, new), inserted(hits, at, np.full(len(new), new_hits, dtype=np.uint8))
 
 
 def known_no_object(state: SpaceState) -> NDArray[np.int64]:
