@@ -7,6 +7,7 @@ polyhedron.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +48,8 @@ class OrientedBox:
     @property
     def volume_m3(self) -> float:
         """The volume."""
-        return float(8.0 * np.prod(self.half_extents_m))
+        x, y, z = self.half_extents_m.tolist()
+        return float(8.0 * (x * y * z))
 
     @property
     def diagonal_m(self) -> float:
@@ -62,7 +64,8 @@ class OrientedBox:
     def contains(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the box grown by `margin_m`."""
         local = (points_world - self.center) @ self.world_from_box[:3, :3]
-        return np.asarray((np.abs(local) <= self.half_extents_m + margin_m).all(axis=1))
+        inside = np.abs(local) <= self.half_extents_m + margin_m
+        return np.asarray(inside[:, 0] & inside[:, 1] & inside[:, 2])
 
     def is_over_or_under(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the column of an upright box grown by `margin_m`."""
@@ -149,8 +152,7 @@ def box_iou(a: OrientedBox, b: OrientedBox) -> float:
 
 def intersection_volume_m3(a: OrientedBox, b: OrientedBox) -> float:
     """Return the exact volume of the intersection of two oriented boxes; 0.0 when they only touch."""
-    reach = np.linalg.norm(a.half_extents_m) + np.linalg.norm(b.half_extents_m)
-    if np.linalg.norm(a.center - b.center) >= reach:
+    if math.dist(a.center, b.center) >= math.hypot(*a.half_extents_m) + math.hypot(*b.half_extents_m):
         return 0.0
     rotation_ab = np.ascontiguousarray(a.world_from_box[:3, :3].T @ b.world_from_box[:3, :3])
     offset_ab = a.world_from_box[:3, :3].T @ (b.center - a.center)
@@ -167,27 +169,36 @@ def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _may_be_corner(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which points are not strictly inside the octagon of extreme points (Akl, Toussaint)."""
-    x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
-    total, difference = x + y, x - y
-    # Extreme in eight directions, counter-clockwise.
-    values = (x, total, y, -difference, -x, -total, -y, difference)
-    corners = points[[int(np.argmax(value)) for value in values]]
+    corners = points[_extreme_in_eight(points)]
     edges = np.roll(corners, -1, axis=0) - corners
     edges, starts = edges[(edges != 0).any(axis=1)], corners[(edges != 0).any(axis=1)]
     if len(edges) == 0:
         return np.ones(len(points), dtype=bool)
     # Left of an edge: edge x (point - start) > 0, which is linear in the point.
-    return np.asarray(
-        ~_left_of_all(x, y, edges[:, 0], edges[:, 1], edges[:, 0] * starts[:, 1] - edges[:, 1] * starts[:, 0])
-    )
+    offsets = edges[:, 0] * starts[:, 1] - edges[:, 1] * starts[:, 0]
+    return np.asarray(~_left_of_all(points, edges, offsets))
 
 
 @numba.njit(cache=True, nogil=True)
-def _left_of_all(x, y, dx, dy, offset):  # type: ignore[no-untyped-def] # pragma: no cover
-    inside = np.ones(len(x), dtype=np.bool_)
-    for i in range(len(x)):
-        for k in range(len(dx)):
-            if dx[k] * y[i] - dy[k] * x[i] <= offset[k]:
+def _extreme_in_eight(points):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the (8,) numbers of the first points that are extreme in eight directions, counter-clockwise."""
+    best = np.full(8, -np.inf)
+    out = np.zeros(8, dtype=np.int64)
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        total, difference = x + y, x - y
+        for k, value in enumerate((x, total, y, -difference, -x, -total, -y, difference)):
+            if value > best[k]:
+                best[k], out[k] = value, i
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _left_of_all(points, edges, offsets):  # type: ignore[no-untyped-def] # pragma: no cover
+    inside = np.ones(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        for k in range(len(edges)):
+            if edges[k, 0] * points[i, 1] - edges[k, 1] * points[i, 0] <= offsets[k]:
                 inside[i] = False
                 break
     return inside

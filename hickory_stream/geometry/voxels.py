@@ -52,20 +52,37 @@ def contains(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDAr
     return found
 
 
+def places(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return what np.searchsorted does: before which of the sorted keys each query belongs."""
+    found: NDArray[np.int64] = _places(sorted_keys, queries)
+    return found
+
+
 def difference(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sorted keys of `a` that are not in `b`, both sorted; quick where few of `b` are in `a`."""
-    return np.asarray(_without_places(a, np.searchsorted(a, b[contains(a, b)])))
+    """Return the sorted keys of `a` that are not in `b`, both sorted; `a` itself where none of `b` are in it."""
+    gone = b[contains(a, b)]
+    return np.asarray(_without_places(a, places(a, gone))) if len(gone) else a
 
 
 def union(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sorted keys of `a` and `b`, both sorted and each key once; quick where `b` brings few new ones."""
+    """Return the sorted keys of `a` and `b`, both sorted and each key once; `a` itself where `b` brings no new ones."""
     fresh = b[~contains(a, b)]
-    return inserted(a, np.searchsorted(a, fresh), fresh) if len(fresh) else a
+    return inserted(a, places(a, fresh), fresh) if len(fresh) else a
 
 
-def inserted(values: NDArray[Any], places: NDArray[np.int64], new: NDArray[Any]) -> NDArray[Any]:
+def exchanged(a: NDArray[np.int64], gone: NDArray[np.int64], new: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the union of `new` and the difference of `a` and `gone`, all sorted, in one walk; `a` where it is that."""
+    gone = gone[contains(a, gone)]
+    # What goes and comes stays, as in a difference and a union after it.
+    fresh = new[~contains(a, new) | contains(gone, new)]
+    if len(gone) == 0:
+        return inserted(a, places(a, fresh), fresh) if len(fresh) else a
+    return np.asarray(_exchanged(a, places(a, gone), places(a, fresh), fresh))
+
+
+def inserted(values: NDArray[Any], at: NDArray[np.int64], new: NDArray[Any]) -> NDArray[Any]:
     """Return (N,) values with (M,) new ones of the same type, each put before the value at its place; places ascend."""
-    return np.asarray(_with_inserted(values, places, new))
+    return np.asarray(_with_inserted(values, at, new))
 
 
 def sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -114,6 +131,16 @@ def first_not_below(sorted_keys, key, start):  # type: ignore[no-untyped-def] # 
 
 
 @numba.njit(cache=True, nogil=True)
+def _places(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty(len(queries), dtype=np.int64)
+    at = 0
+    for i in range(len(queries)):
+        at = first_not_below(sorted_keys, queries[i], at)
+        out[i] = at
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
 def _contains(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty(len(queries), dtype=np.bool_)
     at = 0
@@ -131,6 +158,28 @@ def _without_places(a, places):  # type: ignore[no-untyped-def] # pragma: no cov
         out[n : n + place - start] = a[start:place]
         n += place - start
         start = place + 1
+    out[n:] = a[start:]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _exchanged(a, gone, at, new):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Leave out what is at the places `gone`, and put each of `new` before the place in `at`; both ascend."""
+    out = np.empty(len(a) - len(gone) + len(new), dtype=a.dtype)
+    start, n, g, f = 0, 0, 0, 0
+    while g < len(gone) or f < len(new):
+        puts = g == len(gone) or (f < len(new) and at[f] <= gone[g])
+        place = at[f] if puts else gone[g]
+        out[n : n + place - start] = a[start:place]
+        n += place - start
+        start = place
+        if puts:
+            out[n] = new[f]
+            n += 1
+            f += 1
+        else:
+            start += 1
+            g += 1
     out[n:] = a[start:]
     return out
 

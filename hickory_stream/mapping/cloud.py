@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class Cloud:
     """Sorted voxel `keys` (N,), mean `points` and `colors` (N, 3) as float32, and `hits` (N,): frames per voxel."""
 
@@ -101,10 +101,12 @@ def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hit
             keys[n], hits[n] = a_keys[i], a_hits[i] + b_hits[j]
         elif takes_a:
             keys[n], hits[n] = a_keys[i], a_hits[i]
-            points[n], colors[n] = a_points[i], a_colors[i]
+            for k in range(3):  # several times as fast as whole rows
+                points[n, k], colors[n, k] = a_points[i, k], a_colors[i, k]
         else:
             keys[n], hits[n] = b_keys[j], b_hits[j]
-            points[n], colors[n] = b_points[j], b_colors[j]
+            for k in range(3):
+                points[n, k], colors[n, k] = b_points[j, k], b_colors[j, k]
         i += takes_a
         j += takes_b
         n += 1

@@ -14,12 +14,13 @@ from hickory_stream.geometry.voxels import (
     centers_of_keys,
     contains,
     difference,
+    exchanged,
     first_not_below,
     inserted,
     keys_of_cells,
     keys_of_points,
+    places,
     sorted_unique,
-    union,
 )
 from hickory_stream.records import ObservedSpace
 
@@ -86,21 +87,20 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     Where a track was taken for structure, and four keyframes see through it, there is none: somebody stood there.
     """
     state = _without_disproved(state, seen.free_keys)
+    at = places(state.structure, seen.structure_keys)
     known = contains(state.structure, seen.structure_keys)
-    again = seen.structure_keys[known]
+    again, at_again = seen.structure_keys[known], at[known]
     hits = state.hits.copy()
-    at = np.searchsorted(state.structure, again)
-    before = hits[at]
-    hits[at] = np.maximum(before, np.minimum(before.astype(np.int64) + 1, _MOST_HITS))
+    before = hits[at_again]
+    hits[at_again] = after = np.maximum(before, np.minimum(before.astype(np.int64) + 1, _MOST_HITS))
     structure, hits = _with_structure(state.structure, hits, seen.structure_keys[~known], 1)
     # What has just become sure is free no more, and what is sure is not made free by rays that graze it.
-    free = difference(state.free, again[(before < _SURE_HITS) & (_hits_of(structure, hits, again) >= _SURE_HITS)])
+    sure = again[(before < _SURE_HITS) & (after >= _SURE_HITS)]
+    free = exchanged(state.free, sure, seen.free_keys[_hits_of(structure, hits, seen.free_keys) < _SURE_HITS])
+    # Read-only, so that the records of the map share it: it is the largest thing in a map.
+    free.flags.writeable = False
     return SpaceState(
-        voxel_m=state.voxel_m,
-        free=union(free, seen.free_keys[_hits_of(structure, hits, seen.free_keys) < _SURE_HITS]),
-        structure=structure,
-        hits=hits,
-        floor_z_m=_floor(state.floor_z_m, seen.floor_z_m),
+        voxel_m=state.voxel_m, free=free, structure=structure, hits=hits, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m)
     )
 
 
@@ -143,7 +143,7 @@ def _with_structure(
     structure: NDArray[np.int64], hits: NDArray[np.uint8], new: NDArray[np.int64], new_hits: int
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
     """Return the voxels and their hits with (M,) sorted new ones among them."""
-    at = np.searchsorted(structure, new)
+    at = places(structure, new)
     return inserted(structure, at, new), inserted(hits, at, np.full(len(new), new_hits, dtype=np.uint8))
 
 
