@@ -92,13 +92,19 @@ def sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @numba.njit(cache=True, nogil=True)
+def key_of_point(x, y, z, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the key of the voxel that holds a finite point."""
+    i = np.int64(np.floor(np.float64(x) / voxel_m)) + _OFFSET
+    j = np.int64(np.floor(np.float64(y) / voxel_m)) + _OFFSET
+    k = np.int64(np.floor(np.float64(z) / voxel_m)) + _OFFSET
+    return (i << (2 * _BITS)) | (j << _BITS) | k
+
+
+@numba.njit(cache=True, nogil=True)
 def _keys_of_points(points, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty(len(points), dtype=np.int64)
     for i in range(len(points)):
-        x = np.int64(np.floor(np.float64(points[i, 0]) / voxel_m)) + _OFFSET
-        y = np.int64(np.floor(np.float64(points[i, 1]) / voxel_m)) + _OFFSET
-        z = np.int64(np.floor(np.float64(points[i, 2]) / voxel_m)) + _OFFSET
-        out[i] = (x << (2 * _BITS)) | (y << _BITS) | z
+        out[i] = key_of_point(points[i, 0], points[i, 1], points[i, 2], voxel_m)
     return out
 
 

@@ -48,8 +48,9 @@ def support_labels(
     for i, height in enumerate(heights_m):
         fits = upward & (np.abs(z - height) < tolerance_m + 1.5 * surface.sigma_m)
         _, regions, stats, _ = cv2.connectedComponentsWithStats(fits.astype(np.uint8), connectivity=4)
-        large = np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= min_pixels)
-        labels[np.isin(regions, large[large > 0]) & (labels == 0)] = i + 1
+        is_large = stats[:, cv2.CC_STAT_AREA] >= min_pixels
+        is_large[0] = False  # what does not fit
+        labels[is_large[regions] & (labels == 0)] = i + 1
     return labels
 
 
