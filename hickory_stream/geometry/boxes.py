@@ -7,7 +7,6 @@ polyhedron.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -48,8 +47,7 @@ class OrientedBox:
     @property
     def volume_m3(self) -> float:
         """The volume."""
-        x, y, z = self.half_extents_m.tolist()
-        return float(8.0 * (x * y * z))
+        return _volume_m3(self.half_extents_m)
 
     @property
     def diagonal_m(self) -> float:
@@ -150,14 +148,31 @@ def box_iou(a: OrientedBox, b: OrientedBox) -> float:
     return shared / (a.volume_m3 + b.volume_m3 - shared)
 
 
-def intersection_volume_m3(a: OrientedBox, b: OrientedBox) -> float:
-    """Return the exact volume of the intersection of two oriented boxes; 0.0 when they only touch."""
-    if math.dist(a.center, b.center) >= math.hypot(*a.half_extents_m) + math.hypot(*b.half_extents_m):
+def intersection_volume_m3(a: OrientedBox, b: OrientedBox, margin_m: float = 0.0) -> float:
+    """Return the exact volume of the intersection of two boxes, both grown by a margin; 0.0 when they only touch."""
+    half_a, half_b = a.half_extents_m + margin_m, b.half_extents_m + margin_m
+    if _are_apart(a.world_from_box, half_a, b.world_from_box, half_b):
         return 0.0
     rotation_ab = np.ascontiguousarray(a.world_from_box[:3, :3].T @ b.world_from_box[:3, :3])
     offset_ab = a.world_from_box[:3, :3].T @ (b.center - a.center)
-    shared = _intersection_volume(a.half_extents_m, b.half_extents_m, rotation_ab, offset_ab)
-    return float(min(max(shared, 0.0), a.volume_m3, b.volume_m3))
+    shared = _intersection_volume(half_a, half_b, rotation_ab, offset_ab)
+    return float(min(max(shared, 0.0), _volume_m3(half_a), _volume_m3(half_b)))
+
+
+def _volume_m3(half_extents_m: NDArray[np.float64]) -> float:
+    x, y, z = half_extents_m.tolist()
+    return float(8.0 * (x * y * z))
+
+
+@numba.njit(cache=True, nogil=True)
+def _are_apart(world_from_a, half_a, world_from_b, half_b):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether the balls around two boxes are apart."""
+    way, reach_a, reach_b = 0.0, 0.0, 0.0
+    for i in range(3):
+        way += (world_from_a[i, 3] - world_from_b[i, 3]) ** 2
+        reach_a += half_a[i] ** 2
+        reach_b += half_b[i] ** 2
+    return np.sqrt(way) >= np.sqrt(reach_a) + np.sqrt(reach_b)
 
 
 def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
