@@ -149,7 +149,7 @@ def measure(
         bottom_m=sums.bottom_m,
         floor_z_m=np.nan if floor_z_m is None else floor_z_m,
         level=(surface.normals_world[..., 2] > 0.7) | (supports > 0),
-        heights_m=surface.points_world[..., 2],
+        heights_m=np.ascontiguousarray(surface.points_world[..., 2]),
     )
 
 

@@ -14,8 +14,10 @@ import numpy as np
 
 from hickory_stream.perception.structure_kernels import (
     areas_m2,
+    histogram,
     near_offset,
     on_wall,
+    places_of,
     surface_of_area,
     taken,
     taken_rows,
@@ -192,18 +194,19 @@ def _walls(
     if len(pixels) == 0:
         return []
     walls: list[Wall] = []
-    at, weight, heights = points[pixels, :2], weights[pixels].astype(np.float64), points[pixels, 2]
-    width, sigma = surface.depth_m.shape[1], surface.sigma_m.reshape(-1)[pixels]
+    at, heights, sigma, weight = places_of(pixels, points, surface.sigma_m.reshape(-1), weights)
+    width, azimuths = surface.depth_m.shape[1], _azimuths(direction)
     total = float(all_weight.sum())
+    wide, narrow = 0.05 + 2.0 * sigma, 0.04 + sigma
     left = np.ones(len(at), dtype=bool)
     for _ in range(8):
-        normal = _dominant_direction(taken_rows(direction, left), taken(weight, left))
+        normal = _dominant_direction(direction, weight, azimuths, left)
         along, agreement = at @ normal, direction @ normal
         fits = left & (agreement > 0.97)
         left &= ~(agreement > 0.94)
         for peak in _peaks(taken(along, fits), taken(weight, fits), config.wall_area_m2):
-            inward, offset = _refined(at, weight, normal, peak, 0.05 + 2.0 * sigma, fits)
-            on_it = near_offset(at @ inward, np.float32(offset), 0.04 + sigma, fits)
+            inward, offset = _refined(at, weight, normal, peak, wide, fits)
+            on_it = near_offset(at @ inward, np.float32(offset), narrow, fits)
             if not on_it.any():
                 continue
             behind = _behind(all_at, all_weight, all_sigma, inward, offset)
@@ -264,13 +267,23 @@ def _is_tall(heights: NDArray[np.float32], floor_z_m: float | None) -> bool:
     return bool(high - low > 1.0)
 
 
-def _dominant_direction(direction: NDArray[np.float32], weight: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the unit direction (2,) that most area faces: the peak of a histogram of 3 degrees, refined."""
+_AZIMUTHS = 120
+
+
+def _azimuths(direction: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return in which of the bins of 3 degrees each of (N, 2) unit directions lies."""
     azimuth = np.arctan2(direction[:, 1], direction[:, 0])
-    bins = np.mod(((azimuth + np.pi) / (2 * np.pi) * 120).astype(np.int64), 120)
-    histogram = np.bincount(bins, weights=weight, minlength=120)
-    smooth = histogram + 0.7 * (np.roll(histogram, 1) + np.roll(histogram, -1))
-    center = (int(np.argmax(smooth)) + 0.5) / 120 * 2 * np.pi - np.pi
+    return np.mod(((azimuth + np.pi) / (2 * np.pi) * _AZIMUTHS).astype(np.int64), _AZIMUTHS)
+
+
+def _dominant_direction(
+    direction: NDArray[np.float32], weight: NDArray[np.float64], azimuths: NDArray[np.int64], left: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Return the unit direction (2,) that most area of what is `left` faces: a peak of the histogram, refined."""
+    areas = histogram(azimuths, weight, left, _AZIMUTHS)
+    smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
+    direction, weight = taken_rows(direction, left), taken(weight, left)
+    center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
     near = direction @ np.array([np.cos(center), np.sin(center)], dtype=np.float32) > 0.98
     mean = np.average(taken_rows(direction, near), axis=0, weights=taken(weight, near))
     return (mean / np.linalg.norm(mean)).astype(np.float32)

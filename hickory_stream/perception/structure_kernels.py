@@ -56,6 +56,28 @@ def upright_pixels(normals, areas):  # type: ignore[no-untyped-def] # pragma: no
 
 
 @numba.njit(cache=True, nogil=True)
+def places_of(pixels, points, sigma, areas):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return of (N,) pixels where they lie (N, 2), their heights, standard deviations and, as float64, areas."""
+    at, heights = np.empty((len(pixels), 2), np.float32), np.empty(len(pixels), np.float32)
+    noise, weight = np.empty(len(pixels), np.float32), np.empty(len(pixels))
+    for n in range(len(pixels)):
+        i = pixels[n]
+        at[n, 0], at[n, 1], heights[n] = points[i, 0], points[i, 1], points[i, 2]
+        noise[n], weight[n] = sigma[i], areas[i]
+    return at, heights, noise, weight
+
+
+@numba.njit(cache=True, nogil=True)
+def histogram(bins, weight, among, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (count,) the weight in each bin of what is marked."""
+    out = np.zeros(count)
+    for i in range(len(bins)):
+        if among[i]:
+            out[bins[i]] += weight[i]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
 def taken(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return values[mask] of (N,) values."""
     out = np.empty(len(values), dtype=values.dtype)
