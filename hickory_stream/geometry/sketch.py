@@ -69,8 +69,8 @@ def _best(
     offsets = points - center
     lengths = np.linalg.norm(offsets, axis=1)
     logs = np.log(np.maximum(np.abs(offsets @ axes) / half, 1e-9))
-    costs, axes_of_order = [], [half @ order for order in _ORDERS]
-    for order, own_axes in zip(_ORDERS, axes_of_order, strict=True):
+    costs, semi_axes_m = [], [half @ order for order in _ORDERS]
+    for order, own_axes in zip(_ORDERS, semi_axes_m, strict=True):
         own = logs @ order
         size = np.cbrt(_volumes_m3(own_axes))
         for i, e2 in enumerate(_EXPONENTS):
@@ -80,12 +80,12 @@ def _best(
                 distance = float(np.abs(lengths * (1 - np.exp(-log_gauge))).mean())
                 costs.append(distance * float(size[i, j]))
     best = int(np.argmin(costs))
-    order, i, j = np.unravel_index(best, (len(_ORDERS), len(_EXPONENTS), len(_EXPONENTS)))
+    turn, of_e2, of_e1 = np.unravel_index(best, (len(_ORDERS), len(_EXPONENTS), len(_EXPONENTS)))
     return _Trial(
         cost=costs[best],
-        exponents=(_EXPONENTS[j], _EXPONENTS[i]),
-        semi_axes_m=axes_of_order[order],
-        pose=from_rotation_translation(axes @ _ORDERS[order], center),
+        exponents=(_EXPONENTS[of_e1], _EXPONENTS[of_e2]),
+        semi_axes_m=semi_axes_m[turn],
+        pose=from_rotation_translation(axes @ _ORDERS[turn], center),
     )
 
 

@@ -100,7 +100,11 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     # Read-only, so that the records of the map share it: it is the largest thing in a map.
     free.flags.writeable = False
     return SpaceState(
-        voxel_m=state.voxel_m, free=free, structure=structure, hits=hits, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m)
+        voxel_m=state.voxel_m,
+        free=free,
+        structure=structure,
+        hits=hits,
+        floor_z_m=_floor(state.floor_z_m, seen.floor_z_m),
     )
 
 

@@ -123,7 +123,9 @@ def _lift(
     size_m = max(float(np.ptp(column)) for column in company.T)
     if size_m > config.max_box_m:
         return f"{size_m:.1f} m long: no object"
-    return _Lifted(points=points, colors=colors, company=company, valid_share=float(num_reliable / np.count_nonzero(mask)))
+    return _Lifted(
+        points=points, colors=colors, company=company, valid_share=float(num_reliable / np.count_nonzero(mask))
+    )
 
 
 @numba.njit(cache=True, nogil=True)

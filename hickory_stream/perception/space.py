@@ -89,7 +89,7 @@ def _returns(depth, step, fx, fy, cx, cy, farthest):  # type: ignore[no-untyped-
 def _free_keys(
     origin: NDArray[np.float64], ends: NDArray[np.float64], returns: NDArray[np.float64], voxel_m: float
 ) -> NDArray[np.int64]:
-    """Return the sorted keys of the voxels that rays to (N, 3) ends cross, up to one before the end, and no return is in.
+    """Return the sorted keys of the voxels without a return that rays to (N, 3) ends cross, up to one before the end.
 
     One bit per voxel of the box around all rays: the order of bits is that of keys.
     """
