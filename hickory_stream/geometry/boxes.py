@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _FACE_STEP_DEG = 2.0
 _FACE_SLACK = 1.25
 _FACE_POINTS = 800
+# More than rounding takes off the reach of a box.
+_SLACK_M = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -61,15 +63,31 @@ class OrientedBox:
 
     def contains(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the box grown by `margin_m`."""
-        local = (points_world - self.center) @ self.world_from_box[:3, :3]
-        inside = np.abs(local) <= self.half_extents_m + margin_m
-        return np.asarray(inside[:, 0] & inside[:, 1] & inside[:, 2])
+        near = self._near(points_world, margin_m)
+        return self._holds(points_world, near, points_world.take(near, axis=0), margin_m)
 
     def is_over_or_under(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the column of an upright box grown by `margin_m`."""
-        level = np.array(points_world)
+        near = self._near(points_world, margin_m, is_column=True)
+        level = points_world.take(near, axis=0)
         level[:, 2] = self.center[2]
-        return self.contains(level, margin_m)
+        return self._holds(points_world, near, level, margin_m)
+
+    def _near(self, points_world: NDArray[Any], margin_m: float, *, is_column: bool = False) -> NDArray[np.int64]:
+        """Return the numbers of the points in the upright, unturned box around this one, or in its column."""
+        reach_m = np.abs(self.world_from_box[:3, :3]) @ (self.half_extents_m + margin_m) + _SLACK_M
+        if is_column:
+            reach_m[2] = np.inf
+        near: NDArray[np.int64] = _within(np.ascontiguousarray(points_world), self.center, reach_m)
+        return near
+
+    def _holds(
+        self, points_world: NDArray[Any], near: NDArray[np.int64], candidates: NDArray[Any], margin_m: float
+    ) -> NDArray[np.bool_]:
+        local = np.abs((candidates - self.center) @ self.world_from_box[:3, :3]) <= self.half_extents_m + margin_m
+        held = np.zeros(len(points_world), dtype=bool)
+        held[near] = local[:, 0] & local[:, 1] & local[:, 2]
+        return held
 
     def grown(self, margin_m: float) -> OrientedBox:
         """Return the box with every half extent larger by `margin_m`."""
@@ -133,7 +151,7 @@ def _upright_box(
 ) -> OrientedBox:
     sizes, lows = _rectangles(hull, np.array([angle]))
     rotation = yaw_rotation(angle)
-    z_low, z_high = float(points[:, 2].min()), float(points[:, 2].max())
+    z_low, z_high = _ends(points[:, 2])
     middle = rotation @ np.array([*(lows[:, 0] + sizes[:, 0] / 2), (z_low + z_high) / 2])
     half = np.array([*sizes[:, 0], z_high - z_low]) / 2
     return OrientedBox(
@@ -162,6 +180,30 @@ def intersection_volume_m3(a: OrientedBox, b: OrientedBox, margin_m: float = 0.0
 def _volume_m3(half_extents_m: NDArray[np.float64]) -> float:
     x, y, z = half_extents_m.tolist()
     return float(8.0 * (x * y * z))
+
+
+@numba.njit(cache=True, nogil=True)
+def _ends(values):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the least and the greatest of at least one value; along a column NumPy takes several times as long."""
+    low = high = values[0]
+    for i in range(1, len(values)):
+        low, high = min(low, values[i]), max(high, values[i])
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _within(points, center, reach):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the numbers of the points within a reach (3,) of a centre along each axis."""
+    out = np.empty(len(points), dtype=np.int64)
+    count = 0
+    for i in range(len(points)):
+        out[count] = i
+        count += (
+            (abs(points[i, 0] - center[0]) <= reach[0])
+            & (abs(points[i, 1] - center[1]) <= reach[1])
+            & (abs(points[i, 2] - center[2]) <= reach[2])
+        )
+    return out[:count]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.ndimage import find_objects
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points, sums_of_equal
 from hickory_stream.records import Observation, RejectedMask
@@ -19,6 +18,7 @@ from hickory_stream.records import Observation, RejectedMask
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.camera import Camera
     from hickory_stream.records import Frame, Segmentation
 
 
