@@ -9,7 +9,7 @@ marks them as cut.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numba
@@ -150,17 +150,30 @@ def hidden_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count
     return hidden / np.maximum(outline, 1)
 
 
-def enlarged(labels: NDArray[np.int32] | NDArray[np.uint8], factor: int, size: tuple[int, int]) -> NDArray[np.int32]:
+def enlarged(labels: NDArray[np.int32], factor: int, size: tuple[int, int]) -> NDArray[np.int32]:
     """Return labels at the size of the frame (width, height); what the reduction cut off has label 0."""
     if factor == 1:
         return labels.astype(np.int32)
-    large = np.zeros((size[1], size[0]), dtype=np.int32)
     big = cv2.resize(
-        labels.astype(np.int32).view(np.float32),  # nearest neighbour copies bits, and cv2 resizes no int32
+        labels.view(np.float32),  # nearest neighbour copies bits, and cv2 resizes no int32
         (labels.shape[1] * factor, labels.shape[0] * factor),
         interpolation=cv2.INTER_NEAREST,
     ).view(np.int32)
-    large[: big.shape[0], : big.shape[1]] = big
+    return _filled_up(big, size)
+
+
+def enlarged_mask(mask: NDArray[np.bool_], factor: int, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return a mask at the size of the frame (width, height); what the reduction cut off is not in it."""
+    shape = (mask.shape[1] * factor, mask.shape[0] * factor)
+    return _filled_up(cv2.resize(mask.view(np.uint8), shape, interpolation=cv2.INTER_NEAREST).view(np.bool_), size)
+
+
+def _filled_up(image: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """Return an image (h, w) with zeros to the right and below up to a size (width, height)."""
+    if image.shape == (size[1], size[0]):
+        return image
+    large = np.zeros((size[1], size[0]), dtype=image.dtype)
+    large[: image.shape[0], : image.shape[1]] = image
     return large
 
 

@@ -23,6 +23,7 @@ from hickory_stream.perception.structure_kernels import (
     taken_rows,
     upright_pixels,
     weight_below,
+    weighted_sum,
 )
 
 if TYPE_CHECKING:
@@ -285,7 +286,8 @@ def _dominant_direction(
     direction, weight = taken_rows(direction, left), taken(weight, left)
     center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
     near = direction @ np.array([np.cos(center), np.sin(center)], dtype=np.float32) > 0.98
-    mean = np.average(taken_rows(direction, near), axis=0, weights=taken(weight, near))
+    weight = taken(weight, near)
+    mean = weighted_sum(taken_rows(direction, near), weight) / weight.sum()
     return (mean / np.linalg.norm(mean)).astype(np.float32)
 
 

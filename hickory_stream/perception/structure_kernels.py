@@ -101,6 +101,16 @@ def taken_rows(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
+def weighted_sum(rows, weight):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the sum of (N, 2) rows, each times its weight, one after the other."""
+    out = np.zeros(2)
+    for i in range(len(rows)):
+        out[0] += rows[i, 0] * weight[i]
+        out[1] += rows[i, 1] * weight[i]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
 def near_offset(along, offset, tolerance, among):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (N,) which of `among` lie within their tolerance of an offset."""
     out = np.empty(len(along), dtype=np.bool_)

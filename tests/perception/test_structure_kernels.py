@@ -85,3 +85,10 @@ def test_areas_are_flat_ones_over_the_slant_and_none_where_nothing_is_seen():
     areas = pixel_areas_m2(surface)
     assert np.allclose(areas, expected, rtol=1e-6)
     assert (areas == 0).sum() == np.isnan(cosine).sum() > 0
+
+
+@given(seeds, st.integers(1, 60))
+def test_a_weighted_sum_over_the_weights_is_the_average(seed, count):
+    rows, weight = numbers(seed, count, 2), np.abs(numbers(seed + 2, count)).astype(np.float64) + 0.1
+    mean = kernels.weighted_sum(rows, weight) / weight.sum()
+    assert np.array_equal(mean, np.average(rows, axis=0, weights=weight))
