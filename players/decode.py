@@ -9,6 +9,7 @@ import struct
 from typing import TYPE_CHECKING, Any
 
 import cv2
+import numba
 import numpy as np
 
 from hickory_stream.errors import RecordingError
@@ -164,9 +165,19 @@ def rvl_size(data: bytes) -> tuple[int, int]:
 
 def metres_of_u16(raw: NDArray[np.uint16], units_per_m: float) -> NDArray[np.float32]:
     """Return integer depth as float32 metres; 0 and 65535 are no return and become NaN."""
-    depth_m = raw.astype(np.float32) * np.float32(1.0 / units_per_m)
-    depth_m[(raw == 0) | (raw == _NO_RETURN_U16)] = np.nan
+    depth_m: NDArray[np.float32] = _metres(raw, np.float32(1.0 / units_per_m))
     return depth_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _metres(raw, scale):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty(raw.shape, dtype=np.float32)
+    for y in range(raw.shape[0]):
+        for x in range(raw.shape[1]):
+            value = raw[y, x]
+            is_return = value != 0 and value != _NO_RETURN_U16
+            out[y, x] = np.float32(value) * scale if is_return else np.float32(np.nan)
+    return out
 
 
 def raw_pixels(message: Any, what: str) -> NDArray[Any]:

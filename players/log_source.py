@@ -343,11 +343,15 @@ def _decode(
         depth_m = np.where(depth_m <= setup.max_depth_m, depth_m, np.float32(np.nan)).astype(np.float32)
     if not np.isfinite(depth_m).any():
         ledger.count("depth_without_returns")
+    rgb = setup.color_lens.rectified_color(rgb)
+    depth_m = register_depth(setup.depth_lens.rectified_depth(depth_m), registration)
+    for image in (rgb, depth_m):
+        image.flags.writeable = False  # nobody else has them: the frame need not copy them
     return Frame(
         index=index,
         stamp_ns=pair.stamp_ns,
-        rgb=setup.color_lens.rectified_color(rgb),
-        depth_m=register_depth(setup.depth_lens.rectified_depth(depth_m), registration),
+        rgb=rgb,
+        depth_m=depth_m,
         camera=registration.color_camera,
         world_from_camera=world_from_camera,
     )

@@ -5,6 +5,7 @@ Beyond the ends, and in a gap that is too wide, the nearest pose is held for `HO
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +72,8 @@ def track_of(
 
 def is_pose_row(row: Sequence[float]) -> bool:
     """Return whether tx ty tz qx qy qz qw is a pose: finite, the quaternion of some length (it is normalised later)."""
-    return bool(np.isfinite(row).all() and np.linalg.norm(row[3:]) > 1e-3)
+    # Asked for every pose, several to a frame: of seven numbers Python is quicker than NumPy.
+    return all(map(math.isfinite, row)) and math.hypot(*row[3:]) > 1e-3
 
 
 def pose_of_row(row: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -25,7 +25,7 @@ from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.join import Groups, JoinConfig, measured, rounds
-from hickory_stream.perception.masks import enlarged
+from hickory_stream.perception.masks import enlarged_mask
 from hickory_stream.perception.trees import EMBEDDED, Trees
 from hickory_stream.records import Segmentation
 from tools.benchmarks.first_layer import play_first_layer
@@ -99,7 +99,7 @@ class TrueMasks:
         if measures is not None:
             self.lessons.append(_lesson(measures, shown, pieces.surface.factor))
         size = (frame.camera.width, frame.camera.height)
-        structure = enlarged(pieces.scenery.structure.astype(np.uint8), pieces.surface.factor, size) > 0
+        structure = enlarged_mask(pieces.scenery.structure, pieces.surface.factor, size)
         _, instances = np.unique(np.where(structure | (shown <= 0), 0, shown), return_inverse=True)
         return Segmentation(
             instances=instances.reshape(shown.shape).astype(np.int32),

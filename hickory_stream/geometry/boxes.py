@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _FACE_STEP_DEG = 2.0
 _FACE_SLACK = 1.25
 _FACE_POINTS = 800
+# More than rounding takes off the reach of a box.
+_SLACK_M = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -47,7 +49,7 @@ class OrientedBox:
     @property
     def volume_m3(self) -> float:
         """The volume."""
-        return float(8.0 * np.prod(self.half_extents_m))
+        return _volume_m3(self.half_extents_m)
 
     @property
     def diagonal_m(self) -> float:
@@ -61,14 +63,31 @@ class OrientedBox:
 
     def contains(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the box grown by `margin_m`."""
-        local = (points_world - self.center) @ self.world_from_box[:3, :3]
-        return np.asarray((np.abs(local) <= self.half_extents_m + margin_m).all(axis=1))
+        near = self._near(points_world, margin_m)
+        return self._holds(points_world, near, points_world.take(near, axis=0), margin_m)
 
     def is_over_or_under(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the column of an upright box grown by `margin_m`."""
-        level = np.array(points_world)
+        near = self._near(points_world, margin_m, is_column=True)
+        level = points_world.take(near, axis=0)
         level[:, 2] = self.center[2]
-        return self.contains(level, margin_m)
+        return self._holds(points_world, near, level, margin_m)
+
+    def _near(self, points_world: NDArray[Any], margin_m: float, *, is_column: bool = False) -> NDArray[np.int64]:
+        """Return the numbers of the points in the upright, unturned box around this one, or in its column."""
+        reach_m = np.abs(self.world_from_box[:3, :3]) @ (self.half_extents_m + margin_m) + _SLACK_M
+        if is_column:
+            reach_m[2] = np.inf
+        near: NDArray[np.int64] = _within(np.ascontiguousarray(points_world), self.center, reach_m)
+        return near
+
+    def _holds(
+        self, points_world: NDArray[Any], near: NDArray[np.int64], candidates: NDArray[Any], margin_m: float
+    ) -> NDArray[np.bool_]:
+        local = np.abs((candidates - self.center) @ self.world_from_box[:3, :3]) <= self.half_extents_m + margin_m
+        held = np.zeros(len(points_world), dtype=bool)
+        held[near] = local[:, 0] & local[:, 1] & local[:, 2]
+        return held
 
     def grown(self, margin_m: float) -> OrientedBox:
         """Return the box with every half extent larger by `margin_m`."""
@@ -132,7 +151,7 @@ def _upright_box(
 ) -> OrientedBox:
     sizes, lows = _rectangles(hull, np.array([angle]))
     rotation = yaw_rotation(angle)
-    z_low, z_high = float(points[:, 2].min()), float(points[:, 2].max())
+    z_low, z_high = _ends(points[:, 2])
     middle = rotation @ np.array([*(lows[:, 0] + sizes[:, 0] / 2), (z_low + z_high) / 2])
     half = np.array([*sizes[:, 0], z_high - z_low]) / 2
     return OrientedBox(
@@ -147,15 +166,55 @@ def box_iou(a: OrientedBox, b: OrientedBox) -> float:
     return shared / (a.volume_m3 + b.volume_m3 - shared)
 
 
-def intersection_volume_m3(a: OrientedBox, b: OrientedBox) -> float:
-    """Return the exact volume of the intersection of two oriented boxes; 0.0 when they only touch."""
-    reach = np.linalg.norm(a.half_extents_m) + np.linalg.norm(b.half_extents_m)
-    if np.linalg.norm(a.center - b.center) >= reach:
+def intersection_volume_m3(a: OrientedBox, b: OrientedBox, margin_m: float = 0.0) -> float:
+    """Return the exact volume of the intersection of two boxes, both grown by a margin; 0.0 when they only touch."""
+    half_a, half_b = a.half_extents_m + margin_m, b.half_extents_m + margin_m
+    if _are_apart(a.world_from_box, half_a, b.world_from_box, half_b):
         return 0.0
     rotation_ab = np.ascontiguousarray(a.world_from_box[:3, :3].T @ b.world_from_box[:3, :3])
     offset_ab = a.world_from_box[:3, :3].T @ (b.center - a.center)
-    shared = _intersection_volume(a.half_extents_m, b.half_extents_m, rotation_ab, offset_ab)
-    return float(min(max(shared, 0.0), a.volume_m3, b.volume_m3))
+    shared = _intersection_volume(half_a, half_b, rotation_ab, offset_ab)
+    return float(min(max(shared, 0.0), _volume_m3(half_a), _volume_m3(half_b)))
+
+
+def _volume_m3(half_extents_m: NDArray[np.float64]) -> float:
+    x, y, z = half_extents_m.tolist()
+    return float(8.0 * (x * y * z))
+
+
+@numba.njit(cache=True, nogil=True)
+def _ends(values):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the least and the greatest of at least one value; along a column NumPy takes several times as long."""
+    low = high = values[0]
+    for i in range(1, len(values)):
+        low, high = min(low, values[i]), max(high, values[i])
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _within(points, center, reach):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the numbers of the points within a reach (3,) of a centre along each axis."""
+    out = np.empty(len(points), dtype=np.int64)
+    count = 0
+    for i in range(len(points)):
+        out[count] = i
+        count += (
+            (abs(points[i, 0] - center[0]) <= reach[0])
+            & (abs(points[i, 1] - center[1]) <= reach[1])
+            & (abs(points[i, 2] - center[2]) <= reach[2])
+        )
+    return out[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def _are_apart(world_from_a, half_a, world_from_b, half_b):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether the balls around two boxes are apart."""
+    way, reach_a, reach_b = 0.0, 0.0, 0.0
+    for i in range(3):
+        way += (world_from_a[i, 3] - world_from_b[i, 3]) ** 2
+        reach_a += half_a[i] ** 2
+        reach_b += half_b[i] ** 2
+    return np.sqrt(way) >= np.sqrt(reach_a) + np.sqrt(reach_b)
 
 
 def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -167,27 +226,36 @@ def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _may_be_corner(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which points are not strictly inside the octagon of extreme points (Akl, Toussaint)."""
-    x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
-    total, difference = x + y, x - y
-    # Extreme in eight directions, counter-clockwise.
-    values = (x, total, y, -difference, -x, -total, -y, difference)
-    corners = points[[int(np.argmax(value)) for value in values]]
+    corners = points[_extreme_in_eight(points)]
     edges = np.roll(corners, -1, axis=0) - corners
     edges, starts = edges[(edges != 0).any(axis=1)], corners[(edges != 0).any(axis=1)]
     if len(edges) == 0:
         return np.ones(len(points), dtype=bool)
     # Left of an edge: edge x (point - start) > 0, which is linear in the point.
-    return np.asarray(
-        ~_left_of_all(x, y, edges[:, 0], edges[:, 1], edges[:, 0] * starts[:, 1] - edges[:, 1] * starts[:, 0])
-    )
+    offsets = edges[:, 0] * starts[:, 1] - edges[:, 1] * starts[:, 0]
+    return np.asarray(~_left_of_all(points, edges, offsets))
 
 
 @numba.njit(cache=True, nogil=True)
-def _left_of_all(x, y, dx, dy, offset):  # type: ignore[no-untyped-def] # pragma: no cover
-    inside = np.ones(len(x), dtype=np.bool_)
-    for i in range(len(x)):
-        for k in range(len(dx)):
-            if dx[k] * y[i] - dy[k] * x[i] <= offset[k]:
+def _extreme_in_eight(points):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the (8,) numbers of the first points that are extreme in eight directions, counter-clockwise."""
+    best = np.full(8, -np.inf)
+    out = np.zeros(8, dtype=np.int64)
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        total, difference = x + y, x - y
+        for k, value in enumerate((x, total, y, -difference, -x, -total, -y, difference)):
+            if value > best[k]:
+                best[k], out[k] = value, i
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _left_of_all(points, edges, offsets):  # type: ignore[no-untyped-def] # pragma: no cover
+    inside = np.ones(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        for k in range(len(edges)):
+            if edges[k, 0] * points[i, 1] - edges[k, 1] * points[i, 0] <= offsets[k]:
                 inside[i] = False
                 break
     return inside

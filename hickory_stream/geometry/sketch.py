@@ -69,19 +69,34 @@ def _best(
     offsets = points - center
     lengths = np.linalg.norm(offsets, axis=1)
     logs = np.log(np.maximum(np.abs(offsets @ axes) / half, 1e-9))
-    trials = []
-    for order in _ORDERS:
-        own, own_axes = logs @ order, half @ order
-        pose = from_rotation_translation(axes @ order, center)
-        for e2 in _EXPONENTS:
+    costs, semi_axes_m = [], [half @ order for order in _ORDERS]
+    for order, own_axes in zip(_ORDERS, semi_axes_m, strict=True):
+        own = logs @ order
+        size = np.cbrt(_volumes_m3(own_axes))
+        for i, e2 in enumerate(_EXPONENTS):
             log_rho = e2 / 2 * np.logaddexp(2 / e2 * own[:, 0], 2 / e2 * own[:, 1])
-            for e1 in _EXPONENTS:
+            for j, e1 in enumerate(_EXPONENTS):
                 log_gauge = e1 / 2 * np.logaddexp(2 / e1 * log_rho, 2 / e1 * own[:, 2])
                 distance = float(np.abs(lengths * (1 - np.exp(-log_gauge))).mean())
-                volume = float(volumes_m3(_as_superquadrics((e1, e2), own_axes, pose))[0])
-                cost = distance * float(np.cbrt(volume))
-                trials.append(_Trial(cost=cost, exponents=(e1, e2), semi_axes_m=own_axes, pose=pose))
-    return min(trials, key=lambda trial: trial.cost)
+                costs.append(distance * float(size[i, j]))
+    best = int(np.argmin(costs))
+    turn, of_e2, of_e1 = np.unravel_index(best, (len(_ORDERS), len(_EXPONENTS), len(_EXPONENTS)))
+    return _Trial(
+        cost=costs[best],
+        exponents=(_EXPONENTS[of_e1], _EXPONENTS[of_e2]),
+        semi_axes_m=semi_axes_m[turn],
+        pose=from_rotation_translation(axes @ _ORDERS[turn], center),
+    )
+
+
+def _volumes_m3(semi_axes_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the volumes of primitives with these semi-axes (3,), by the number of e2, then of e1."""
+    exponents = np.array([(e1, e2) for e2 in _EXPONENTS for e1 in _EXPONENTS])
+    poses = np.broadcast_to(np.eye(4), (len(exponents), 4, 4))
+    trials = Superquadrics(
+        exponents=exponents, semi_axes_m=np.tile(semi_axes_m, (len(exponents), 1)), world_from_local=poses
+    )
+    return volumes_m3(trials).reshape(len(_EXPONENTS), len(_EXPONENTS))
 
 
 def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:

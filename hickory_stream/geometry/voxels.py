@@ -36,8 +36,9 @@ def layers_of_keys(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def keys_of_points(points: NDArray[Any], voxel_m: float) -> NDArray[np.int64]:
-    """Return the (N,) keys of the voxels that hold (N, 3) points; neither sorted nor unique."""
-    return keys_of_cells(np.floor(points.astype(np.float64) / voxel_m).astype(np.int64))
+    """Return the (N,) keys of the voxels that hold (N, 3) finite points; neither sorted nor unique."""
+    keys: NDArray[np.int64] = _keys_of_points(np.ascontiguousarray(points), float(voxel_m))
+    return keys
 
 
 def centers_of_keys(keys: NDArray[np.int64], voxel_m: float) -> NDArray[np.float32]:
@@ -46,22 +47,113 @@ def centers_of_keys(keys: NDArray[np.int64], voxel_m: float) -> NDArray[np.float
 
 
 def contains(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return for each query whether it is among the sorted keys."""
-    if len(sorted_keys) == 0:
-        return np.zeros(len(queries), dtype=bool)
-    at = np.searchsorted(sorted_keys, queries)
-    return sorted_keys[np.minimum(at, len(sorted_keys) - 1)] == queries
+    """Return for each query whether it is among the sorted keys; quickest where queries are near those before them."""
+    found: NDArray[np.bool_] = _contains(sorted_keys, queries)
+    return found
+
+
+def places(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return what np.searchsorted does: before which of the sorted keys each query belongs."""
+    found: NDArray[np.int64] = _places(sorted_keys, queries)
+    return found
 
 
 def difference(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sorted keys of `a` that are not in `b`, both sorted; quick where few of `b` are in `a`."""
-    return np.asarray(_without_places(a, np.searchsorted(a, b[contains(a, b)])))
+    """Return the sorted keys of `a` that are not in `b`, both sorted; `a` itself where none of `b` are in it."""
+    gone = b[contains(a, b)]
+    return np.asarray(_without_places(a, places(a, gone))) if len(gone) else a
 
 
 def union(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sorted keys of `a` and `b`, both sorted and each key once; quick where `b` brings few new ones."""
+    """Return the sorted keys of `a` and `b`, both sorted and each key once; `a` itself where `b` brings no new ones."""
     fresh = b[~contains(a, b)]
-    return np.asarray(_with_inserted(a, np.searchsorted(a, fresh), fresh)) if len(fresh) else a
+    return inserted(a, places(a, fresh), fresh) if len(fresh) else a
+
+
+def exchanged(a: NDArray[np.int64], gone: NDArray[np.int64], new: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the union of `new` and the difference of `a` and `gone`, all sorted, in one walk; `a` where it is that."""
+    gone = gone[contains(a, gone)]
+    # What goes and comes stays, as in a difference and a union after it.
+    fresh = new[~contains(a, new) | contains(gone, new)]
+    if len(gone) == 0:
+        return inserted(a, places(a, fresh), fresh) if len(fresh) else a
+    return np.asarray(_exchanged(a, places(a, gone), places(a, fresh), fresh))
+
+
+def inserted(values: NDArray[Any], at: NDArray[np.int64], new: NDArray[Any]) -> NDArray[Any]:
+    """Return (N,) values with (M,) new ones of the same type, each put before the value at its place; places ascend."""
+    return np.asarray(_with_inserted(values, at, new))
+
+
+def sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return what np.unique does; a sort of integers takes a fraction of the time of its hash table."""
+    ordered = np.sort(keys)
+    return ordered[np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))]
+
+
+@numba.njit(cache=True, nogil=True)
+def key_of_point(x, y, z, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the key of the voxel that holds a finite point."""
+    i = np.int64(np.floor(np.float64(x) / voxel_m)) + _OFFSET
+    j = np.int64(np.floor(np.float64(y) / voxel_m)) + _OFFSET
+    k = np.int64(np.floor(np.float64(z) / voxel_m)) + _OFFSET
+    return (i << (2 * _BITS)) | (j << _BITS) | k
+
+
+@numba.njit(cache=True, nogil=True)
+def _keys_of_points(points, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty(len(points), dtype=np.int64)
+    for i in range(len(points)):
+        out[i] = key_of_point(points[i, 0], points[i, 1], points[i, 2], voxel_m)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def first_not_below(sorted_keys, key, start):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the place of the first of the sorted keys that is not below `key`, sought outwards from `start`."""
+    count = len(sorted_keys)
+    step = 1
+    if start < count and sorted_keys[start] < key:
+        low, high = start, start + 1
+        while high < count and sorted_keys[high] < key:
+            low = high
+            step *= 2
+            high = low + step
+        high = min(high, count)
+    else:
+        low, high = start - 1, start
+        while low >= 0 and sorted_keys[low] >= key:
+            high = low
+            low -= step
+            step *= 2
+        low = max(low, -1)
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if sorted_keys[middle] < key:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@numba.njit(cache=True, nogil=True)
+def _places(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty(len(queries), dtype=np.int64)
+    at = 0
+    for i in range(len(queries)):
+        at = first_not_below(sorted_keys, queries[i], at)
+        out[i] = at
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _contains(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.empty(len(queries), dtype=np.bool_)
+    at = 0
+    for i in range(len(queries)):
+        at = first_not_below(sorted_keys, queries[i], at)
+        out[i] = at < len(sorted_keys) and sorted_keys[at] == queries[i]
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
@@ -77,8 +169,30 @@ def _without_places(a, places):  # type: ignore[no-untyped-def] # pragma: no cov
 
 
 @numba.njit(cache=True, nogil=True)
+def _exchanged(a, gone, at, new):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Leave out what is at the places `gone`, and put each of `new` before the place in `at`; both ascend."""
+    out = np.empty(len(a) - len(gone) + len(new), dtype=a.dtype)
+    start, n, g, f = 0, 0, 0, 0
+    while g < len(gone) or f < len(new):
+        puts = g == len(gone) or (f < len(new) and at[f] <= gone[g])
+        place = at[f] if puts else gone[g]
+        out[n : n + place - start] = a[start:place]
+        n += place - start
+        start = place
+        if puts:
+            out[n] = new[f]
+            n += 1
+            f += 1
+        else:
+            start += 1
+            g += 1
+    out[n:] = a[start:]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
 def _with_inserted(a, places, values):  # type: ignore[no-untyped-def] # pragma: no cover
-    out = np.empty(len(a) + len(values), dtype=np.int64)
+    out = np.empty(len(a) + len(values), dtype=a.dtype)
     start, n = 0, 0
     for i in range(len(places)):
         place = places[i]
@@ -109,6 +223,61 @@ def in_company(points: NDArray[Any], cell_m: float = 0.04, min_points: int = 4) 
     What a box is put around: stray points have no company, whereas quantiles cut off a table's legs, which are a small
     share of its points.
     """
-    _, inverse, counts = np.unique(keys_of_points(points, cell_m), return_inverse=True, return_counts=True)
-    dense = counts[inverse] >= min_points
+    counts = sums_of_equal(keys_of_points(points, cell_m))
+    dense = counts >= min_points
     return dense if dense.mean() > 0.7 else np.ones(len(points), dtype=bool)
+
+
+def sums_of_equal(keys: NDArray[np.int64], weights: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+    """Return for each of (N,) keys the sum of the weights of all that are equal to it; their number without weights."""
+    groups, distinct = groups_of(keys)
+    totals = np.zeros(len(distinct), dtype=np.int64)
+    sums: NDArray[np.int64] = _sums(groups, totals, np.ones(0, dtype=np.int64) if weights is None else weights)
+    return sums
+
+
+def groups_of(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Return (N,) the number of each key's group, and the (groups,) keys, in the order in which they come first."""
+    groups: tuple[NDArray[np.int32], NDArray[np.int64]] = _groups_of(keys)
+    return groups
+
+
+@numba.njit(cache=True, nogil=True)
+def _groups_of(keys):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Number keys by a hash table with open addressing, at most half full."""
+    bits = 4
+    while (1 << bits) < 2 * len(keys):
+        bits += 1
+    mask = np.int64((1 << bits) - 1)
+    table = np.full(1 << bits, np.int32(-1), dtype=np.int32)
+    groups = np.empty(len(keys), dtype=np.int32)
+    distinct = np.empty(len(keys), dtype=np.int64)
+    count = np.int32(0)
+    last = np.int32(0)
+    for i in range(len(keys)):
+        key = keys[i]
+        if i > 0 and key == keys[i - 1]:
+            groups[i] = last
+            continue
+        # Fibonacci hashing, with the product's upper half folded down: neighbours in x differ in high bits only.
+        spread = key * np.int64(-7046029254386353131)
+        slot = (spread ^ (spread >> 32)) & mask
+        while table[slot] >= 0 and distinct[table[slot]] != key:
+            slot = (slot + 1) & mask
+        if table[slot] < 0:
+            table[slot] = count
+            distinct[count] = key
+            count += np.int32(1)
+        last = table[slot]
+        groups[i] = last
+    return groups, distinct[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _sums(groups, totals, weights):  # type: ignore[no-untyped-def] # pragma: no cover
+    for i in range(len(groups)):
+        totals[groups[i]] += weights[i] if len(weights) else 1
+    out = np.empty(len(groups), dtype=np.int64)
+    for i in range(len(groups)):
+        out[i] = totals[groups[i]]
+    return out

@@ -7,6 +7,7 @@ of frames say that they are one. How they stand does.
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,6 +16,7 @@ from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.mapping.cloud import is_near
 
 if TYPE_CHECKING:
+    from hickory_stream.mapping.cloud import Cloud
     from hickory_stream.mapping.track import Track
 
 _SAME_FLOOR_M = 0.15
@@ -74,8 +76,7 @@ def is_on_foot(upper: Track, lower: Track) -> bool:
     it could stand on.
     """
     points = upper.solid.points
-    low, high = (float(z) for z in np.percentile(points[:, 2], _STRAYS_PCT))
-    base, top = (float(z) for z in np.percentile(lower.solid.points[:, 2], _STRAYS_PCT))
+    (low, high), (base, top) = _ends_m(upper.solid), _ends_m(lower.solid)
     if not -0.2 < low - top < 0.2 or low - base < 0.1:
         return False
     foot = points[points[:, 2] < low + max(0.03, 0.15 * (high - low))]
@@ -133,7 +134,7 @@ def _stands_on(small: Track, large: Track) -> bool:
 
     What does not rise above that level is a piece of it.
     """
-    low, high = (float(z) for z in np.percentile(small.solid.points[:, 2], _STRAYS_PCT))
+    low, high = _ends_m(small.solid)
     around = large.solid.points[small.box.is_over_or_under(large.solid.points, _RING_M)]
     around = around[(around[:, 2] > low - 0.04) & (around[:, 2] < low + 0.02)]
     if len(around) < _MIN_POINTS or high - float(np.median(around[:, 2])) < _RISE_M:
@@ -142,6 +143,18 @@ def _stands_on(small: Track, large: Track) -> bool:
     x, y = 2 * small.box.half_extents_m[:2]
     ring = 2 * _RING_M * float(x + y + 2 * _RING_M)
     return len(cells) * _FOOT_CELL_M**2 > 0.2 * ring
+
+
+_ENDS_M: WeakKeyDictionary[Cloud, tuple[float, float]] = WeakKeyDictionary()
+
+
+def _ends_m(cloud: Cloud) -> tuple[float, float]:
+    """Return the lowest and the highest z of a cloud without its strays; a cloud is asked about in many pairs."""
+    ends = _ENDS_M.get(cloud)
+    if ends is None:
+        low, high = np.percentile(cloud.points[:, 2], _STRAYS_PCT)
+        ends = _ENDS_M[cloud] = (float(low), float(high))
+    return ends
 
 
 def _bottom_m(track: Track) -> float:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.observed_space import sees_structure
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def stem_of(track: Track, others: Iterable[Track], space: SpaceState, config: Fl
 def _is_free_below(
     foot: NDArray[np.float32], points: NDArray[np.float32], space: SpaceState, config: FloatConfig
 ) -> bool:
-    own = np.unique(keys_of_points(points, space.voxel_m))
+    own = sorted_unique(keys_of_points(points, space.voxel_m))
     below = np.concatenate([foot - np.array([0.0, 0.0, depth_m], np.float32) for depth_m in _BELOW_M])
     keys = keys_of_points(below, space.voxel_m)
     keys = keys[~contains(own, keys)]

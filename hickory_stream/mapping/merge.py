@@ -160,7 +160,7 @@ def why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | No
         if is_on_foot(upper, lower):
             return "the lower is the foot of the upper"
     # Touching pieces have boxes that meet: a few centimetres of slack let them.
-    if intersection_volume_m3(a.box.grown(0.03), b.box.grown(0.03)) <= 0.0:
+    if intersection_volume_m3(a.box, b.box, 0.03) <= 0.0:
         return None
     votes = book.of(a.id, b.id)
     often = votes.together >= config.sure_votes and votes.together >= config.sure_ratio * votes.apart

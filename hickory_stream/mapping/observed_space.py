@@ -5,11 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import centers_of_keys, contains, difference, keys_of_cells, keys_of_points, union
+from hickory_stream.geometry.voxels import (
+    centers_of_keys,
+    contains,
+    difference,
+    exchanged,
+    first_not_below,
+    inserted,
+    keys_of_cells,
+    keys_of_points,
+    places,
+    sorted_unique,
+)
 from hickory_stream.records import ObservedSpace
 
 if TYPE_CHECKING:
@@ -75,18 +87,21 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     Where a track was taken for structure, and four keyframes see through it, there is none: somebody stood there.
     """
     state = _without_disproved(state, seen.free_keys)
+    at = places(state.structure, seen.structure_keys)
     known = contains(state.structure, seen.structure_keys)
-    again = seen.structure_keys[known]
+    again, at_again = seen.structure_keys[known], at[known]
     hits = state.hits.copy()
-    at = np.searchsorted(state.structure, again)
-    before = hits[at]
-    hits[at] = np.maximum(before, np.minimum(before.astype(np.int64) + 1, _MOST_HITS))
+    before = hits[at_again]
+    hits[at_again] = after = np.maximum(before, np.minimum(before.astype(np.int64) + 1, _MOST_HITS))
     structure, hits = _with_structure(state.structure, hits, seen.structure_keys[~known], 1)
     # What has just become sure is free no more, and what is sure is not made free by rays that graze it.
-    free = difference(state.free, again[(before < _SURE_HITS) & (_hits_of(structure, hits, again) >= _SURE_HITS)])
+    sure = again[(before < _SURE_HITS) & (after >= _SURE_HITS)]
+    free = exchanged(state.free, sure, seen.free_keys[_hits_of(structure, hits, seen.free_keys) < _SURE_HITS])
+    # Read-only, so that the records of the map share it: it is the largest thing in a map.
+    free.flags.writeable = False
     return SpaceState(
         voxel_m=state.voxel_m,
-        free=union(free, seen.free_keys[_hits_of(structure, hits, seen.free_keys) < _SURE_HITS]),
+        free=free,
         structure=structure,
         hits=hits,
         floor_z_m=_floor(state.floor_z_m, seen.floor_z_m),
@@ -94,7 +109,8 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
 
 
 def _without_disproved(state: SpaceState, free_keys: NDArray[np.int64]) -> SpaceState:
-    disproved = (state.hits > _DISPROVED) & contains(free_keys, state.structure)
+    disproved = state.hits > _DISPROVED
+    disproved[disproved] = contains(free_keys, state.structure[disproved])
     if not disproved.any():
         return state
     hits = state.hits - disproved.astype(np.uint8)
@@ -104,7 +120,7 @@ def _without_disproved(state: SpaceState, free_keys: NDArray[np.int64]) -> Space
 
 def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
     """Return the space in which the voxels of (N, 3) points surely are structure: what was an object, and is none."""
-    keys = np.unique(keys_of_points(points, state.voxel_m))
+    keys = sorted_unique(keys_of_points(points, state.voxel_m))
     old = ~contains(keys, state.structure)
     structure, hits = _with_structure(state.structure[old], state.hits[old], keys, _NO_OBJECT)
     return replace(state, free=difference(state.free, keys), structure=structure, hits=hits)
@@ -112,18 +128,27 @@ def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
 
 def _hits_of(structure: NDArray[np.int64], hits: NDArray[np.uint8], keys: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Return how often each of (N,) voxels was seen as structure."""
-    if len(structure) == 0:
-        return np.zeros(len(keys), dtype=np.uint8)
-    at = np.minimum(np.searchsorted(structure, keys), len(structure) - 1)
-    return np.where(structure[at] == keys, hits[at], np.uint8(0))
+    out: NDArray[np.uint8] = _hits_at(structure, hits, keys)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _hits_at(structure, hits, keys):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.zeros(len(keys), dtype=np.uint8)
+    at = 0
+    for i in range(len(keys)):
+        at = first_not_below(structure, keys[i], at)
+        if at < len(structure) and structure[at] == keys[i]:
+            out[i] = hits[at]
+    return out
 
 
 def _with_structure(
     structure: NDArray[np.int64], hits: NDArray[np.uint8], new: NDArray[np.int64], new_hits: int
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    keys = np.concatenate([structure, new])
-    order = np.argsort(keys, kind="stable")
-    return keys[order], np.concatenate([hits, np.full(len(new), new_hits, dtype=np.uint8)])[order]
+    """Return the voxels and their hits with (M,) sorted new ones among them."""
+    at = places(structure, new)
+    return inserted(structure, at, new), inserted(hits, at, np.full(len(new), new_hits, dtype=np.uint8))
 
 
 def known_no_object(state: SpaceState) -> NDArray[np.int64]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.geometry.voxels import contains, keys_of_points, places
 from hickory_stream.mapping.observed_space import SpaceState, add, add_structure, as_record, empty_space
 from hickory_stream.records import SpaceObservation, Submap
 
@@ -218,7 +218,7 @@ def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:
     """Return the submap of each voxel; the open one has those that are new."""
     owners = np.full(len(keys), submaps.open_id, dtype=np.int32)
     is_owned = contains(submaps.owned, keys)
-    owners[is_owned] = submaps.owners[np.searchsorted(submaps.owned, keys[is_owned])]
+    owners[is_owned] = submaps.owners[places(submaps.owned, keys[is_owned])]
     return owners
 
 

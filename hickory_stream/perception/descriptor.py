@@ -96,10 +96,7 @@ def mask_feature(observation: Observation, features: NDArray[np.float32], patch_
     from hickory_stream.records import MaskFeature
 
     x0, y0, _, _ = observation.box_px
-    ys, xs = np.nonzero(observation.mask)
-    rows, columns = (ys + y0) // patch_px, (xs + x0) // patch_px
-    weights = np.zeros(features.shape[:2])
-    np.add.at(weights, (rows, columns), 1.0)
+    weights = _pixels_of_patches(observation.mask, x0, y0, patch_px, features.shape[0], features.shape[1])
     used = weights > 0
     weight = weights[used] / weights.sum()
     values = features[used].astype(np.float64)
@@ -111,6 +108,17 @@ def mask_feature(observation: Observation, features: NDArray[np.float32], patch_
         variance=min(max(variance, 0.0), 1.0),
         pooled=(mean / norm).astype(np.float32),
     )
+
+
+@numba.njit(cache=True, nogil=True)
+def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (rows, columns) how many pixels each patch has of a mask whose box begins at (x0, y0)."""
+    out = np.zeros((rows, columns))
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            if mask[y, x]:
+                out[(y + y0) // patch_px, (x + x0) // patch_px] += 1.0
+    return out
 
 
 def _gradients(light: NDArray[np.float32], scale: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -125,25 +133,27 @@ def _pooled(lab, fine_x, fine_y, coarse_x, coarse_y, side):  # type: ignore[no-u
     out = np.zeros((rows, columns, _LIGHT_BINS + _HUE_BINS + 1 + 2 * _ORIENTATIONS), np.float32)
     share = 1.0 / (side * side)
     grey = _LIGHT_BINS + _HUE_BINS
-    for row in range(rows * side):
-        for column in range(columns * side):
-            bins = out[row // side, column // side]
-            light, a, b = lab[row, column, 0], lab[row, column, 1], lab[row, column, 2]
-            position = min(max(light / 100.0 * (_LIGHT_BINS - 1), 0.0), _LIGHT_BINS - 1.0)
-            low = min(int(position), _LIGHT_BINS - 2)
-            bins[low] += share * (1.0 - (position - low))
-            bins[low + 1] += share * (position - low)
-            chroma = min(np.sqrt(a * a + b * b) / 40.0, 1.0)
-            if chroma > 0.0:
-                _add(bins, _LIGHT_BINS, _HUE_BINS, np.arctan2(b, a) / (2 * np.pi), share * 2.0 * chroma)
-            bins[grey] += share * (1.0 - chroma)
-            for scale in range(2):
-                gx = fine_x[row, column] if scale == 0 else coarse_x[row, column]
-                gy = fine_y[row, column] if scale == 0 else coarse_y[row, column]
-                strength = min(np.sqrt(gx * gx + gy * gy) / 40.0, 2.0)
-                if strength > 0.0:
-                    first = grey + 1 + scale * _ORIENTATIONS
-                    _add(bins, first, _ORIENTATIONS, np.arctan2(gy, gx) / np.pi, share * 0.5 * strength)
+    for patch in range(rows * columns):
+        bins = out[patch // columns, patch % columns]
+        top, left = patch // columns * side, patch % columns * side
+        for row in range(top, top + side):
+            for column in range(left, left + side):
+                light, a, b = lab[row, column, 0], lab[row, column, 1], lab[row, column, 2]
+                position = min(max(light / 100.0 * (_LIGHT_BINS - 1), 0.0), _LIGHT_BINS - 1.0)
+                low = min(int(position), _LIGHT_BINS - 2)
+                bins[low] += share * (1.0 - (position - low))
+                bins[low + 1] += share * (position - low)
+                chroma = min(np.sqrt(a * a + b * b) / 40.0, 1.0)
+                if chroma > 0.0:
+                    _add(bins, _LIGHT_BINS, _HUE_BINS, np.arctan2(b, a) / (2 * np.pi), share * 2.0 * chroma)
+                bins[grey] += share * (1.0 - chroma)
+                for scale in range(2):
+                    gx = fine_x[row, column] if scale == 0 else coarse_x[row, column]
+                    gy = fine_y[row, column] if scale == 0 else coarse_y[row, column]
+                    strength = min(np.sqrt(gx * gx + gy * gy) / 40.0, 2.0)
+                    if strength > 0.0:
+                        first = grey + 1 + scale * _ORIENTATIONS
+                        _add(bins, first, _ORIENTATIONS, np.arctan2(gy, gx) / np.pi, share * 0.5 * strength)
     return out
 
 
@@ -153,5 +163,7 @@ def _add(bins, first, count, turns, weight):  # type: ignore[no-untyped-def] # p
     position = (turns - np.floor(turns)) * count
     low = int(position)
     rest = position - low
-    bins[first + low % count] += weight * (1.0 - rest)
-    bins[first + (low + 1) % count] += weight * rest
+    # Both wrap around at most once; a division would take as long as all else here.
+    here = low if low < count else low - count
+    bins[first + here] += weight * (1.0 - rest)
+    bins[first + (here + 1 if here + 1 < count else 0)] += weight * rest

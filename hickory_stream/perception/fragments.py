@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numba
 import numpy as np
 
@@ -43,14 +42,42 @@ def support_labels(
 ) -> NDArray[np.int32]:
     """Return (h, w) 1 + the index of the horizontal plane that a pixel lies in; 0 where it lies in none."""
     labels = np.zeros(surface.depth_m.shape, dtype=np.int32)
-    upward = surface.normals_world[..., 2] > 0.85
-    z = surface.points_world[..., 2]
+    slack = tolerance_m + 1.5 * surface.sigma_m
     for i, height in enumerate(heights_m):
-        fits = upward & (np.abs(z - height) < tolerance_m + 1.5 * surface.sigma_m)
-        _, regions, stats, _ = cv2.connectedComponentsWithStats(fits.astype(np.uint8), connectivity=4)
-        large = np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= min_pixels)
-        labels[np.isin(regions, large[large > 0]) & (labels == 0)] = i + 1
+        _label_level(surface.points_world, surface.normals_world, slack, float(height), min_pixels, i + 1, labels)
     return labels
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_level(points, normals, slack, z_m, min_pixels, label, labels):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Give a label to what has none in the large enough regions of a level surface; a region's pixels share sides."""
+    height, width = labels.shape
+    waits = np.empty((height, width), dtype=np.bool_)
+    for y in range(height):
+        for x in range(width):
+            away = abs(np.float64(points[y, x, 2]) - z_m)
+            waits[y, x] = (normals[y, x, 2] > np.float32(0.85)) & (away < slack[y, x])
+    region = np.empty(height * width, dtype=np.int64)
+    for start in range(height * width):
+        if not waits[start // width, start % width]:
+            continue
+        region[0], count, done = start, 1, 0
+        waits[start // width, start % width] = False
+        while done < count:
+            y, x = region[done] // width, region[done] % width
+            done += 1
+            for side in range(4):
+                yy = y + (1 if side == 0 else (-1 if side == 1 else 0))
+                xx = x + (1 if side == 2 else (-1 if side == 3 else 0))
+                if 0 <= yy < height and 0 <= xx < width and waits[yy, xx]:
+                    waits[yy, xx] = False
+                    region[count] = yy * width + xx
+                    count += 1
+        if count >= min_pixels:
+            for i in range(count):
+                y, x = region[i] // width, region[i] % width
+                if labels[y, x] == 0:
+                    labels[y, x] = label
 
 
 def concave_creases(surface: Surface, config: FragmentConfig) -> NDArray[np.bool_]:

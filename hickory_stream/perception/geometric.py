@@ -13,7 +13,7 @@ import numpy as np
 
 from hickory_stream.perception.fragments import FragmentConfig, concave_creases, fragments_of, support_labels
 from hickory_stream.perception.join import JoinConfig, join_fragments
-from hickory_stream.perception.masks import enlarged, hidden_shares, why_no_object
+from hickory_stream.perception.masks import enlarged, enlarged_mask, hidden_shares, why_no_object
 from hickory_stream.perception.pieces import label_boxes
 from hickory_stream.perception.scenery import Scenery, scenery_of
 from hickory_stream.perception.shades import ShadeConfig, divided_by_color, lab_of
@@ -84,7 +84,7 @@ class GeometricSegmenter:
         size = (frame.camera.width, frame.camera.height)
         return Segmentation(
             instances=enlarged(labels, surface.factor, size),
-            structure=enlarged(structure.astype(np.uint8), surface.factor, size) > 0,
+            structure=enlarged_mask(structure, surface.factor, size),
             floor_z_m=pieces.scenery.floor_z_m,
             rejected=rejected,
         )
@@ -123,7 +123,7 @@ def _usable(
         else:
             x0, y0, x1, y1 = (int(v) * surface.factor for v in boxes[i])
             u0, v0, u1, v1 = boxes[i]
-            mask = enlarged((labels[v0:v1, u0:u1] == i).astype(np.uint8), surface.factor, (x1 - x0, y1 - y0)) > 0
+            mask = enlarged_mask(labels[v0:v1, u0:u1] == i, surface.factor, (x1 - x0, y1 - y0))
             rejected.append(RejectedMask(box_px=(x0, y0, x1, y1), reason=reason, mask=mask))
     return keep[labels], tuple(rejected)
 

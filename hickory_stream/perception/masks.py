@@ -9,7 +9,7 @@ marks them as cut.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numba
@@ -113,12 +113,25 @@ def why_no_object(
 ) -> str | None:
     """Return why a label at working resolution is too long for an object, None where it is not."""
     x0, y0, x1, y1 = box
-    part = surface.points_world[y0:y1, x0:x1][labels[y0:y1, x0:x1] == label]
-    part = part[np.isfinite(part[:, 2])]
-    extent = float(np.ptp(part, axis=0).max()) if len(part) else 0.0
+    window = surface.points_world[y0:y1, x0:x1], labels[y0:y1, x0:x1]
+    extent = float(_extent_m(*window, label))
     if extent > max_extent_m:  # only then is it worth the time to leave strays out
+        part = window[0][window[1] == label]
+        part = part[np.isfinite(part[:, 2])]
         extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
     return f"{extent:.1f} m long: structure" if extent > max_extent_m else None
+
+
+@numba.njit(cache=True, nogil=True)
+def _extent_m(points, labels, label):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the longest side of the upright box around the points of a label; 0 where it has none."""
+    low, high = np.full(3, np.float32(np.inf)), np.full(3, np.float32(-np.inf))
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            if labels[y, x] == label and np.isfinite(points[y, x, 2]):
+                for k in range(3):
+                    low[k], high[k] = min(low[k], points[y, x, k]), max(high[k], points[y, x, k])
+    return max((high - low).max(), np.float32(0.0))
 
 
 def hidden_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
@@ -137,17 +150,30 @@ def hidden_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count
     return hidden / np.maximum(outline, 1)
 
 
-def enlarged(labels: NDArray[np.int32] | NDArray[np.uint8], factor: int, size: tuple[int, int]) -> NDArray[np.int32]:
+def enlarged(labels: NDArray[np.int32], factor: int, size: tuple[int, int]) -> NDArray[np.int32]:
     """Return labels at the size of the frame (width, height); what the reduction cut off has label 0."""
     if factor == 1:
         return labels.astype(np.int32)
-    large = np.zeros((size[1], size[0]), dtype=np.int32)
     big = cv2.resize(
-        labels.astype(np.int32).view(np.float32),  # nearest neighbour copies bits, and cv2 resizes no int32
+        labels.view(np.float32),  # nearest neighbour copies bits, and cv2 resizes no int32
         (labels.shape[1] * factor, labels.shape[0] * factor),
         interpolation=cv2.INTER_NEAREST,
     ).view(np.int32)
-    large[: big.shape[0], : big.shape[1]] = big
+    return _filled_up(big, size)
+
+
+def enlarged_mask(mask: NDArray[np.bool_], factor: int, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return a mask at the size of the frame (width, height); what the reduction cut off is not in it."""
+    shape = (mask.shape[1] * factor, mask.shape[0] * factor)
+    return _filled_up(cv2.resize(mask.view(np.uint8), shape, interpolation=cv2.INTER_NEAREST).view(np.bool_), size)
+
+
+def _filled_up(image: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """Return an image (h, w) with zeros to the right and below up to a size (width, height)."""
+    if image.shape == (size[1], size[0]):
+        return image
+    large = np.zeros((size[1], size[0]), dtype=image.dtype)
+    large[: image.shape[0], : image.shape[1]] = image
     return large
 
 

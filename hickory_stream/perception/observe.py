@@ -11,14 +11,14 @@ import numpy as np
 from scipy.ndimage import find_objects
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import in_company, keys_of_points
+from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points, sums_of_equal
 from hickory_stream.records import Observation, RejectedMask
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.camera import Camera
     from hickory_stream.records import Frame, Segmentation
 
 
@@ -55,17 +55,16 @@ def observe(
         if isinstance(lifted, str):
             rejected.append(RejectedMask(box_px=box_px, reason=lifted, mask=mask))
             continue
-        points, colors, valid_share = lifted
         observations.append(
             Observation(
                 index=len(observations),
                 box_px=box_px,
                 mask=mask,
-                points_world=points,
-                colors=colors,
-                box=gravity_aligned_box(points[in_company(points)], config.voxel_m),
-                r_area=float(mask.sum()) / mask_area_of(frame.camera),
-                r_depth=valid_share,
+                points_world=lifted.points,
+                colors=lifted.colors,
+                box=gravity_aligned_box(lifted.company, config.voxel_m),
+                r_area=float(np.count_nonzero(mask)) / mask_area_of(frame.camera),
+                r_depth=lifted.valid_share,
                 is_cut=_touches_border(box_px, frame.camera),
             )
         )
@@ -87,63 +86,98 @@ def _masks(instances: NDArray[np.int32]) -> list[tuple[tuple[int, int, int, int]
     return masks
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Lifted:
+    """A mask in 3D: (N, 3) points and colours, the points that are no strays, and R_depth, its share with depth."""
+
+    points: NDArray[np.float32]
+    colors: NDArray[np.uint8]
+    company: NDArray[np.float32]
+    valid_share: float
+
+
 def _lift(
     frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], config: ObserveConfig
-) -> tuple[NDArray[np.float32], NDArray[np.uint8], float] | str:
-    """Return (points, colours, R_depth), or why there are none; R_depth is the share of the mask with depth."""
+) -> _Lifted | str:
+    """Return a mask in 3D, or why it has no place there."""
     x0, y0, x1, y1 = box_px
-    depth = frame.depth_m[y0:y1, x0:x1]
-    reliable = mask & (depth >= config.min_depth_m) & (depth <= config.max_depth_m)
-    kept = reliable & _eroded(mask, config.erode_px)
-    if not kept.any():
-        return "no reliable depth in the mask"
     camera = frame.camera.cropped(x0, y0, x1, y1)
-    points = apply(frame.world_from_camera, backproject(depth, camera)[kept])
-    points, colors, counts = voxel_means(points, frame.rgb[y0:y1, x0:x1][kept], config.voxel_m)
-    dense = _is_dense(points, counts, config)
-    points, colors = points[dense], colors[dense]
+    points, colors, num_reliable = _returns(
+        frame.depth_m[y0:y1, x0:x1],
+        frame.rgb[y0:y1, x0:x1],
+        mask,
+        _eroded(mask, config.erode_px),
+        ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32),
+        ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32),
+        np.float32(config.min_depth_m),
+        np.float32(config.max_depth_m),
+    )
+    if len(points) == 0:
+        return "no reliable depth in the mask"
+    points, colors, counts = voxel_means(apply(frame.world_from_camera, points), colors, config.voxel_m)
+    dense = np.flatnonzero(_is_dense(points, counts, config))
+    points, colors = points.take(dense, axis=0), colors.take(dense, axis=0)
     if len(points) < config.min_points:
         return f"{len(points)} points after filtering, fewer than {config.min_points}"
-    size = np.ptp(points[in_company(points)], axis=0)
-    if float(size.max()) > config.max_box_m:
-        return f"{float(size.max()):.1f} m long: no object"
-    return points, colors, float(reliable.sum() / mask.sum())
+    company = points[in_company(points)]
+    size_m = max(float(np.ptp(column)) for column in company.T)
+    if size_m > config.max_box_m:
+        return f"{size_m:.1f} m long: no object"
+    return _Lifted(
+        points=points, colors=colors, company=company, valid_share=float(num_reliable / np.count_nonzero(mask))
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, 3) the camera's points and colours of reliable depth in `inner`, and how much of it `mask` has.
+
+    `u` (w,) and `v` (h,) are where the rays of columns and rows pass at a depth of 1.
+    """
+    height, width = mask.shape
+    points, colors = np.empty((height * width, 3), dtype=np.float32), np.empty((height * width, 3), dtype=np.uint8)
+    count, num_reliable = 0, 0
+    for y in range(height):
+        for x in range(width):
+            z = depth[y, x]
+            if mask[y, x] and nearest <= z <= farthest:
+                num_reliable += 1
+                if inner[y, x]:
+                    points[count, 0], points[count, 1], points[count, 2] = z * u[x], z * v[y], z
+                    for k in range(3):
+                        colors[count, k] = rgb[y, x, k]
+                    count += 1
+    return points[:count], colors[:count], num_reliable
 
 
 def voxel_means(
     points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.int64]]:
     """Return the mean point and colour of every occupied voxel, in the order of the keys, and the points in each."""
-    keys = keys_of_points(points, voxel_m)
-    order = np.argsort(keys, kind="stable")
+    groups, keys = groups_of(keys_of_points(points, voxel_m))
     means: tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.int64]]
-    means = _means_of_runs(keys[order], order, points, colors)
+    means = _means_of_groups(groups, np.argsort(keys), points, colors)
     return means
 
 
 @numba.njit(cache=True, nogil=True)
-def _means_of_runs(keys, order, points, colors):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Average what has the same key; `keys` are sorted, `order` says which point each is of."""
-    num = 1
-    for i in range(1, len(keys)):
-        num += keys[i] != keys[i - 1]
-    means, shades = np.zeros((num, 3), dtype=np.float32), np.zeros((num, 3), dtype=np.uint8)
-    counts = np.zeros(num, dtype=np.int64)
-    first, run = 0, 0
-    while first < len(keys):
-        last = first + 1
-        while last < len(keys) and keys[last] == keys[first]:
-            last += 1
-        count = last - first
+def _means_of_groups(groups, order, points, colors):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Average the points of each group, summed as they come; `order` says which group comes first, second ..."""
+    sums, counts = np.zeros((len(order), 6)), np.zeros(len(order), dtype=np.int64)
+    for i in range(len(groups)):
+        group = groups[i]
+        counts[group] += 1
         for axis in range(3):
-            mean, shade = 0.0, 0.0
-            for i in range(first, last):
-                mean += points[order[i], axis]
-                shade += colors[order[i], axis]
-            means[run, axis], shades[run, axis] = mean / count, np.uint8(np.rint(shade / count))
-        counts[run] = count
-        first, run = last, run + 1
-    return means, shades, counts
+            sums[group, axis] += points[i, axis]
+            sums[group, 3 + axis] += colors[i, axis]
+    means, shades = np.empty((len(order), 3), dtype=np.float32), np.empty((len(order), 3), dtype=np.uint8)
+    for run in range(len(order)):
+        group = order[run]
+        count = counts[group]
+        for axis in range(3):
+            means[run, axis] = sums[group, axis] / count
+            shades[run, axis] = np.uint8(np.rint(sums[group, 3 + axis] / count))
+    return means, shades, counts[order]
 
 
 def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
@@ -161,8 +195,7 @@ def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
 
 def _is_dense(points: NDArray[np.float32], counts: NDArray[np.int64], config: ObserveConfig) -> NDArray[np.bool_]:
     """Return which voxels have company: the coarse cell of three voxels around them holds enough points."""
-    _, inverse = np.unique(keys_of_points(points, 3 * config.voxel_m), return_inverse=True)
-    return np.asarray(np.bincount(inverse, weights=counts)[inverse] >= config.min_neighbors)
+    return sums_of_equal(keys_of_points(points, 3 * config.voxel_m), counts) >= config.min_neighbors
 
 
 def _touches_border(box_px: tuple[int, int, int, int], camera: Camera) -> bool:

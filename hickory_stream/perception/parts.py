@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from hickory_stream.perception.hidden import bridges
+from hickory_stream.perception.part_sums import part_sums
 from hickory_stream.perception.pieces import lab_of
 from hickory_stream.perception.seams import contacts_of
 
@@ -86,6 +87,7 @@ class Pairs:
     gap_m: NDArray[np.float64]
 
 
+_OF_OUTLINE = ("outline", "cut", "members")
 _PART_SUMS = tuple(name for name in Parts.__slots__ if name not in ("low", "high"))
 _PAIR_SUMS = tuple(name for name in Pairs.__slots__ if name not in ("a", "b", "nearer", "above", "gap_m"))
 
@@ -125,59 +127,29 @@ def measure(
 
     Pixels are neighbours across fewer than `reach_px` pixels without a label; parts are near up to `gap_m`.
     """
-    count = int(labels.max()) + 1
-    used = np.flatnonzero(labels.ravel())
-    names = labels.ravel()[used]
-    points = surface.points_world.reshape(-1, 3)[used].astype(np.float64)
-    middle, bottom_m = points.mean(axis=0), float(points[:, 2].min())
-    contacts = contacts_of(surface, np.where(structure, np.int32(count), labels), reach_px)
     lab = lab_of(surface.rgb).reshape(-1, 3)
-
-    def total(values: NDArray[np.float64] | NDArray[np.float32]) -> NDArray[np.float64]:
-        columns = values.reshape(len(names), -1).T
-        summed = np.stack([np.bincount(names, weights=column, minlength=count) for column in columns], axis=1)
-        return np.asarray(summed.reshape(count, *values.shape[1:]))
-
-    def histogram(bins: NDArray[np.int64]) -> NDArray[np.float64]:
-        width = int(bins.max()) + 1
-        key = names.astype(np.int64) * width + bins
-        return np.bincount(key, minlength=count * width).reshape(count, width).astype(np.float64)
-
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    for axis in range(3):
-        np.minimum.at(low[:, axis], names, points[:, axis])
-        np.maximum.at(high[:, axis], names, points[:, axis])
-    place = points - middle
+    sums = part_sums(surface, labels, supports, areas_m2, lab, HEIGHT_BIN_M)
+    count = len(sums.pixels)
+    contacts = contacts_of(surface, np.where(structure, np.int32(count), labels), reach_px)
     ends = np.concatenate([contacts.here, contacts.there, contacts.cut])
     parts = Parts(
-        pixels=np.bincount(names, minlength=count).astype(np.float64),
-        area_m2=total(areas_m2.ravel()[used]),
-        depth_m=total(surface.depth_m.ravel()[used]),
-        lab=total(lab[used]),
-        lab_squares=total(lab[used] ** 2),
-        place=total(place),
-        place_products=total(place[:, [0, 0, 0, 1, 1, 2]] * place[:, [0, 1, 2, 1, 2, 2]]),
-        normals=total(np.nan_to_num(surface.normals_world.reshape(-1, 3)[used])),
-        planes=histogram(supports.ravel()[used].astype(np.int64)),
-        heights=histogram(((points[:, 2] - bottom_m) / HEIGHT_BIN_M).astype(np.int64)),
         outline=np.bincount(ends, minlength=count + 1)[:count].astype(np.float64),
         cut=np.bincount(contacts.cut, minlength=count + 1)[:count].astype(np.float64),
         members=np.minimum(np.arange(count), 1).astype(np.float64),
-        low=low,
-        high=high,
+        **{name: getattr(sums, name) for name in Parts.__slots__ if name not in _OF_OUTLINE},
     )
     reach = np.float32(gap_m * max(surface.camera.fx, surface.camera.fy))
     gaps = _gaps(labels, surface.depth_m, surface.points_world, count, reach, np.float32(gap_m))
     return Measures(
         labels=labels,
         parts=parts,
-        pairs=_pairs(surface, lab, contacts, count, middle, gaps, bridges(surface, labels, hidden)),
+        pairs=_pairs(surface, lab, contacts, count, sums.middle, gaps, bridges(surface, labels, hidden)),
         contacts=contacts,
-        middle=middle,
-        bottom_m=bottom_m,
+        middle=sums.middle,
+        bottom_m=sums.bottom_m,
         floor_z_m=np.nan if floor_z_m is None else floor_z_m,
         level=(surface.normals_world[..., 2] > 0.7) | (supports > 0),
-        heights_m=surface.points_world[..., 2],
+        heights_m=np.ascontiguousarray(surface.points_world[..., 2]),
     )
 
 

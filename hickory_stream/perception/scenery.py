@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numba
 import numpy as np
 
-from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.geometry.voxels import first_not_below, key_of_point
 from hickory_stream.perception.relief import relief
 from hickory_stream.perception.structure import (
     HorizontalPlane,
@@ -56,9 +57,25 @@ def scenery_of(
 
 def _known_structure(surface: Surface, prior: ObservedSpace | None) -> NDArray[np.bool_]:
     """Return (h, w) the pixels in voxels that the map knows as structure: a wall seen in part is still a wall."""
-    mask = np.zeros(surface.depth_m.shape, dtype=bool)
     if prior is None or len(prior.structure) == 0:
-        return mask
-    valid = np.isfinite(surface.depth_m)
-    mask[valid] = contains(prior.structure, keys_of_points(surface.points_world[valid], prior.voxel_m))
+        return np.zeros(surface.depth_m.shape, dtype=bool)
+    mask: NDArray[np.bool_] = _in_voxels(surface.points_world, prior.structure, prior.voxel_m)
+    return mask
+
+
+@numba.njit(cache=True, nogil=True)
+def _in_voxels(points, sorted_keys, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (h, w) which points lie in voxels of sorted keys; a NaN lies in none. Most lie where the last one does."""
+    height, width, _ = points.shape
+    mask = np.zeros((height, width), dtype=np.bool_)
+    last, at, is_in = np.int64(-1), 0, False
+    for y in range(height):
+        for x in range(width):
+            if np.isnan(points[y, x, 2]):
+                continue
+            key = key_of_point(points[y, x, 0], points[y, x, 1], points[y, x, 2], voxel_m)
+            if key != last:
+                last, at = key, first_not_below(sorted_keys, key, at)
+                is_in = at < len(sorted_keys) and sorted_keys[at] == key
+            mask[y, x] = is_in
     return mask

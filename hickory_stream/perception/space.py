@@ -14,7 +14,7 @@ import numpy as np
 
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import contains, keys_of_cells, keys_of_points
+from hickory_stream.geometry.voxels import keys_of_cells, keys_of_points, sorted_unique
 from hickory_stream.records import SpaceObservation
 
 if TYPE_CHECKING:
@@ -55,65 +55,119 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig)
     )
     valid = np.isfinite(depth) & (depth < config.max_depth_m)
     points = apply(frame.world_from_camera, backproject(depth, camera)[valid]).astype(np.float64)
-    cells = _free_cells(frame.world_from_camera[:3, 3].astype(np.float64), points, config.voxel_m)
-    structure_keys = _sorted_unique(keys_of_points(points[structure[valid]], config.voxel_m))
-    free_keys = _sorted_unique(keys_of_cells(cells))
+    origin = frame.world_from_camera[:3, 3].astype(np.float64)
     return SpaceObservation(
-        free_keys=free_keys[~contains(_occupied_keys(frame, config), free_keys)],
-        structure_keys=structure_keys,
+        free_keys=_free_keys(origin, points, _dense_returns(frame, config), config.voxel_m),
+        structure_keys=sorted_unique(keys_of_points(points[structure[valid]], config.voxel_m)),
         floor_z_m=segmentation.floor_z_m,
     )
 
 
-def _occupied_keys(frame: Frame, config: SpaceConfig) -> NDArray[np.int64]:
-    """Return the voxels with a return in them, sampled twice as densely: a pole is not free for the rays beside it."""
+def _dense_returns(frame: Frame, config: SpaceConfig) -> NDArray[np.float64]:
+    """Return (N, 3) the returns in the world, sampled twice as densely: a pole is not free for the rays beside it."""
     step = max(1, config.stride_px // 2)
     camera = frame.camera
-    depth = frame.depth_m[::step, ::step]
-    v, u = np.nonzero(np.isfinite(depth) & (depth < config.max_depth_m))
-    z = depth[v, u].astype(np.float64)
-    points = np.stack([(u * step - camera.cx) / camera.fx * z, (v * step - camera.cy) / camera.fy * z, z], axis=1)
-    return _sorted_unique(keys_of_points(apply(frame.world_from_camera, points), config.voxel_m))
-
-
-def _sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return what np.unique does; a sort of integers takes a fraction of the time of its hash table."""
-    ordered = np.sort(keys)
-    return ordered[np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))]
+    points = _returns(frame.depth_m, step, camera.fx, camera.fy, camera.cx, camera.cy, config.max_depth_m)
+    return apply(frame.world_from_camera, points)
 
 
 @numba.njit(cache=True, nogil=True)
-def _free_cells(origin, points, voxel):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Collect the cells that rays cross, each once per stretch of rays, up to one voxel before the return."""
-    capacity = 4096
-    cells = np.empty((capacity, 3), dtype=np.int64)
+def _returns(depth, step, fx, fy, cx, cy, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, 3) the returns of every `step`-th pixel in the camera's frame."""
+    height, width = depth.shape
+    out = np.empty((-(-height // step) * -(-width // step), 3))
     count = 0
-    # A small direct-mapped cache drops most repetitions: neighbouring rays cross the same cells.
-    cache = np.full(1 << 15, np.int64(-(1 << 62)), dtype=np.int64)
+    for y in range(0, height, step):
+        for x in range(0, width, step):
+            if np.isfinite(depth[y, x]) and depth[y, x] < farthest:
+                z = np.float64(depth[y, x])
+                out[count, 0], out[count, 1], out[count, 2] = (x - cx) / fx * z, (y - cy) / fy * z, z
+                count += 1
+    return out[:count]
+
+
+def _free_keys(
+    origin: NDArray[np.float64], ends: NDArray[np.float64], returns: NDArray[np.float64], voxel_m: float
+) -> NDArray[np.int64]:
+    """Return the sorted keys of the voxels without a return that rays to (N, 3) ends cross, up to one before the end.
+
+    One bit per voxel of the box around all rays: the order of bits is that of keys.
+    """
+    if len(ends) == 0:
+        return np.empty(0, dtype=np.int64)
+    # A voxel more on each side, for what rounding makes of a ray's last step.
+    low = np.floor(np.minimum(ends.min(axis=0), origin) / voxel_m).astype(np.int64) - 1
+    high = np.floor(np.maximum(ends.max(axis=0), origin) / voxel_m).astype(np.int64) + 1
+    sides = high - low + 1
+    sides[2] = -(-sides[2] // 64) * 64  # a column of voxels fills whole words
+    words = np.zeros(int(sides.prod()) // 64, dtype=np.uint64)
+    _mark_crossed(words, low, sides, origin, ends, voxel_m)
+    _unmark(words, low, sides, returns, voxel_m)
+    keys: NDArray[np.int64] = _marked_keys(words, int(keys_of_cells(low[None])[0]), sides, _STEP_X, _STEP_Y)
+    return keys
+
+
+# How much the key of a voxel changes from one to the next along x, and along y.
+_STEP_X, _STEP_Y, _ = (int(step) for step in keys_of_cells(np.eye(3)) - keys_of_cells(np.zeros((3, 3))))
+
+
+@numba.njit(cache=True, nogil=True)
+def _mark_crossed(words, low, sides, origin, ends, voxel):  # type: ignore[no-untyped-def] # pragma: no cover
     # In units of a voxel, stepping 0.7 of one along the ray.
     start_x, start_y, start_z = origin[0] / voxel, origin[1] / voxel, origin[2] / voxel
-    for i in range(len(points)):
-        ray_x, ray_y, ray_z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
+    longest = 0
+    for i in range(3):
+        longest += sides[i]
+    places = np.empty(2 * longest, dtype=np.int64)
+    for i in range(len(ends)):
+        ray_x, ray_y, ray_z = ends[i, 0] - origin[0], ends[i, 1] - origin[1], ends[i, 2] - origin[2]
         length = np.sqrt(ray_x * ray_x + ray_y * ray_y + ray_z * ray_z)
         steps = int((length - voxel) / (0.7 * voxel))
         if steps < 2:
             continue
         step_x, step_y, step_z = 0.7 * ray_x / length, 0.7 * ray_y / length, 0.7 * ray_z / length
+        # Two loops: the first is arithmetic alone, and is vectorised.
         for k in range(1, steps):
-            x = np.int64(np.floor(start_x + k * step_x))
-            y = np.int64(np.floor(start_y + k * step_y))
-            z = np.int64(np.floor(start_z + k * step_z))
-            key = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
-            packed = (x & 0x1FFFFF) << 42 | (y & 0x1FFFFF) << 21 | (z & 0x1FFFFF)
-            slot = key & 0x7FFF
-            if cache[slot] == packed:
-                continue
-            cache[slot] = packed
-            if count == capacity:
-                capacity *= 2
-                grown = np.empty((capacity, 3), dtype=np.int64)
-                grown[:count] = cells
-                cells = grown
-            cells[count, 0], cells[count, 1], cells[count, 2] = x, y, z
+            x = np.int64(np.floor(start_x + k * step_x)) - low[0]
+            y = np.int64(np.floor(start_y + k * step_y)) - low[1]
+            z = np.int64(np.floor(start_z + k * step_z)) - low[2]
+            places[k] = (x * sides[1] + y) * sides[2] + z
+        for k in range(1, steps):
+            words[places[k] >> 6] |= np.uint64(1) << np.uint64(places[k] & 63)
+
+
+@numba.njit(cache=True, nogil=True)
+def _unmark(words, low, sides, points, voxel):  # type: ignore[no-untyped-def] # pragma: no cover
+    for i in range(len(points)):
+        x = np.int64(np.floor(points[i, 0] / voxel)) - low[0]
+        y = np.int64(np.floor(points[i, 1] / voxel)) - low[1]
+        z = np.int64(np.floor(points[i, 2] / voxel)) - low[2]
+        if 0 <= x < sides[0] and 0 <= y < sides[1] and 0 <= z < sides[2]:
+            place = (x * sides[1] + y) * sides[2] + z
+            words[place >> 6] &= ~(np.uint64(1) << np.uint64(place & 63))
+
+
+@numba.njit(cache=True, nogil=True)
+def _marked_keys(words, lowest, sides, step_x, step_y):  # type: ignore[no-untyped-def] # pragma: no cover
+    count = 0
+    for word in words:
+        while word:
+            word &= word - np.uint64(1)
             count += 1
-    return cells[:count]
+    keys = np.empty(count, dtype=np.int64)
+    n = 0
+    per_column = sides[2] // 64
+    for i in range(len(words)):
+        word = words[i]
+        if word == 0:
+            continue
+        column = i // per_column
+        first = lowest + column // sides[1] * step_x + column % sides[1] * step_y + 64 * (i % per_column)
+        bit = 0
+        while word:
+            if word & np.uint64(1):
+                keys[n] = first + bit
+                n += 1
+            word >>= np.uint64(1)
+            bit += 1
+    return keys

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numba
 import numpy as np
 
 if TYPE_CHECKING:
@@ -41,25 +42,48 @@ def standing_of(
     `heights_m` (h, w) above any level; `level` (h, w): pixels on which something can stand.
     """
     count = int(pieces[-1])
-    heights = heights_m.ravel()
-    here, there = pieces[contacts.here], pieces[contacts.there]
-    outer = contacts.is_below & (here != there) & (here < count)
-    here, there, touches = here[outer], there[outer], contacts.touches[outer]
-    cut = pieces[contacts.cut] < count
-    edge, edge_px = pieces[contacts.cut][cut], contacts.cut_px[cut]
-    low, high = np.full(count, np.inf), np.full(count, -np.inf)
-    for names, at in ((here, contacts.here_px[outer]), (edge, edge_px)):
-        np.minimum.at(low, names, heights[at])
-        np.maximum.at(high, names, heights[at])
-    foot = np.where(np.isfinite(low), (1 - _FOOT_SHARE) * np.nan_to_num(low) + _FOOT_SHARE * np.nan_to_num(high), 0.0)
-    at_foot = heights[contacts.here_px[outer]] <= foot[here]
-    cut_foot = edge[heights[edge_px] <= foot[edge]]
-    here, there, touches = here[at_foot], there[at_foot], touches[at_foot]
-    on = touches & level.ravel()[contacts.there_px[outer][at_foot]]
-    free = ~touches & ~contacts.nearer[outer][at_foot]
-    keys = here[on].astype(np.int64) * (count + 1) + there[on]
-    return Standing(
-        outline=np.bincount(here, minlength=count) + np.bincount(cut_foot, minlength=count),
-        free=np.bincount(here[free], minlength=count),
-        on=np.bincount(keys, minlength=count * (count + 1)).reshape(count, count + 1),
+    outline, free, on = _counted(
+        (pieces[contacts.here], pieces[contacts.there], contacts.here_px, contacts.there_px),
+        (contacts.is_below, contacts.touches, contacts.nearer),
+        pieces[contacts.cut],
+        contacts.cut_px,
+        heights_m.ravel(),
+        level.ravel(),
+        count,
     )
+    return Standing(outline=outline, free=free, on=on)
+
+
+@numba.njit(cache=True, nogil=True)
+def _counted(contacts, marks, edge, edge_px, heights, level, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the three counts of `Standing`: first between which heights a piece's lower outline is, then its foot."""
+    here, there, here_px, there_px = contacts
+    is_below, touches, nearer = marks
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    for i in range(len(here)):
+        if is_below[i] and here[i] != there[i] and here[i] < count:
+            z = np.float64(heights[here_px[i]])
+            low[here[i]], high[here[i]] = min(low[here[i]], z), max(high[here[i]], z)
+    for i in range(len(edge)):
+        if edge[i] < count:
+            z = np.float64(heights[edge_px[i]])
+            low[edge[i]], high[edge[i]] = min(low[edge[i]], z), max(high[edge[i]], z)
+    foot = np.zeros(count)
+    for k in range(count):
+        if np.isfinite(low[k]):
+            foot[k] = (1 - _FOOT_SHARE) * low[k] + _FOOT_SHARE * high[k]
+    outline, free = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    on = np.zeros((count, count + 1), dtype=np.int64)
+    for i in range(len(here)):
+        if not (is_below[i] and here[i] != there[i] and here[i] < count):
+            continue
+        if np.float64(heights[here_px[i]]) <= foot[here[i]]:
+            outline[here[i]] += 1
+            if touches[i]:
+                on[here[i], there[i]] += level[there_px[i]]
+            elif not nearer[i]:
+                free[here[i]] += 1
+    for i in range(len(edge)):
+        if edge[i] < count and np.float64(heights[edge_px[i]]) <= foot[edge[i]]:
+            outline[edge[i]] += 1
+    return outline, free, on

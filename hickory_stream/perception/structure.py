@@ -13,6 +13,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.perception.relief import NearPlane, ReliefConfig
+from hickory_stream.perception.structure_kernels import (
+    areas_m2,
+    histogram,
+    near_offset,
+    on_wall,
+    places_of,
+    surface_of_area,
+    taken,
+    taken_rows,
+    upright_pixels,
+    weight_below,
+    weighted_sum,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,11 +94,9 @@ class Wall:
     ) -> NDArray[np.bool_]:
         """Return (h, w) the pixels that are of the wall, to a tolerance in m per pixel."""
         facing = surface.normals_world[..., :2] @ self.normal
-        if self.cells is None:
-            return np.asarray((distance < 1.5 * tolerance) & ((facing > 0.8) | (distance < 0.6 * tolerance)))
-        near = np.abs(distance)
-        mask = np.asarray((near < 1.5 * tolerance) & ((facing > 0.8) | (near < 0.6 * tolerance)))
-        mask[mask] = np.isin(_stretches(surface.points_world[mask][:, :2], self.normal), self.cells)
+        mask: NDArray[np.bool_] = on_wall(distance, facing, tolerance, self.cells is None)
+        if self.cells is not None:
+            mask[mask] = np.isin(_stretches(surface.points_world[mask][:, :2], self.normal), self.cells)
         return mask
 
 
@@ -101,11 +112,14 @@ def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[
 
 def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
     """Return (h, w) the area of surface that each pixel sees; 0 where there is none, bounded at grazing angles."""
-    rays = surface.points_world - surface.world_from_camera[:3, 3].astype(np.float32)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cosine = np.abs(np.einsum("ijk,ijk->ij", rays, surface.normals_world)) / np.linalg.norm(rays, axis=2)
-    flat = surface.depth_m**2 / (surface.camera.fx * surface.camera.fy)
-    return np.nan_to_num(flat / np.maximum(cosine, np.float32(0.15))).astype(np.float32)
+    areas: NDArray[np.float32] = areas_m2(
+        surface.points_world,
+        surface.normals_world,
+        surface.depth_m,
+        surface.world_from_camera[:3, 3].astype(np.float32),
+        np.float32(surface.camera.fx * surface.camera.fy),
+    )
+    return areas
 
 
 def horizontal_planes(
@@ -188,28 +202,24 @@ def _walls(
     """Return the walls that a frame shows, by direction and from the rear."""
     points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
     weights = areas_m2.reshape(-1)
-    valid = weights > 0
-    upright = valid & (np.abs(normals[:, 2]) < 0.2)
-    if not upright.any():
+    all_at, all_weight, all_sigma = surface_of_area(points, surface.sigma_m.reshape(-1), weights)
+    pixels, direction = upright_pixels(normals, weights)
+    if len(pixels) == 0:
         return []
     walls: list[Wall] = []
-    direction = normals[upright, :2] / np.linalg.norm(normals[upright, :2], axis=1, keepdims=True)
-    at, weight = points[upright, :2], weights[upright].astype(np.float64)
-    all_at, all_weight = points[valid, :2], weights[valid].astype(np.float64)
-    heights = points[upright, 2]
-    pixels, width = np.flatnonzero(upright), surface.depth_m.shape[1]
-    all_sigma = 2.0 * surface.sigma_m.reshape(-1)[valid]
-    sigma = surface.sigma_m.reshape(-1)[upright]
+    at, heights, sigma, weight = places_of(pixels, points, surface.sigma_m.reshape(-1), weights)
+    width, azimuths = surface.depth_m.shape[1], _azimuths(direction)
     total = float(all_weight.sum())
+    wide, narrow = 0.05 + 2.0 * sigma, 0.04 + sigma
     left = np.ones(len(at), dtype=bool)
     for _ in range(8):
-        normal = _dominant_direction(direction[left], weight[left])
-        along = at @ normal
-        fits = left & (direction @ normal > 0.97)
-        left &= ~(direction @ normal > 0.94)
-        for peak in _peaks(along[fits], weight[fits], config.wall_area_m2):
-            inward, offset = _refined(at, weight, normal, peak, 0.05 + 2.0 * sigma, fits)
-            on_it = fits & (np.abs(at @ inward - offset) < 0.04 + sigma)
+        normal = _dominant_direction(direction, weight, azimuths, left)
+        along, agreement = at @ normal, direction @ normal
+        fits = left & (agreement > 0.97)
+        left &= ~(agreement > 0.94)
+        for peak in _peaks(taken(along, fits), taken(weight, fits), config.wall_area_m2):
+            inward, offset = _refined(at, weight, normal, peak, wide, fits)
+            on_it = near_offset(at @ inward, np.float32(offset), narrow, fits)
             if not on_it.any():
                 continue
             behind = _behind(all_at, all_weight, all_sigma, inward, offset)
@@ -222,7 +232,7 @@ def _walls(
                 backing = float(weight[fits][(depth > 0.12 + sigma[fits]) & (depth < config.furniture_depth_m)].sum())
                 if len(cells) * _STRETCH_M > config.wall_width_m and backing < config.backing_m2:
                     walls.append(Wall(normal=inward, offset=offset, cells=cells))
-        if float(weight[left].sum()) < config.wall_area_m2:
+        if float(taken(weight, left).sum()) < config.wall_area_m2:
             break
     return walls
 
@@ -235,7 +245,7 @@ def _behind(
     offset: float,
 ) -> float:
     """Return the area of the surface behind a plane, beyond the noise."""
-    return float(weight[at @ normal < offset - 0.12 - sigma].sum())
+    return float(weight_below(weight, at @ normal, np.float32(offset - 0.12), sigma).sum())
 
 
 def _seen_cells(at: NDArray[np.float32], weight: NDArray[np.float64], normal: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -270,15 +280,26 @@ def _is_tall(heights: NDArray[np.float32], floor_z_m: float | None) -> bool:
     return bool(high - low > 1.0)
 
 
-def _dominant_direction(direction: NDArray[np.float32], weight: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the unit direction (2,) that most area faces: the peak of a histogram of 3 degrees, refined."""
+_AZIMUTHS = 120
+
+
+def _azimuths(direction: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return in which of the bins of 3 degrees each of (N, 2) unit directions lies."""
     azimuth = np.arctan2(direction[:, 1], direction[:, 0])
-    bins = np.mod(((azimuth + np.pi) / (2 * np.pi) * 120).astype(np.int64), 120)
-    histogram = np.bincount(bins, weights=weight, minlength=120)
-    smooth = histogram + 0.7 * (np.roll(histogram, 1) + np.roll(histogram, -1))
-    center = (int(np.argmax(smooth)) + 0.5) / 120 * 2 * np.pi - np.pi
+    return np.mod(((azimuth + np.pi) / (2 * np.pi) * _AZIMUTHS).astype(np.int64), _AZIMUTHS)
+
+
+def _dominant_direction(
+    direction: NDArray[np.float32], weight: NDArray[np.float64], azimuths: NDArray[np.int64], left: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Return the unit direction (2,) that most area of what is `left` faces: a peak of the histogram, refined."""
+    areas = histogram(azimuths, weight, left, _AZIMUTHS)
+    smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
+    direction, weight = taken_rows(direction, left), taken(weight, left)
+    center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
     near = direction @ np.array([np.cos(center), np.sin(center)], dtype=np.float32) > 0.98
-    mean = np.average(direction[near], axis=0, weights=weight[near])
+    weight = taken(weight, near)
+    mean = weighted_sum(taken_rows(direction, near), weight) / weight.sum()
     return (mean / np.linalg.norm(mean)).astype(np.float32)
 
 
@@ -292,12 +313,13 @@ def _refined(
 ) -> tuple[NDArray[np.float32], float]:
     """Return the line through what lies near a wall's line: least squares, twice; a degree is 9 cm on 5 m of wall."""
     for _ in range(2):
-        near = fits & (np.abs(at @ normal - offset) < tolerance_m)
-        if near.sum() < 20:
+        near = near_offset(at @ normal, np.float32(offset), tolerance_m, fits)
+        at_near, share = taken_rows(at, near), taken(weight, near)
+        if len(share) < 20:
             break
-        share = weight[near] / weight[near].sum()
-        middle = share @ at[near]
-        spread = at[near] - middle
+        share = share / share.sum()
+        middle = share @ at_near
+        spread = at_near - middle
         _, axes = np.linalg.eigh((spread * share[:, None]).T @ spread)
         across = axes[:, 0] * np.sign(axes[:, 0] @ normal)
         if across @ normal < 0.98:

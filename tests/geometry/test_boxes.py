@@ -257,3 +257,10 @@ def test_a_faced_box_holds_all_points_in_little_more_than_the_smallest(points: n
     box, smallest = faced_box(points, 0.01), gravity_aligned_box(points, 0.01)
     assert box.contains(points, 1e-6 * (1 + float(np.abs(points).max()))).all()
     assert box.volume_m3 <= 1.6 * smallest.volume_m3
+
+
+@given(oriented_boxes(), oriented_boxes(), st.floats(0.0, 0.2))
+def test_an_intersection_with_a_margin_is_that_of_the_grown_boxes(
+    a: OrientedBox, b: OrientedBox, margin: float
+) -> None:
+    assert intersection_volume_m3(a, b, margin) == intersection_volume_m3(a.grown(margin), b.grown(margin))

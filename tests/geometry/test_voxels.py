@@ -11,11 +11,19 @@ from hickory_stream.geometry.voxels import (
     cells_of_keys,
     centers_of_keys,
     contains,
+    difference,
     dilate,
+    exchanged,
+    groups_of,
     in_company,
+    inserted,
     keys_of_cells,
     keys_of_points,
     overlap_share,
+    places,
+    sorted_unique,
+    sums_of_equal,
+    union,
 )
 from tests.strategies import integer_cells, seeds
 
@@ -97,3 +105,48 @@ def test_stray_points_have_no_company_and_a_tables_leg_has() -> None:
 def test_where_few_points_have_company_all_of_them_are_kept(seed: int, count: int) -> None:
     spread = np.random.default_rng(seed).permutation(1000)[:count, None] * np.array([[0.2, 0.1, 0.3]])
     assert in_company(spread).all()
+
+
+key_lists = st.lists(st.integers(-(2**40), 2**40) | st.integers(0, 12), max_size=40).map(
+    lambda keys: np.array(keys, dtype=np.int64)
+)
+
+
+@given(key_lists, key_lists)
+def test_places_are_those_of_a_binary_search_in_whatever_order_queries_come(
+    keys: np.ndarray, queries: np.ndarray
+) -> None:
+    assert np.array_equal(places(np.sort(keys), queries), np.searchsorted(np.sort(keys), queries))
+
+
+@given(key_lists, key_lists, key_lists)
+def test_exchanging_keys_is_taking_a_difference_and_then_a_union(
+    a: np.ndarray, gone: np.ndarray, new: np.ndarray
+) -> None:
+    a, gone, new = np.unique(a), np.unique(gone), np.unique(new)
+    assert np.array_equal(union(a, new), np.union1d(a, new))
+    assert np.array_equal(difference(a, gone), np.setdiff1d(a, gone))
+    assert np.array_equal(exchanged(a, gone, new), np.union1d(np.setdiff1d(a, gone), new))
+
+
+@given(key_lists, st.data())
+def test_values_are_inserted_before_their_places(values: np.ndarray, data: st.DataObject) -> None:
+    at = np.sort(np.array(data.draw(st.lists(st.integers(0, len(values)), max_size=8)), dtype=np.int64))
+    new = np.arange(len(at), dtype=np.uint8)
+    assert np.array_equal(inserted(values.astype(np.uint8), at, new), np.insert(values.astype(np.uint8), at, new))
+
+
+@given(key_lists)
+def test_equal_keys_are_one_group_numbered_as_it_comes(keys: np.ndarray) -> None:
+    groups, distinct = groups_of(keys)
+    assert np.array_equal(distinct[groups], keys)
+    assert list(distinct) == list(dict.fromkeys(keys.tolist()))
+    assert np.array_equal(sorted_unique(keys), np.unique(keys))
+
+
+@given(key_lists, seeds)
+def test_the_sums_of_equal_keys_are_those_over_all_of_them(keys: np.ndarray, seed: int) -> None:
+    weights = np.random.default_rng(seed).integers(0, 9, len(keys))
+    equal = keys[:, None] == keys[None]
+    assert np.array_equal(sums_of_equal(keys), equal.sum(axis=1))
+    assert np.array_equal(sums_of_equal(keys, weights), equal @ weights)

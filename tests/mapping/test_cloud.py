@@ -138,3 +138,16 @@ def test_the_solid_part_is_what_was_seen_again_unless_that_is_little(
     sightings: int, hits: list[int], kept: int
 ) -> None:
     assert len(solid_part(with_hits(hits), sightings).keys) == kept
+
+
+@given(seeds)
+def test_points_that_are_one_per_voxel_already_are_the_cloud(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    keys = np.unique(keys_of_cells(rng.integers(-5, 5, (60, 3))))
+    points = ((cells_of_keys(keys) + rng.uniform(0.1, 0.9, (len(keys), 3))) * VOXEL_M).astype(np.float32)
+    colors = rng.integers(0, 256, (len(keys), 3)).astype(np.uint8)
+    order = rng.permutation(len(keys))
+    for cloud in (cloud_of(points, colors, VOXEL_M), cloud_of(points[order], colors[order], VOXEL_M)):
+        assert np.array_equal(cloud.keys, keys)
+        assert np.array_equal(cloud.points, points)
+        assert np.array_equal(cloud.colors, colors.astype(np.float32))

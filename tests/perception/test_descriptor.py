@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.perception.descriptor import ColorTextureDescriptor, mask_feature
+from hickory_stream.perception.descriptor import ColorTextureDescriptor, _pixels_of_patches, mask_feature
 from hickory_stream.perception.observe import ObserveConfig, observe
 from hickory_stream.records import Segmentation
 
@@ -69,3 +69,12 @@ def test_patches_of_two_colours_are_unlike():
     red, blue = (np.full((28, 28, 3), color, dtype=np.uint8) for color in ((190, 40, 40), (40, 60, 190)))
     a, b = DESCRIPTOR.extract(red)[0, 0], DESCRIPTOR.extract(blue)[0, 0]
     assert float(a @ b) < 0.3
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 9), st.integers(0, 9))
+def test_patches_count_the_pixels_of_a_mask(seed, x0, y0):
+    mask = np.random.default_rng(seed).random((25, 31)) < 0.4
+    counts = _pixels_of_patches(mask, x0, y0, 14, 3, 3)
+    expected = np.zeros((3, 3))
+    np.add.at(expected, tuple((np.argwhere(mask) + np.array([y0, x0])).T // 14), 1.0)
+    assert np.array_equal(counts, expected)

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
 
-from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose
+from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged, enlarged_mask
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 
 WOOD, WHITE, RED = (170, 130, 80), (225, 225, 220), (190, 40, 40)
@@ -107,3 +109,13 @@ def test_no_masks_and_empty_masks_give_no_instances(masks):
     instances, rejected = compose(masks, surface, nothing, MaskConfig())
     assert instances.max() == 0
     assert len(rejected) == len(masks)
+
+
+@given(st.integers(1, 4), st.integers(0, 3), st.integers(0, 3), st.integers(0, 2**32 - 1))
+def test_what_is_enlarged_repeats_pixels_and_is_nothing_beyond(factor, more_x, more_y, seed):
+    labels = np.random.default_rng(seed).integers(0, 3, (4, 5)).astype(np.int32)
+    size = (5 * factor + min(more_x, factor - 1), 4 * factor + min(more_y, factor - 1))
+    expected = np.zeros((size[1], size[0]), dtype=np.int32)
+    expected[: 4 * factor, : 5 * factor] = labels.repeat(factor, axis=0).repeat(factor, axis=1)
+    assert np.array_equal(enlarged(labels, factor, size), expected)
+    assert np.array_equal(enlarged_mask(labels == 1, factor, size), expected == 1)

@@ -6,7 +6,7 @@ from perception_scenes import CAMERA, Block, floor, looking, render
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_points
-from hickory_stream.perception.observe import ObserveConfig, mask_area_of, observe
+from hickory_stream.perception.observe import ObserveConfig, mask_area_of, observe, voxel_means
 from hickory_stream.perception.space import SpaceConfig, observe_space
 from hickory_stream.records import Frame, Segmentation
 
@@ -107,3 +107,18 @@ def test_free_voxels_hold_no_sampled_return_and_structure_lies_on_the_floor(heig
     heights = centers_of_keys(space.structure_keys, config.voxel_m)[:, 2]
     assert len(heights) > 50
     assert np.abs(heights).max() < config.voxel_m
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 200))
+def test_a_voxels_mean_is_that_of_its_points_in_the_order_of_keys(seed, count):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-0.03, 0.03, (count, 3)).astype(np.float32)
+    colors = rng.integers(0, 256, (count, 3)).astype(np.uint8)
+    means, shades, counts = voxel_means(points, colors, 0.01)
+    keys = keys_of_points(points, 0.01)
+    for i, key in enumerate(np.unique(keys)):
+        own = keys == key
+        assert counts[i] == own.sum()
+        assert np.allclose(means[i], points[own].mean(axis=0), atol=1e-7)
+        assert np.array_equal(shades[i], np.rint(colors[own].mean(axis=0)))
+    assert len(means) == len(np.unique(keys))

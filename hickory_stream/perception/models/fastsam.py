@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged
+from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged_mask
 from hickory_stream.perception.models.letterbox import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, masks_of
 from hickory_stream.perception.scenery import scenery_of
@@ -161,7 +161,7 @@ class FastSamSegmenter:
         surface = found.surface
         size = (frame.camera.width, frame.camera.height)
         scenery = scenery_of(surface, prior, self._structure, _SUPPORT_AREA_M2)
-        structure = enlarged(scenery.structure.astype(np.uint8), surface.factor, size) > 0
+        structure = enlarged_mask(scenery.structure, surface.factor, size)
         instances, rejected = compose(found.masks, surface, structure, self._masks)
         if found.num_not_finite:
             whole = (0, 0, *size)

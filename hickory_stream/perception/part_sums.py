@@ -1,0 +1,146 @@
+"""The sums over the pixels of every part of a frame, taken in one walk in the order of the pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PartSums:
+    """What `Parts` says of the pixels of n parts, row 0 is nothing; and `middle` (3,), from where places count."""
+
+    pixels: NDArray[np.float64]
+    area_m2: NDArray[np.float64]
+    depth_m: NDArray[np.float64]
+    lab: NDArray[np.float64]
+    lab_squares: NDArray[np.float64]
+    place: NDArray[np.float64]
+    place_products: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    planes: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    middle: NDArray[np.float64]
+    bottom_m: float
+
+
+def part_sums(
+    surface: Surface,
+    labels: NDArray[np.int32],
+    supports: NDArray[np.int32],
+    areas_m2: NDArray[np.float32],
+    lab: NDArray[np.float32],
+    height_bin_m: float,
+) -> PartSums:
+    """Return the sums of the parts `labels` (h, w), of which there is at least one; `lab` (h * w, 3)."""
+    names, points, planes = _labelled(labels, supports, surface.points_world)
+    count = int(names.max()) + 1
+    middle, bottom_m, top_m = points.mean(axis=0), float(points[:, 2].min()), float(points[:, 2].max())
+    sums, low, high = _sums(
+        labels.ravel(),
+        points - middle,
+        points,
+        areas_m2.ravel(),
+        surface.depth_m.ravel(),
+        lab,
+        surface.normals_world.reshape(-1, 3),
+        count,
+    )
+    bins = int((top_m - bottom_m) / height_bin_m) + 1
+    in_plane, heights = _histograms(
+        labels.ravel(), supports.ravel(), points, count, planes, bins, bottom_m, height_bin_m
+    )
+    widths = np.cumsum([1, 1, 1, 3, 3, 3, 6])
+    pixels, area_m2, depth_m, lab_sums, lab_squares, place, products, normals = np.split(sums, widths, axis=1)
+    return PartSums(
+        pixels=pixels[:, 0],
+        area_m2=area_m2[:, 0],
+        depth_m=depth_m[:, 0],
+        lab=lab_sums,
+        lab_squares=lab_squares,
+        place=place,
+        place_products=products,
+        normals=normals,
+        planes=in_plane,
+        heights=heights,
+        low=low,
+        high=high,
+        middle=middle,
+        bottom_m=bottom_m,
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _labelled(labels, supports, points):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) the labels of the pixels that have one, (N, 3) their points as float64, and how many planes count."""
+    height, width = labels.shape
+    names, places = np.empty(height * width, dtype=np.int32), np.empty((height * width, 3))
+    n, planes = 0, 1
+    for y in range(height):
+        for x in range(width):
+            if labels[y, x]:
+                names[n] = labels[y, x]
+                planes = max(planes, supports[y, x] + 1)
+                for k in range(3):
+                    places[n, k] = points[y, x, k]
+                n += 1
+    return names[:n], places[:n], planes
+
+
+@numba.njit(cache=True, nogil=True)
+def _sums(labels, places, points, areas, depth, lab, normals, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (count, 21) sums and (count, 3) least and greatest coordinates; `places` and `points` of labelled pixels.
+
+    Columns: 1, area, depth, lab, squares of lab (in single precision, as they come), place, its products, normals.
+    """
+    sums = np.zeros((count, 21))
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    n = 0
+    for i in range(len(labels)):
+        name = labels[i]
+        if name == 0:
+            continue
+        own = sums[name]
+        own[0] += 1.0
+        own[1] += areas[i]
+        own[2] += depth[i]
+        for k in range(3):
+            own[3 + k] += lab[i, k]
+            own[6 + k] += lab[i, k] * lab[i, k]
+            own[9 + k] += places[n, k]
+            if not np.isnan(normals[i, k]):
+                own[18 + k] += normals[i, k]
+            low[name, k] = min(low[name, k], points[n, k])
+            high[name, k] = max(high[name, k], points[n, k])
+        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        own[12] += x * x
+        own[13] += x * y
+        own[14] += x * z
+        own[15] += y * y
+        own[16] += y * z
+        own[17] += z * z
+        n += 1
+    return sums, low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _histograms(labels, supports, points, count, planes, bins, bottom, bin_m):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (count, planes) the pixels of each part in each plane, and (count, bins) at each height."""
+    in_plane, at_height = np.zeros((count, planes)), np.zeros((count, bins))
+    n = 0
+    for i in range(len(labels)):
+        if labels[i]:
+            in_plane[labels[i], supports[i]] += 1.0
+            at_height[labels[i], int((points[n, 2] - bottom) / bin_m)] += 1.0
+            n += 1
+    return in_plane, at_height

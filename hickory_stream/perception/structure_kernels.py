@@ -1,0 +1,145 @@
+"""The loops over pixels that looking for structure needs: what lies where, taken out of images in one walk.
+
+Products with a normal are left to NumPy, whose rounding depends on the processor; here are comparisons and copies.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, nogil=True)
+def areas_m2(points, normals, depth, origin, focal_product):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (h, w) the area of surface that each pixel sees, its cosine bounded at 0.15; 0 where there is none."""
+    height, width = depth.shape
+    out = np.zeros((height, width), dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            rx, ry, rz = points[y, x, 0] - origin[0], points[y, x, 1] - origin[1], points[y, x, 2] - origin[2]
+            across = rx * normals[y, x, 0] + ry * normals[y, x, 1] + rz * normals[y, x, 2]
+            cosine = abs(across) / np.sqrt(rx * rx + ry * ry + rz * rz)
+            if not np.isnan(cosine):
+                out[y, x] = depth[y, x] * depth[y, x] / focal_product / max(cosine, np.float32(0.15))
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def surface_of_area(points, sigma, areas):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, 2) where the pixels with an area lie, (N,) the areas, and twice their standard deviations."""
+    count = 0
+    for i in range(len(areas)):
+        count += areas[i] > 0
+    at, weight, noise = np.empty((count, 2), np.float32), np.empty(count), np.empty(count, np.float32)
+    n = 0
+    for i in range(len(areas)):
+        if areas[i] > 0:
+            at[n, 0], at[n, 1] = points[i, 0], points[i, 1]
+            weight[n], noise[n] = areas[i], np.float32(2.0) * sigma[i]
+            n += 1
+    return at, weight, noise
+
+
+@numba.njit(cache=True, nogil=True)
+def upright_pixels(normals, areas):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) the flat indices of the pixels with an area whose normal is level, and (N, 2) where it points."""
+    pixels = np.empty(len(areas), dtype=np.int64)
+    direction = np.empty((len(areas), 2), dtype=np.float32)
+    count = 0
+    for i in range(len(areas)):
+        if areas[i] > 0 and abs(normals[i, 2]) < np.float32(0.2):
+            x, y = normals[i, 0], normals[i, 1]
+            length = np.sqrt(x * x + y * y)
+            pixels[count], direction[count, 0], direction[count, 1] = i, x / length, y / length
+            count += 1
+    return pixels[:count].copy(), direction[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def places_of(pixels, points, sigma, areas):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return of (N,) pixels where they lie (N, 2), their heights, standard deviations and, as float64, areas."""
+    at, heights = np.empty((len(pixels), 2), np.float32), np.empty(len(pixels), np.float32)
+    noise, weight = np.empty(len(pixels), np.float32), np.empty(len(pixels))
+    for n in range(len(pixels)):
+        i = pixels[n]
+        at[n, 0], at[n, 1], heights[n] = points[i, 0], points[i, 1], points[i, 2]
+        noise[n], weight[n] = sigma[i], areas[i]
+    return at, heights, noise, weight
+
+
+@numba.njit(cache=True, nogil=True)
+def histogram(bins, weight, among, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (count,) the weight in each bin of what is marked."""
+    out = np.zeros(count)
+    for i in range(len(bins)):
+        if among[i]:
+            out[bins[i]] += weight[i]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def taken(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return values[mask] of (N,) values."""
+    out = np.empty(len(values), dtype=values.dtype)
+    count = 0
+    for i in range(len(mask)):
+        # Without a branch: what is not taken is written over.
+        out[count] = values[i]
+        count += mask[i]
+    return out[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def taken_rows(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return values[mask] of (N, 2) values."""
+    out = np.empty(values.shape, dtype=values.dtype)
+    count = 0
+    for i in range(len(mask)):
+        out[count, 0], out[count, 1] = values[i, 0], values[i, 1]
+        count += mask[i]
+    return out[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def weighted_sum(rows, weight):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the sum of (N, 2) rows, each times its weight, one after the other."""
+    out = np.zeros(2)
+    for i in range(len(rows)):
+        out[0] += rows[i, 0] * weight[i]
+        out[1] += rows[i, 1] * weight[i]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def near_offset(along, offset, tolerance, among):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) which of `among` lie within their tolerance of an offset."""
+    out = np.empty(len(along), dtype=np.bool_)
+    for i in range(len(along)):
+        out[i] = among[i] & (abs(along[i] - offset) < tolerance[i])
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def weight_below(weight, along, offset, noise):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the weights of what lies below an offset by more than its noise."""
+    out = np.empty(len(along))
+    count = 0
+    for i in range(len(along)):
+        out[count] = weight[i]
+        count += along[i] < offset - noise[i]
+    return out[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def on_wall(distance, facing, tolerance, is_end):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (h, w) which pixels are near a wall and face as it does, or nearer; all behind one that `is_end`."""
+    height, width = distance.shape
+    out = np.empty((height, width), dtype=np.bool_)
+    for y in range(height):
+        for x in range(width):
+            away = distance[y, x] if is_end else abs(distance[y, x])
+            slack = tolerance[y, x]
+            out[y, x] = (away < np.float32(1.5) * slack) & (
+                (facing[y, x] > np.float32(0.8)) | (away < np.float32(0.6) * slack)
+            )
+    return out
