@@ -45,7 +45,7 @@ from hickory_stream.mapping.observed_space import (
     is_flush,
     known_no_object,
     share_in,
-    sure_structure,
+    structure_hits,
 )
 from hickory_stream.mapping.parts import Part, PartConfig, Parts, moved_to, with_keyframe
 from hickory_stream.mapping.requests import (
@@ -565,8 +565,9 @@ class MapperCore:
         """Return a track without what of it lies in structure, if that is more than a seam at a wall."""
         config = self._config.lifecycle
         space = self._submaps.space
-        wall = sure_structure(space, config.wall_hits)
-        in_wall = contains(wall, keys_of_points(track.cloud.points, space.voxel_m))
+        hits = structure_hits(space, keys_of_points(track.cloud.points, space.voxel_m))
+        # A shelf's back in the voxels of the wall behind it was seen as its own more often than as the wall.
+        in_wall = (hits >= config.wall_hits) & (hits > config.wall_against * track.cloud.hits)
         if not config.wall_share < float(in_wall.mean()) < 0.9:
             return track
         self._decide("split", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")

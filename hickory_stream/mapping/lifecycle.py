@@ -41,7 +41,8 @@ class LifecycleConfig:
         lintel_foot_m, lintel_top_m: a slab that begins and ends at least that high above the floor is what a wall has
             over a door.
         wall_share, wall_hits: of a track that comes to rest with more of its points than this in voxels that so many
-            keyframes saw as structure, these points are taken away: a frame took the wall behind it for a piece of it.
+            keyframes saw as structure, and `wall_against` times as many as saw the point as the track's, these points
+            are taken away: a frame took the wall behind it for a piece of it.
         phantom_share: share of a track's voxels that must be seen free for a keyframe to count as looking through.
     """
 
@@ -62,6 +63,7 @@ class LifecycleConfig:
     structure_share: float = 0.5
     wall_share: float = 0.15
     wall_hits: int = 4
+    wall_against: float = 2.0
 
 
 def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | None:

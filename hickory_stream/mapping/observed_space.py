@@ -126,6 +126,11 @@ def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
     return replace(state, free=difference(state.free, keys), structure=structure, hits=hits)
 
 
+def structure_hits(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return how many keyframes saw each of (N,) voxels as structure."""
+    return _hits_of(state.structure, state.hits, keys)
+
+
 def _hits_of(structure: NDArray[np.int64], hits: NDArray[np.uint8], keys: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Return how often each of (N,) voxels was seen as structure."""
     out: NDArray[np.uint8] = _hits_at(structure, hits, keys)
