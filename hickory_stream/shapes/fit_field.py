@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from hickory_stream.shapes.quadric_lm import distances_to, refined, tangent_distance
 from hickory_stream.shapes.seeds import chessboard_depth
+from hickory_stream.shapes.tangent_planes import BLOCK, DISTANCE, X, Y, Z, fill_distances, new_block
 from hickory_stream.shapes.thinning import thinned
 
 if TYPE_CHECKING:
@@ -179,6 +180,16 @@ def _distance(row, x, y, z, axes, within, local, gradient, shape):  # type: igno
 
     `axes` = exp(row[2:5]); `within` is the inscribed box, in shares of them.
     """
+    d = _bound(row, x, y, z, axes, within)
+    if abs(d) > 0.5:
+        return d
+    # Inside, the distance to a tangent plane is no lower bound.
+    return max(tangent_distance(row, x, y, z, local, gradient, shape, False, 0.5), -0.5)
+
+
+@numba.njit(cache=True, nogil=True)
+def _bound(row, x, y, z, axes, within):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return what is sure of a cell's distance without a logarithm: beyond half a cell, in or out; 0 if nothing is."""
     dx, dy, dz = x - row[5], y - row[6], z - row[7]
     u = abs(row[8] * dx + row[11] * dy + row[14] * dz)
     v = abs(row[9] * dx + row[12] * dy + row[15] * dz)
@@ -195,10 +206,7 @@ def _distance(row, x, y, z, axes, within, local, gradient, shape):  # type: igno
         inside = max(inside, (1.0 - np.sqrt(u * u + v * v + w * w)) * smallest)
     else:
         inside = max(inside, (1.0 - u - v - w) * smallest / 1.7320508)
-    if inside > 0.5:
-        return -inside
-    # Inside, the distance to a tangent plane is no lower bound.
-    return max(tangent_distance(row, x, y, z, local, gradient, shape, False, 0.5), -0.5)
+    return -inside if inside > 0.5 else 0.0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -226,9 +234,10 @@ def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no c
 
 @numba.njit(cache=True, nogil=True)
 def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     axes, within = np.exp(row[2:5]), _inscribed(row)
-    total = 0.0
+    block = new_block()
+    shares, befores = np.empty(BLOCK), np.empty(BLOCK)
+    total, count = 0.0, 0
     size_y, size_z = high[1] - low[1], high[2] - low[2]
     size = (high[0] - low[0]) * size_y * size_z
     for m in range((size + stride - 1) // stride):
@@ -242,11 +251,37 @@ def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignor
         before = covered[i, j, k]
         if before >= 1.0:
             continue
-        after = max(_occupancy(_distance(row, i, j, k, axes, within, local, gradient, shape)), before)
-        share = inside[i, j, k]
-        total += min(after, share) - min(before, share)
-        total -= waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))
+        d = _bound(row, i, j, k, axes, within)
+        if abs(d) > 0.5:
+            total += _gain_of(d, inside[i, j, k], before, waste_weight)
+            continue
+        block[X + count], block[Y + count], block[Z + count] = i, j, k
+        shares[count], befores[count] = inside[i, j, k], before
+        count += 1
+        if count == BLOCK:
+            total += _gain_of_block(block, count, row, shares, befores, waste_weight)
+            count = 0
+    total += _gain_of_block(block, count, row, shares, befores, waste_weight)
     return total * stride
+
+
+@numba.njit(cache=True, nogil=True)
+def _gain_of_block(block, count, row, shares, befores, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
+    if count == 0:
+        return 0.0
+    fill_distances(block, count, row, 0.5)
+    total = 0.0
+    for n in range(count):
+        total += _gain_of(block[DISTANCE + n], shares[n], befores[n], waste_weight)
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _gain_of(d, share, before, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return what one cell adds at a distance `d`, of which the object fills a `share` and `before` is covered."""
+    after = max(_occupancy(d), before)
+    more = min(after, share) - min(before, share)
+    return more - waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))
 
 
 @numba.njit(cache=True, nogil=True)

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 
 from hickory_stream.shapes.quadric_lm import tangent_distance
+from hickory_stream.shapes.tangent_planes import distances_of
 
 _MOST_PIECES = 20_000
 
@@ -26,9 +27,9 @@ def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no
     points = np.empty((len(vertices) + most, 3))
     distances = np.empty((len(vertices) + most, len(rows)))
     num_points = len(vertices)
-    for n in range(num_points):
-        points[n] = vertices[n]
-        _distances(points[n], rows, distances[n])
+    points[:num_points] = vertices
+    for k in range(len(rows)):
+        distances[:num_points, k] = distances_of(rows[k], vertices, np.inf)
     pieces, owners, outsides = np.empty((most, 3), np.int64), np.empty(most, np.int64), np.empty(most)
     count = 0
     stack = np.empty((64, 3), np.int64)
@@ -59,12 +60,12 @@ def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no
 @numba.njit(cache=True, nogil=True)
 def owners_of(points, rows):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (N,) the primitive that each of (N, 3) points is nearest to, and (N,) its distance, negative inside."""
-    owners, nearest = np.empty(len(points), np.int64), np.empty(len(points))
-    distances = np.empty(len(rows))
-    for n in range(len(points)):
-        _distances(points[n], rows, distances)
-        owners[n] = np.argmin(distances)
-        nearest[n] = distances[owners[n]]
+    owners, nearest = np.zeros(len(points), np.int64), np.full(len(points), np.inf)
+    for k in range(len(rows)):
+        distances = distances_of(rows[k], points, np.inf)
+        for n in range(len(points)):
+            if distances[n] < nearest[n]:
+                owners[n], nearest[n] = k, distances[n]
     return owners, nearest
 
 

@@ -17,6 +17,19 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
+from hickory_stream.shapes.tangent_planes import (
+    BLOCK,
+    DISTANCE,
+    JACOBIAN,
+    X,
+    Y,
+    Z,
+    distances_of,
+    fill_distances,
+    fill_jacobian,
+    new_block,
+)
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -28,6 +41,7 @@ OUTER_BAND = 1.0
 OUTLIER = 0.1
 # Beyond this many cells, missing cover counts linearly: it may belong to a part that has no primitive.
 _HUBER = 1.0
+_PADDED = 12
 # Parameter order of a step: e1, e2, ln a (3), centre in the local frame (3), rotation vector in the local frame (3).
 
 
@@ -61,7 +75,7 @@ def refined(
 
 def distances_to(row: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (N,) signed tangent-plane distances of (N, 3) points to a primitive, in the units of its row."""
-    return np.asarray(_distances(row, points, np.inf))
+    return np.asarray(distances_of(row, points, np.inf))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -175,15 +189,6 @@ def _nearest_along_axes(  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def _distances(row, points, depth):  # type: ignore[no-untyped-def] # pragma: no cover
-    out = np.empty(points.shape[0])
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
-    for n in range(points.shape[0]):
-        out[n] = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False, depth)
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
 def _cost(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the robust cost of distances `d`: the negative log likelihood of the mixture, up to constants."""
     total = 0.0
@@ -198,37 +203,37 @@ def _cost(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # 
 
 @numba.njit(cache=True, nogil=True)
 def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
-    a = np.zeros((11, 11))
-    b = np.zeros(11)
-    jacobian = np.empty(11)
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
-    for n in range(points.shape[0]):
-        d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True, band)
-        if d > OUTER_BAND or d < -band:
-            continue
-        r = d - targets[n]
-        w = weights[n]
-        if r > 0.0:
-            gauss = np.exp(-0.5 * r * r / sigma2)
-            w *= gauss / (gauss + OUTLIER)
-        # The plane moves with the surface, its direction held fixed: dd = d ln h / |grad ln h|.
-        scale = 1.0 / np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-        for p in range(5):
-            jacobian[p] = shape[p] * scale
-        for p in range(3):
-            jacobian[5 + p] = -gradient[p] * scale
-        jacobian[8] = (gradient[1] * local[2] - gradient[2] * local[1]) * scale
-        jacobian[9] = (gradient[2] * local[0] - gradient[0] * local[2]) * scale
-        jacobian[10] = (gradient[0] * local[1] - gradient[1] * local[0]) * scale
-        for p in range(11):
-            wj = w * jacobian[p]
-            b[p] -= wj * r
-            for q in range(p + 1):
-                a[p, q] += wj * jacobian[q]
+    a, b = np.zeros((11, _PADDED)), np.zeros(11)
+    block, jacobian = new_block(), np.zeros(_PADDED)
+    for first in range(0, len(points), BLOCK):
+        count = min(BLOCK, len(points) - first)
+        for n in range(count):
+            block[X + n], block[Y + n], block[Z + n] = points[first + n, 0], points[first + n, 1], points[first + n, 2]
+        fill_distances(block, count, row, band)
+        fill_jacobian(block)
+        for n in range(count):
+            d = block[DISTANCE + n]
+            if d > OUTER_BAND or d < -band:
+                continue
+            r = d - targets[first + n]
+            w = weights[first + n]
+            if r > 0.0:
+                gauss = np.exp(-0.5 * r * r / sigma2)
+                w *= gauss / (gauss + OUTLIER)
+            _add(a, b, block, n, jacobian, w, r)
+    return a[:, :11].copy(), b
+
+
+@numba.njit(cache=True, nogil=True)
+def _add(a, b, block, n, jacobian, weight, residual):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Add the n-th point of a block to the normal equations; rows are padded to a length that fits registers."""
     for p in range(11):
-        for q in range(p):
-            a[q, p] = a[p, q]
-    return a, b
+        jacobian[p] = block[JACOBIAN + p * BLOCK + n]
+    for p in range(11):
+        wj = weight * jacobian[p]
+        b[p] -= wj * residual
+        for q in range(_PADDED):
+            a[p, q] += wj * jacobian[q]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -273,7 +278,7 @@ def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
     row, points, distances, weights, band, iterations, max_log_axis
 ):
     targets = np.minimum(np.maximum(distances, -band), OUTER_BAND)
-    d = _distances(row, points, band)
+    d = distances_of(row, points, band)
     sigma2 = _sigma2(d, targets, weights, band, band * band)
     cost = _cost(d, targets, weights, band, sigma2)
     damping = 1e-3
@@ -285,7 +290,7 @@ def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
             for p in range(11):
                 lhs[p, p] += damping * a[p, p] + 1e-6 * (a[0, 0] + a[5, 5] + 1.0)
             candidate = _stepped(row, np.linalg.solve(lhs, b), max_log_axis)
-            d = _distances(candidate, points, band)
+            d = distances_of(candidate, points, band)
             new_cost = _cost(d, targets, weights, band, sigma2)
             if new_cost < cost:
                 gain = (cost - new_cost) / max(cost, 1e-12)
@@ -309,7 +314,8 @@ def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: 
     """Return the (N,) distances to a primitive, cut off at the band; what is outside its box is not looked at."""
     out = np.full(len(points), OUTER_BAND)
     reach = np.exp(row[2:5]) + OUTER_BAND
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    block, which = new_block(), np.empty(BLOCK, np.int64)
+    count = 0
     for n in range(len(points)):
         dx, dy, dz = points[n, 0] - row[5], points[n, 1] - row[6], points[n, 2] - row[7]
         if (
@@ -317,8 +323,14 @@ def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: 
             and abs(row[9] * dx + row[12] * dy + row[15] * dz) < reach[1]
             and abs(row[10] * dx + row[13] * dy + row[16] * dz) < reach[2]
         ):
-            d = tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, False, band)
-            out[n] = min(max(d, -band), OUTER_BAND)
+            block[X + count], block[Y + count], block[Z + count] = points[n, 0], points[n, 1], points[n, 2]
+            which[count] = n
+            count += 1
+        if count == BLOCK or (n == len(points) - 1 and count > 0):
+            fill_distances(block, count, row, band)
+            for m in range(count):
+                out[which[m]] = min(max(block[DISTANCE + m], -band), OUTER_BAND)
+            count = 0
     return out
 
 
@@ -330,35 +342,26 @@ def normal_step(  # type: ignore[no-untyped-def] # pragma: no cover
 
     `others` (N,) are the distances to the union of the others, `found` (N,) those to this one; `damping[k]` is updated.
     """
-    a, b = np.zeros((11, 11)), np.zeros(11)
-    jacobian = np.empty(11)
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    padded, b = np.zeros((11, _PADDED)), np.zeros(11)
+    block, which, jacobian = new_block(), np.empty(BLOCK, np.int64), np.zeros(_PADDED)
     cost = 0.0
+    count = 0
     for n in range(len(points)):
-        r = min(found[n], others[n]) - targets[n]
-        cost += _loss(r)
-        if found[n] > others[n] or found[n] >= OUTER_BAND or found[n] <= -band:
-            continue
-        tangent_distance(row, points[n, 0], points[n, 1], points[n, 2], local, gradient, shape, True, band)
-        w = 1.0 if r <= _HUBER else _HUBER / r
-        scale = 1.0 / np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-        for p in range(5):
-            jacobian[p] = shape[p] * scale
-        if not with_exponents:
-            jacobian[0], jacobian[1] = 0.0, 0.0
-        for p in range(3):
-            jacobian[5 + p] = -gradient[p] * scale
-        jacobian[8] = (gradient[1] * local[2] - gradient[2] * local[1]) * scale
-        jacobian[9] = (gradient[2] * local[0] - gradient[0] * local[2]) * scale
-        jacobian[10] = (gradient[0] * local[1] - gradient[1] * local[0]) * scale
-        for p in range(11):
-            wj = w * jacobian[p]
-            b[p] -= wj * r
-            for q in range(p, 11):
-                a[p, q] += wj * jacobian[q]
-    for p in range(11):
-        for q in range(p):
-            a[p, q] = a[q, p]
+        cost += _loss(min(found[n], others[n]) - targets[n])
+        if found[n] <= others[n] and -band < found[n] < OUTER_BAND:
+            block[X + count], block[Y + count], block[Z + count] = points[n, 0], points[n, 1], points[n, 2]
+            which[count] = n
+            count += 1
+        if count == BLOCK or (n == len(points) - 1 and count > 0):
+            fill_distances(block, count, row, band)
+            fill_jacobian(block)
+            if not with_exponents:
+                block[JACOBIAN : JACOBIAN + 2 * BLOCK] = 0.0
+            for m in range(count):
+                r = found[which[m]] - targets[which[m]]
+                _add(padded, b, block, m, jacobian, 1.0 if r <= _HUBER else _HUBER / r, r)
+            count = 0
+    a = padded[:, :11].copy()
     for _ in range(4):
         lhs = a.copy()
         for p in range(11):
