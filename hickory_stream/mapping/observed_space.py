@@ -166,11 +166,6 @@ def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: floa
     return float(contains(keys, keys_of_points(points[:: max(1, len(points) // 200)], voxel_m)).mean())
 
 
-def sure_structure(state: SpaceState, min_hits: int) -> NDArray[np.int64]:
-    """Return the sorted keys of the voxels that at least `min_hits` keyframes saw as structure."""
-    return np.asarray(state.structure[state.hits >= min_hits])
-
-
 def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
     """Return whether a flat thing lies in the plane of structure that goes on around it: more of the same wall."""
     half = box.half_extents_m
