@@ -82,9 +82,11 @@ def _raised(
     mean, count = _window_mean(plane.distance_m, plane.near, config.window_px)
     noise = sigma_m / np.sqrt(np.maximum(count, 1.0))
     high = plane.near & (mean > np.maximum(np.float32(config.least_m), config.sigmas * noise))
-    if int(high.sum()) < config.min_area_px:
+    # A rim of a few pixels along the foot of a thing tells nothing that the thing does not.
+    wide = cv2.morphologyEx(high.astype(np.uint8), cv2.MORPH_OPEN, _WIDE)
+    if int(wide.sum()) < config.min_area_px:
         return mask
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(high.astype(np.uint8), connectivity=4)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(wide, connectivity=4)
     ground = plane.near & ~high
     for i in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= config.min_area_px).tolist():
         u, v, width, height = (int(x) for x in stats[i, :4])
@@ -121,4 +123,4 @@ def _color_step(patch: NDArray[np.float32], plane: NDArray[np.float32]) -> float
     return float(np.linalg.norm(np.median(patch, axis=0) - np.median(plane, axis=0)))
 
 
-_NEXT = np.ones((3, 3), dtype=np.uint8)
+_NEXT, _WIDE = np.ones((3, 3), dtype=np.uint8), np.ones((5, 5), dtype=np.uint8)
