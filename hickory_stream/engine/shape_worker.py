@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.engine.jobs import read_job, write_result
+from hickory_stream.engine.warm_up import warm_up
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import build_shape, make_reconstructor
 
@@ -30,6 +31,7 @@ def main() -> None:
     os.dup2(2, 1)
     jobs: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_listen, args=(jobs,), name="listen", daemon=True).start()
+    warm_up()
     with contextlib.suppress(BrokenPipeError):
         _say(answers, {"ready": os.getpid()})
         while True:

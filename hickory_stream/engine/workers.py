@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-_START_TIMEOUT_S = 60.0
+# The first one on a machine compiles the kernels, and the others wait for it.
+_START_TIMEOUT_S = 600.0
 _ATTEMPTS = 3
 _LIMIT_ATTEMPTS = 2
 _LOOK_EVERY_S = 0.25

@@ -1,0 +1,38 @@
+"""What a shape job would have to compile has been compiled before it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+PROGRAM = """
+import gc, sys
+sys.path.insert(0, {tests!r})
+from numba.core.dispatcher import Dispatcher
+from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
+from hickory_stream.engine.warm_up import warm_up
+from shape_fixtures import shape_inputs, test_mesh
+
+def known():
+    return {{
+        (made.py_func.__qualname__, str(types))
+        for made in gc.get_objects()
+        if isinstance(made, Dispatcher) and made.py_func.__module__.startswith("hickory_stream.")
+        for types in made.signatures
+    }}
+
+inputs = [shape_inputs(test_mesh(name), 4) for name in ("mug", "chair")]
+warm_up()
+before = known()
+assert len(before) > 40, before
+config = ShapeConfig()
+for given in inputs:
+    build_shape(given, make_reconstructor("fused", config), config)
+print(sorted(known() - before))
+"""
+
+
+def test_the_jobs_after_it_compile_nothing() -> None:
+    program = PROGRAM.format(tests=str(Path(__file__).parent.parent / "shapes"))
+    made = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    assert made.stdout.strip() == "[]"
