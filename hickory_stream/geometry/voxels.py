@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _BITS = 21
 _OFFSET = 1 << (_BITS - 1)
 _MASK = (1 << _BITS) - 1
+_NOWHERE = np.empty(0, dtype=np.int64)
 
 
 def keys_of_cells(cells: NDArray[Any]) -> NDArray[np.int64]:
@@ -61,7 +62,7 @@ def places(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArra
 def difference(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the sorted keys of `a` that are not in `b`, both sorted; `a` itself where none of `b` are in it."""
     gone = b[contains(a, b)]
-    return np.asarray(_without_places(a, places(a, gone))) if len(gone) else a
+    return np.asarray(_exchanged(a, places(a, gone), _NOWHERE, a[:0])) if len(gone) else a
 
 
 def union(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -82,7 +83,7 @@ def exchanged(a: NDArray[np.int64], gone: NDArray[np.int64], new: NDArray[np.int
 
 def inserted(values: NDArray[Any], at: NDArray[np.int64], new: NDArray[Any]) -> NDArray[Any]:
     """Return (N,) values with (M,) new ones of the same type, each put before the value at its place; places ascend."""
-    return np.asarray(_with_inserted(values, at, new))
+    return np.asarray(_exchanged(values, _NOWHERE, at, new))
 
 
 def sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -157,18 +158,6 @@ def _contains(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: n
 
 
 @numba.njit(cache=True, nogil=True)
-def _without_places(a, places):  # type: ignore[no-untyped-def] # pragma: no cover
-    out = np.empty(len(a) - len(places), dtype=np.int64)
-    start, n = 0, 0
-    for place in places:
-        out[n : n + place - start] = a[start:place]
-        n += place - start
-        start = place + 1
-    out[n:] = a[start:]
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
 def _exchanged(a, gone, at, new):  # type: ignore[no-untyped-def] # pragma: no cover
     """Leave out what is at the places `gone`, and put each of `new` before the place in `at`; both ascend."""
     out = np.empty(len(a) - len(gone) + len(new), dtype=a.dtype)
@@ -186,21 +175,6 @@ def _exchanged(a, gone, at, new):  # type: ignore[no-untyped-def] # pragma: no c
         else:
             start += 1
             g += 1
-    out[n:] = a[start:]
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
-def _with_inserted(a, places, values):  # type: ignore[no-untyped-def] # pragma: no cover
-    out = np.empty(len(a) + len(values), dtype=a.dtype)
-    start, n = 0, 0
-    for i in range(len(places)):
-        place = places[i]
-        out[n : n + place - start] = a[start:place]
-        n += place - start
-        out[n] = values[i]
-        n += 1
-        start = place
     out[n:] = a[start:]
     return out
 

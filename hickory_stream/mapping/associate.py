@@ -62,7 +62,8 @@ def associate(
     """Return one match per observation, in order; `track_id` None means that it is new.
 
     By boxes: pairs in the order of falling IoU, ties by track id, then by observation. Then, for observations that are
-    left: the track that they lie on most, by points.
+    left: the track that they lie on most, by points; of several, the one with the most of them there is the track, and
+    the others are its parts.
     """
     ordered = [tracks[i] for i in sorted(tracks)]
     ious: dict[int, dict[int, float]] = {}
@@ -84,31 +85,33 @@ def associate(
         if index not in by_observation and candidate_id not in taken:
             by_observation[index] = candidate_id
             taken.add(candidate_id)
+    lying: dict[int, tuple[int | None, float]] = {}
+    for observation in observations:
+        near_ids = [i for i in sorted(ious[observation.index]) if i not in swollen[observation.index]]
+        if observation.index not in by_observation and near_ids:
+            track_id, share = _lies_on_most(observation, [tracks[i] for i in near_ids], voxel_m)
+            lying[observation.index] = (track_id if share >= config.min_lies_on else None, share)
+    num_points = {observation.index: len(observation.points_world) for observation in observations}
+    parts: set[int] = set()
+    for index in sorted(lying, key=lambda index: (-lying[index][1] * num_points[index], index)):
+        track_id, _ = lying[index]
+        if track_id is None:
+            continue
+        by_observation[index] = track_id
+        if track_id in taken:
+            parts.add(index)
+        taken.add(track_id)
     matches = []
     for observation in observations:
-        row = ious[observation.index]
-        candidates = tuple(sorted(row.items(), key=lambda pair: (-pair[1], pair[0]))[:4])
-        track_id: int | None = by_observation.get(observation.index)
-        lies_on = 0.0
-        is_part = False
-        if track_id is None and row:
-            track_id, lies_on = _lies_on_most(
-                observation, [tracks[i] for i in sorted(row) if i not in swollen[observation.index]], voxel_m
-            )
-            if lies_on < config.min_lies_on:
-                track_id = None
-            else:
-                assert track_id is not None
-                is_part = track_id in taken
-                taken.add(track_id)
+        row, found = ious[observation.index], by_observation.get(observation.index)
         matches.append(
             Match(
                 observation_index=observation.index,
-                track_id=track_id,
-                iou=row.get(track_id, 0.0) if track_id is not None else 0.0,
-                lies_on=lies_on,
-                is_part=is_part,
-                candidates=candidates,
+                track_id=found,
+                iou=0.0 if found is None else row.get(found, 0.0),
+                lies_on=lying.get(observation.index, (None, 0.0))[1],
+                is_part=observation.index in parts,
+                candidates=tuple(sorted(row.items(), key=lambda pair: (-pair[1], pair[0]))[:4]),
             )
         )
     return matches

@@ -16,6 +16,8 @@ from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.mapping.cloud import is_near
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from hickory_stream.mapping.cloud import Cloud
     from hickory_stream.mapping.track import Track
 
@@ -32,6 +34,8 @@ _FOOT_CELL_M = 0.02
 _RING_M = 0.04
 _RISE_M = 0.025
 _CORNER_M = 0.06
+_COVER_CELL_M = 0.04
+_COVERED = 0.4
 _STRAYS_PCT = (2, 98)
 
 
@@ -49,10 +53,22 @@ def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float
     top = float(small.bounds[1, 2])
     # A thin leg may stand a little outside of what is seen of the seat.
     is_thin = size[0] * size[1] < _THIN_LEG * 4 * float(np.prod(large.box.half_extents_m[:2]))
-    beside_m = _LEG_BESIDE_M if is_thin else _BESIDE_M
-    above = large.solid.points[small.box.is_over_or_under(large.solid.points, beside_m)][:, 2]
-    near = above[(above > top - 0.05) & (above < top + max_gap_m)]
-    return len(near) >= _MIN_POINTS
+    beside_m = _LEG_BESIDE_M if is_thin else 0.0
+    above = large.solid.points[small.box.is_over_or_under(large.solid.points, beside_m)]
+    above = above[(above[:, 2] > top - 0.05) & (above[:, 2] < top + max_gap_m)]
+    if len(above) < _MIN_POINTS:
+        return False
+    # A stout leg has a board on it; a speaker has the side of the shelf beside it.
+    return is_thin or _covered_share(small, above) >= _COVERED
+
+
+def _covered_share(track: Track, above: NDArray[np.float32]) -> float:
+    """Return the share of a track's ground plan that has points above it."""
+    plan, cover = (
+        {(i, j) for i, j in np.floor(points[:, :2] / _COVER_CELL_M).astype(np.int64).tolist()}
+        for points in (track.solid.points, above)
+    )
+    return len(plan & cover) / len(plan)
 
 
 def stands_in(large: Track, small: Track) -> bool:
@@ -85,7 +101,7 @@ def is_on_foot(upper: Track, lower: Track) -> bool:
     # A pot on a counter has the counter under it, but it does not cover it.
     if float(upper.box.is_over_or_under(lower.solid.points, _CORNER_M).mean()) < 0.8:
         return False
-    return not _stands_on(upper, lower)
+    return not stands_on(upper, lower)
 
 
 def is_inner_part(
@@ -106,7 +122,7 @@ def is_inner_part(
         touching = _touches_across(small, large, _PANEL_GAP_M) if is_panel(small) else _touches(small, large)
         if not touching:
             return False
-    return not _stands_on(small, large)
+    return not stands_on(small, large)
 
 
 def is_panel(track: Track) -> bool:
@@ -129,7 +145,7 @@ def _touches_across(small: Track, large: Track, gap_m: float) -> bool:
     return float(np.isfinite(distances_m).mean()) >= _TOUCH_SHARE
 
 
-def _stands_on(small: Track, large: Track) -> bool:
+def stands_on(small: Track, large: Track) -> bool:
     """Return whether the larger thing goes on level around the foot of the smaller one, whose support it hides.
 
     What does not rise above that level is a piece of it.

@@ -32,7 +32,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
-from hickory_stream.mapping.carried import is_inner_part
+from hickory_stream.mapping.carried import is_inner_part, stands_on
 from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
 from hickory_stream.mapping.floating import FloatConfig, stem_of
 from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
@@ -314,7 +314,7 @@ class MapperCore:
         placed = [self._place(event, match, seen) for match, seen in zip(matches, clouds, strict=True)]
         homes, covered = [home for home, _ in placed], [others for _, others in placed]
         self._vote(event, matches, homes, covered)
-        self._note_parts(event, matches, homes, clouds)
+        self._note_parts(event, matches, homes, clouds, covered)
         promoted = self._promote_parts(event, set(homes))
         matches, homes = self._moved_out(matches, homes, clouds, promoted)
         effects = [*self._merge_tracks({*homes, *promoted, *promoted.values()}), *self._age(event)]
@@ -407,13 +407,24 @@ class MapperCore:
         )
 
     def _note_parts(
-        self, event: FrameObserved, matches: list[Match], homes: Sequence[int], clouds: Sequence[Cloud]
+        self,
+        event: FrameObserved,
+        matches: list[Match],
+        homes: Sequence[int],
+        clouds: Sequence[Cloud],
+        covered: Sequence[list[int]],
     ) -> None:
-        """Remember what was seen as a part of a track, and what was seen as one with it."""
+        """Remember what was seen as a part of a track, and what was seen as one with it.
+
+        A part is, too, what lies on a track of which another thing covers the rest: a mug, where the tray under it
+        is seen as one with the table.
+        """
         apart: list[tuple[int, Cloud]] = []
         whole: list[tuple[int, Cloud]] = []
+        taken = {track_id for others in covered for track_id in others}
         for match, home, cloud in zip(matches, homes, clouds, strict=True):
-            (apart if match.is_part else whole).append((home, cloud))
+            is_part = match.is_part or (match.lies_on > 0 and home in taken)
+            (apart if is_part else whole).append((home, cloud))
         self._parts = with_keyframe(self._parts, event.frame_index, apart, whole, self._config.parts)
 
     def _promote_parts(self, event: FrameObserved, hosts: set[int]) -> dict[int, int]:
@@ -453,8 +464,11 @@ class MapperCore:
         pair = _pair(host_id, new.id)
         votes = self._votes.plus([pair], apart=len(part.frames)).plus([pair], together=part.together)
         small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
+        near = touching(new.bounds, [self._tracks[i] for i in sorted(self._tracks) if i != host_id])
         belongs = is_inner_part(small, large, inside=0.55, max_volume=0.5, was_one=True)
-        if belongs or why_one(left, new, votes, self._config.merge) is not None:
+        if belongs and not any(stands_on(small, other) for other in near):
+            return None
+        if why_one(left, new, near, votes, self._config.merge) is not None:
             return None
         self._next_id += 1
         self._votes = votes

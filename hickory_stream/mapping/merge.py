@@ -13,13 +13,13 @@ import numpy as np
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
-from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, is_panel, stands_in
+from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, stands_in, stands_on
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.track import Track, TrackConfig, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -121,8 +121,9 @@ def find_pair(
     for i in sorted(changed):
         if i not in tracks:
             continue
-        for other in touching(tracks[i].bounds, ordered, _FOOT_GAP_M):
-            if other.id != i and (reason := why_one(tracks[i], other, book, config)) is not None:
+        near = touching(tracks[i].bounds, ordered, _FOOT_GAP_M)
+        for other in near:
+            if other.id != i and (reason := why_one(tracks[i], other, near, book, config)) is not None:
                 return min(i, other.id), max(i, other.id), reason
     return None
 
@@ -152,8 +153,8 @@ def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: View
     )
 
 
-def why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | None:
-    """Return why two tracks are one object, None where nothing says so."""
+def why_one(a: Track, b: Track, near: Sequence[Track], book: VoteBook, config: MergeConfig) -> str | None:
+    """Return why two tracks are one object, None where nothing says so; `near` are the tracks around them."""
     upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
     # The column between a seat and its foot may be too thin to be seen: the two need not touch.
     if min(a.sightings, b.sightings) >= config.min_votes and not (a.is_promoted or b.is_promoted):
@@ -174,10 +175,12 @@ def why_one(a: Track, b: Track, book: VoteBook, config: MergeConfig) -> str | No
         return f"{share:.0%} of the smaller cloud lies on the larger one"
     less, more = (a, b) if a.box.volume_m3 <= b.box.volume_m3 else (b, a)
     if min(a.sightings, b.sightings) >= config.min_votes:
-        if is_leg(less, more):
+        if not less.is_promoted and is_leg(less, more):
             return "the smaller stands under the larger like a leg"
         if not less.is_promoted and stands_in(more, less):
             return "the larger stands in the smaller"
-        if (not less.is_promoted or is_panel(less)) and is_inner_part(less, more):
+        # A mug before a chair that is pushed under the table is inside the chair's box, too.
+        others = [track for track in near if track.id not in (a.id, b.id)]
+        if not less.is_promoted and is_inner_part(less, more) and not any(stands_on(less, other) for other in others):
             return "the smaller is a part inside the larger"
     return None

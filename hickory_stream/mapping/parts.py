@@ -24,6 +24,8 @@ class PartConfig:
         min_apart: keyframes that must see it apart ...
         apart_ratio: ... and this many times as many as see it as one with its host.
         same_share: share of either cloud that must lie on the other for two observations to be of one part.
+        covered_share: share of a part that an observation of its host covers which sees it as one with the host ...
+        alone_share: ... unless this share of the observation lies on the part.
         min_voxels: smaller parts are noise.
         min_size_m: what is thinner, or less than twice that wide, is a rim or a board of its host.
     """
@@ -32,6 +34,7 @@ class PartConfig:
     apart_ratio: float = 2.0
     same_share: float = 0.45
     covered_share: float = 0.6
+    alone_share: float = 0.8
     min_voxels: int = 40
     min_size_m: float = 0.025
 
@@ -92,6 +95,9 @@ def _with_part(own: tuple[Part, ...], frame_index: int, cloud: Cloud, config: Pa
 
 def _seen_with(part: Part, frame_index: int, whole: Cloud, config: PartConfig) -> Part:
     if frame_index in part.frames or share_near(part.cloud.keys, whole) < config.covered_share:
+        return part
+    # What shows the part and nothing else says nothing: the rest may be hidden, or out of the picture.
+    if share_near(whole.keys, part.cloud) >= config.alone_share:
         return part
     return replace(part, together=part.together + 1)
 

@@ -14,6 +14,8 @@ import cv2
 import numba
 import numpy as np
 
+from hickory_stream.perception.pieces import lab_of
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -79,7 +81,7 @@ class ColorTextureDescriptor:
         padded = cv2.copyMakeBorder(rgb, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
         # Half the resolution: a quarter of the time, and a patch still has 49 pixels.
         small = cv2.resize(padded, (padded.shape[1] // 2, padded.shape[0] // 2), interpolation=cv2.INTER_AREA)
-        lab = cv2.cvtColor(small.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)
+        lab = lab_of(small)
         light = np.ascontiguousarray(lab[..., 0])
         pooled = _pooled(lab, *_gradients(light, 0.5), *_gradients(light, 1.0), self.patch_px // 2)
         # Square roots make the inner product of two histograms their Bhattacharyya coefficient.

@@ -16,7 +16,7 @@ from hickory_stream.perception.join import JoinConfig, join_fragments
 from hickory_stream.perception.masks import enlarged, enlarged_mask, hidden_shares, why_no_object
 from hickory_stream.perception.pieces import label_boxes
 from hickory_stream.perception.scenery import Scenery, scenery_of
-from hickory_stream.perception.shades import ShadeConfig, divided_by_color, lab_of
+from hickory_stream.perception.shades import ShadeConfig, divided_by_color
 from hickory_stream.perception.structure import StructureConfig
 from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
 from hickory_stream.perception.trees import Trees, embedded_trees
@@ -100,7 +100,7 @@ class GeometricSegmenter:
         creases = concave_creases(surface, config.fragments)
         labels = fragments_of(surface, scenery.structure, supports, creases, config.fragments)
         boxes = label_boxes(labels, int(labels.max()) + 1)
-        labels = divided_by_color(labels, boxes, lab_of(surface.rgb), config.shades)
+        labels = divided_by_color(labels, boxes, surface.lab, config.shades)
         return Fragments(surface=surface, scenery=scenery, supports=supports, labels=labels)
 
 

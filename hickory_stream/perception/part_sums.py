@@ -16,7 +16,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PartSums:
-    """What `Parts` says of the pixels of n parts, row 0 is nothing; and `middle` (3,), from where places count."""
+    """Measures of n parts, row 0 is nothing; all arrays (n, ...).
+
+    Sums over pixels: `pixels`, `area_m2`, `depth_m`, `lab` (n, 3) and `lab_squares` (n, 3), `place` (n, 3) and
+    `place_products` (n, 6: xx xy xz yy yz zz) from the middle of the frame's surface, `normals` (n, 3), `planes`
+    (n, 1 + planes) pixels in no plane and in each supporting plane, `heights` (n, bins) a histogram from the bottom up.
+    `low`, `high` (n, 3): the box of its points.
+    """
 
     pixels: NDArray[np.float64]
     area_m2: NDArray[np.float64]
@@ -30,8 +36,6 @@ class PartSums:
     heights: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    middle: NDArray[np.float64]
-    bottom_m: float
 
 
 def part_sums(
@@ -39,10 +43,12 @@ def part_sums(
     labels: NDArray[np.int32],
     supports: NDArray[np.int32],
     areas_m2: NDArray[np.float32],
-    lab: NDArray[np.float32],
     height_bin_m: float,
-) -> PartSums:
-    """Return the sums of the parts `labels` (h, w), of which there is at least one; `lab` (h * w, 3)."""
+) -> tuple[PartSums, NDArray[np.float64], float]:
+    """Return the sums of the parts `labels` (h, w), of which there is at least one.
+
+    After them (3,) the middle and the bottom: from where places and heights count.
+    """
     names, points, planes = _labelled(labels, supports, surface.points_world)
     count = int(names.max()) + 1
     middle, bottom_m, top_m = points.mean(axis=0), float(points[:, 2].min()), float(points[:, 2].max())
@@ -52,7 +58,7 @@ def part_sums(
         points,
         areas_m2.ravel(),
         surface.depth_m.ravel(),
-        lab,
+        surface.lab.reshape(-1, 3),
         surface.normals_world.reshape(-1, 3),
         count,
     )
@@ -62,7 +68,7 @@ def part_sums(
     )
     widths = np.cumsum([1, 1, 1, 3, 3, 3, 6])
     pixels, area_m2, depth_m, lab_sums, lab_squares, place, products, normals = np.split(sums, widths, axis=1)
-    return PartSums(
+    out = PartSums(
         pixels=pixels[:, 0],
         area_m2=area_m2[:, 0],
         depth_m=depth_m[:, 0],
@@ -75,9 +81,8 @@ def part_sums(
         heights=heights,
         low=low,
         high=high,
-        middle=middle,
-        bottom_m=bottom_m,
     )
+    return out, middle, bottom_m
 
 
 @numba.njit(cache=True, nogil=True)

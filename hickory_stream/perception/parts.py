@@ -6,15 +6,14 @@ joining needs no second look at the image.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 
 from hickory_stream.perception.hidden import bridges
-from hickory_stream.perception.part_sums import part_sums
-from hickory_stream.perception.pieces import lab_of
+from hickory_stream.perception.part_sums import PartSums, part_sums
 from hickory_stream.perception.seams import contacts_of
 
 if TYPE_CHECKING:
@@ -29,31 +28,12 @@ _CONCAVE = 0.15
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Parts:
-    """Measures of n parts, row 0 is nothing; all arrays (n, ...).
+class Parts(PartSums):
+    """And of the outline: `outline` all of it, `cut` what the image's border cuts; `members`: fragments in it."""
 
-    Sums over pixels: `pixels`, `area_m2`, `depth_m`, `lab` (n, 3) and `lab_squares` (n, 3), `place` (n, 3) and
-    `place_products` (n, 6: xx xy xz yy yz zz) from the middle of the frame's surface, `normals` (n, 3), `planes`
-    (n, 1 + planes) pixels in no plane and in each supporting plane, `heights` (n, bins) a histogram from `bottom_m` up;
-    of the outline: `outline` all of it, `cut` what the image's border cuts; `members`: fragments in it.
-    `low`, `high` (n, 3): the box of its points.
-    """
-
-    pixels: NDArray[np.float64]
-    area_m2: NDArray[np.float64]
-    depth_m: NDArray[np.float64]
-    lab: NDArray[np.float64]
-    lab_squares: NDArray[np.float64]
-    place: NDArray[np.float64]
-    place_products: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    planes: NDArray[np.float64]
-    heights: NDArray[np.float64]
     outline: NDArray[np.float64]
     cut: NDArray[np.float64]
     members: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -87,8 +67,8 @@ class Pairs:
     gap_m: NDArray[np.float64]
 
 
-_OF_OUTLINE = ("outline", "cut", "members")
-_PART_SUMS = tuple(name for name in Parts.__slots__ if name not in ("low", "high"))
+_OF_PIXELS = tuple(field.name for field in fields(PartSums))
+_PART_SUMS = tuple(field.name for field in fields(Parts) if field.name not in ("low", "high"))
 _PAIR_SUMS = tuple(name for name in Pairs.__slots__ if name not in ("a", "b", "nearer", "above", "gap_m"))
 
 
@@ -127,8 +107,7 @@ def measure(
 
     Pixels are neighbours across fewer than `reach_px` pixels without a label; parts are near up to `gap_m`.
     """
-    lab = lab_of(surface.rgb).reshape(-1, 3)
-    sums = part_sums(surface, labels, supports, areas_m2, lab, HEIGHT_BIN_M)
+    sums, middle, bottom_m = part_sums(surface, labels, supports, areas_m2, HEIGHT_BIN_M)
     count = len(sums.pixels)
     contacts = contacts_of(surface, np.where(structure, np.int32(count), labels), reach_px)
     ends = np.concatenate([contacts.here, contacts.there, contacts.cut])
@@ -136,17 +115,17 @@ def measure(
         outline=np.bincount(ends, minlength=count + 1)[:count].astype(np.float64),
         cut=np.bincount(contacts.cut, minlength=count + 1)[:count].astype(np.float64),
         members=np.minimum(np.arange(count), 1).astype(np.float64),
-        **{name: getattr(sums, name) for name in Parts.__slots__ if name not in _OF_OUTLINE},
+        **{name: getattr(sums, name) for name in _OF_PIXELS},
     )
     reach = np.float32(gap_m * max(surface.camera.fx, surface.camera.fy))
     gaps = _gaps(labels, surface.depth_m, surface.points_world, count, reach, np.float32(gap_m))
     return Measures(
         labels=labels,
         parts=parts,
-        pairs=_pairs(surface, lab, contacts, count, sums.middle, gaps, bridges(surface, labels, hidden)),
+        pairs=_pairs(surface, contacts, count, middle, gaps, bridges(surface, labels, hidden)),
         contacts=contacts,
-        middle=sums.middle,
-        bottom_m=sums.bottom_m,
+        middle=middle,
+        bottom_m=bottom_m,
         floor_z_m=np.nan if floor_z_m is None else floor_z_m,
         level=(surface.normals_world[..., 2] > 0.7) | (supports > 0),
         heights_m=np.ascontiguousarray(surface.points_world[..., 2]),
@@ -189,14 +168,13 @@ def grouped_pairs(pairs: Pairs, numbers: NDArray[np.int64]) -> Pairs:
 
 def _pairs(
     surface: Surface,
-    lab: NDArray[np.float32],
     contacts: Contacts,
     count: int,
     middle: NDArray[np.float64],
     gaps: NDArray[np.float32],
     bridged: NDArray[np.int64],
 ) -> Pairs:
-    """Return the measures of the pairs of fragments; `lab` (h * w, 3), `gaps` (n, n), `bridged` (M, 3)."""
+    """Return the measures of the pairs of fragments; `gaps` (n, n), `bridged` (M, 3)."""
     inner = (contacts.here < count) & (contacts.there < count)
     here, there = contacts.here[inner].astype(np.int64), contacts.there[inner].astype(np.int64)
     turned = here > there
@@ -215,7 +193,11 @@ def _pairs(
     def columns(*values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.stack([total(column) for column in values], axis=1)
 
-    points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
+    lab, points, normals = (
+        surface.lab.reshape(-1, 3),
+        surface.points_world.reshape(-1, 3),
+        surface.normals_world.reshape(-1, 3),
+    )
     touch = contacts.touches[inner].astype(np.float64)
     across = (points[at_b] - points[at_a]).astype(np.float64)
     step_m = np.linalg.norm(across, axis=1) + 1e-6

@@ -61,11 +61,10 @@ def relief(
     config: ReliefConfig,
 ) -> NDArray[np.bool_]:
     """Return (h, w) which pixels of the `structure` stand off every plane that they are near, and belong to a thing."""
-    lab = cv2.cvtColor(surface.rgb.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)
     things = (~structure & np.isfinite(surface.depth_m)).astype(np.uint8)
     off, on = np.zeros(structure.shape, dtype=bool), np.zeros(structure.shape, dtype=bool)
     for plane in planes:
-        patches = _raised(plane, things, surface.sigma_m, lab, config)
+        patches = _raised(plane, things, surface.sigma_m, surface.lab, config)
         off |= patches
         on |= plane.near & ~patches
     return off & ~on

@@ -38,11 +38,6 @@ class ShadeConfig:
     depth: int = 2
 
 
-def lab_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return (h, w, 3) CIE Lab of an image."""
-    return np.asarray(cv2.cvtColor(rgb.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB))
-
-
 def divided_by_color(
     labels: NDArray[np.int32], boxes: NDArray[np.int64], lab: NDArray[np.float32], config: ShadeConfig
 ) -> NDArray[np.int32]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.perception.pieces import lab_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,7 +46,7 @@ class SurfaceConfig:
 class Surface:
     """The surface at working resolution (h, w); NaN where there is none.
 
-    `depth_m` (h, w), `points_world` and `normals_world` (h, w, 3; normals look at the camera), `rgb` (h, w, 3) uint8,
+    `depth_m` (h, w), `points_world` and `normals_world` (h, w, 3; normals look at the camera), `lab` (h, w, 3) CIE Lab,
     `sigma_m` (h, w): the standard deviation of depth. `factor` frame pixels make one working pixel.
     """
 
@@ -54,7 +55,7 @@ class Surface:
     depth_m: NDArray[np.float32]
     points_world: NDArray[np.float32]
     normals_world: NDArray[np.float32]
-    rgb: NDArray[np.uint8]
+    lab: NDArray[np.float32]
     sigma_m: NDArray[np.float32]
     world_from_camera: NDArray[np.float64]
 
@@ -85,7 +86,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
         depth_m=depth,
         points_world=apply(frame.world_from_camera, backproject(depth, camera)),
         normals_world=normals_camera @ frame.world_from_camera[:3, :3].T.astype(np.float32),
-        rgb=rgb,
+        lab=lab_of(rgb),
         sigma_m=np.maximum(config.depth_noise_per_m * depth * depth, np.float32(1e-3)).astype(np.float32),
         world_from_camera=frame.world_from_camera,
     )

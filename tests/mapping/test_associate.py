@@ -84,6 +84,20 @@ def test_parts_of_one_track_go_to_it_in_whatever_order_they_come_and_one_of_them
         assert sorted(m.is_part for m in matches) == [False, True]
 
 
+def test_of_two_things_on_a_track_the_one_with_more_of_it_is_the_track_however_well_the_other_lies_on_it() -> None:
+    table = box_surface((0, 0, 0.7), (2.0, 0.8, 0.04))
+    chair = box_surface((0.9, 0.3, 0.76), (0.1, 0.1, 0.1))
+    known = track(4, np.concatenate([table, chair]))
+    aside = box_surface((-0.3, 0.6, 0.7), (0.8, 0.4, 0.04))
+    half = observation(
+        1, np.concatenate([table[(table[:, 0] < -0.2) & (table[:, 1] > 0.0)], aside[aside[:, 1] > 0.65]])
+    )
+    first, second = matched([observation(0, chair), half], known)
+    assert (first.track_id, second.track_id) == (4, 4)
+    assert first.lies_on > second.lies_on
+    assert (first.is_part, second.is_part) == (True, False)
+
+
 def test_ties_go_to_the_lower_track_id_whatever_the_order_of_the_tracks() -> None:
     points = box_surface((0, 0, 0.1))
     for ids in ((3, 7), (7, 3)):

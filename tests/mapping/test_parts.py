@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, is_swollen
-from hickory_stream.mapping.carried import is_inner_part, is_on_foot
+from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot
 from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore, MappingConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig, is_structure
@@ -53,6 +54,12 @@ def test_being_seen_as_one_counts_against_it() -> None:
     assert [(len(part.frames), part.together, part.is_object(CONFIG)) for part in parts[1]] == [(6, 6, False)]
 
 
+def test_what_shows_a_part_alone_says_nothing_of_its_host() -> None:
+    parts = with_keyframe({}, 0, [(1, cloud(SET))], [], CONFIG)
+    parts = with_keyframe(parts, 1, [], [(1, cloud(SET))], CONFIG)
+    assert [(part.frames, part.together) for part in parts[1]] == [((0,), 0)]
+
+
 def test_parts_at_different_places_are_different_parts() -> None:
     parts = with_keyframe({}, 0, [(1, cloud(SET)), (1, cloud(SET + np.float32([0, 0.6, 0])))], [], CONFIG)
     assert [len(part.frames) for part in parts[1]] == [1, 1]
@@ -81,6 +88,18 @@ def test_the_core_keeps_as_one_what_is_seen_as_one() -> None:
         seen = [observation(0, both)] if i % 2 == 0 else [observation(0, DRESSER), observation(1, SET)]
         drive(core, [keyframe(i, seen)])
     assert len(core.snapshot().objects) == 1
+
+
+def test_the_core_promotes_what_lies_on_a_track_whose_rest_is_seen_as_another_thing() -> None:
+    core = MapperCore(MappingConfig(track=TrackConfig(voxel_m=VOXEL_M)))
+    table = box_surface((0.0, 0.0, 0.7), (1.2, 0.8, 0.04))
+    tray, mug = box_surface((0.3, 0.1, 0.75), (0.4, 0.3, 0.06)), box_surface((0.3, 0.1, 0.84), (0.1, 0.1, 0.12))
+    early = [observation(0, table), observation(1, np.concatenate([tray, mug]))]
+    later = [observation(0, np.concatenate([table, tray])), observation(1, mug)]
+    drive(core, [keyframe(i, early) for i in range(4)] + [keyframe(i, later) for i in range(4, 9)])
+    heights = sorted(float(2 * tracked.box.half_extents_m[2]) for tracked in core.snapshot().objects)
+    # The tray, of which most lies near the table, is the table's.
+    assert heights == pytest.approx([0.1, 0.12], abs=0.015)
 
 
 # ---- how pieces stand -----------------------------------------------------------------------------------------------
@@ -113,6 +132,19 @@ def test_what_stands_on_a_board_of_a_shelf_is_no_part_of_it() -> None:
     shelf = track(1, np.concatenate([*boards, *sides]))
     car = track(2, box_surface((0.0, 0.1, 0.51), (0.2, 0.1, 0.1)))
     assert not is_inner_part(car, shelf)
+
+
+def test_a_pedestal_is_a_leg_of_the_desk_over_it_and_a_speaker_no_leg_of_the_shelf_beside_it() -> None:
+    side = box_surface((0.0, -0.59, 0.36), (0.6, 0.02, 0.72))
+    desk = track(1, np.concatenate([box_surface((0.0, 0.0, 0.72), (0.6, 1.2, 0.04)), side]))
+    pedestal = track(2, box_surface((0.0, 0.4, 0.34), (0.4, 0.3, 0.66)))
+    assert is_leg(pedestal, desk)
+    speaker = track(4, box_surface((0.0, 0.545, 0.4), (0.3, 0.3, 0.8)))
+    # An early view took the foot of the speaker for the shelf's.
+    foot = box_surface((0.0, 0.55, 0.02), (0.3, 0.3, 0.04))
+    shelf = track(3, np.concatenate([box_surface((0.0, 0.0, 0.9), (0.4, 0.8, 1.8)), foot]))
+    assert intersection_volume_m3(speaker.box, shelf.box) > 0.9 * speaker.box.volume_m3
+    assert not is_leg(speaker, shelf)
 
 
 def test_a_seat_has_its_foot_under_it_and_a_pot_on_a_counter_does_not() -> None:

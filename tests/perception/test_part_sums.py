@@ -23,30 +23,30 @@ def test_the_sums_are_those_over_the_pixels_of_each_part(seed, count):
     points, normals = rng.normal(size=(2, *shape, 3)).astype(np.float32)
     normals[3] = np.nan
     areas, depth = np.abs(rng.normal(size=(2, *shape))).astype(np.float32)
-    lab = rng.normal(size=(labels.size, 3)).astype(np.float32)
+    lab = rng.normal(size=(*shape, 3)).astype(np.float32)
     surface = Surface(
         factor=1,
         camera=Camera(width=17, height=12, fx=10.0, fy=10.0, cx=8.0, cy=6.0),
         depth_m=depth,
         points_world=points,
         normals_world=normals,
-        rgb=np.zeros((*shape, 3), dtype=np.uint8),
+        lab=lab,
         sigma_m=depth,
         world_from_camera=np.eye(4),
     )
-    sums = part_sums(surface, labels, supports, areas, lab, BIN_M)
-    place = points.astype(np.float64) - sums.middle
-    bins = ((points[..., 2].astype(np.float64) - sums.bottom_m) / BIN_M).astype(np.int64)
-    assert np.allclose(sums.middle, points[labels > 0].mean(axis=0, dtype=np.float64))
-    assert sums.bottom_m == points[labels > 0, 2].min()
+    sums, middle, bottom_m = part_sums(surface, labels, supports, areas, BIN_M)
+    place = points.astype(np.float64) - middle
+    bins = ((points[..., 2].astype(np.float64) - bottom_m) / BIN_M).astype(np.int64)
+    assert np.allclose(middle, points[labels > 0].mean(axis=0, dtype=np.float64))
+    assert bottom_m == points[labels > 0, 2].min()
     for i in range(1, count + 1):
         own = labels == i
         assert sums.pixels[i] == own.sum()
         if not own.any():
             continue
         assert np.allclose([sums.area_m2[i], sums.depth_m[i]], [areas[own].sum(), depth[own].sum()], rtol=1e-5)
-        assert np.allclose(sums.lab[i], lab[own.ravel()].sum(axis=0), atol=1e-4)
-        assert np.allclose(sums.lab_squares[i], (lab[own.ravel()] ** 2).sum(axis=0), rtol=1e-5)
+        assert np.allclose(sums.lab[i], lab[own].sum(axis=0), atol=1e-4)
+        assert np.allclose(sums.lab_squares[i], (lab[own] ** 2).sum(axis=0), rtol=1e-5)
         assert np.allclose(sums.place[i], place[own].sum(axis=0))
         assert np.allclose(sums.place_products[i], (place[own].T @ place[own])[np.triu_indices(3)])
         assert np.allclose(sums.normals[i], np.nansum(normals[own], axis=0), atol=1e-5)

@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.perception.pieces import lab_of
 from hickory_stream.perception.relief import NearPlane, ReliefConfig, relief
 from hickory_stream.perception.surface import Surface
 
@@ -27,7 +28,7 @@ def scene(*, noise_m: float = 0.01, patch_rgb: tuple[int, int, int] = WOOD, held
         depth_m=np.full(SHAPE, 2.0, dtype=np.float32),
         points_world=nothing,
         normals_world=nothing,
-        rgb=rgb,
+        lab=lab_of(rgb),
         sigma_m=np.full(SHAPE, noise_m, dtype=np.float32),
         world_from_camera=np.eye(4),
     )

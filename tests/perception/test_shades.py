@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hickory_stream.perception.pieces import label_boxes
-from hickory_stream.perception.shades import ShadeConfig, divided_by_color, lab_of
+from hickory_stream.perception.pieces import lab_of, label_boxes
+from hickory_stream.perception.shades import ShadeConfig, divided_by_color
 
 CONFIG = ShadeConfig()
 ORANGE, RED, WHITE = (230, 150, 60), (215, 40, 40), (240, 240, 235)
