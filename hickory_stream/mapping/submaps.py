@@ -149,7 +149,7 @@ def with_structure(submaps: Submaps, points: NDArray[np.float32]) -> Submaps:
     if submaps.first == submaps.open_id:
         return _alone(submaps, space)
     owners = _owners(submaps, keys_of_points(points, space.voxel_m))
-    changed = {int(i): add_structure(submaps.states[i].space, points[owners == i]) for i in np.unique(owners)}
+    changed = {i: add_structure(submaps.states[i].space, points[owners == i]) for i in _named(owners)}
     return _with_spaces(submaps, space, changed)
 
 
@@ -224,4 +224,9 @@ def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:
 
 def _by_owner(submaps: Submaps, keys: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
     owners = _owners(submaps, keys)
-    return {int(i): keys[owners == i] for i in np.unique(owners)}
+    return {i: keys[owners == i] for i in _named(owners)}
+
+
+def _named(owners: NDArray[np.int32]) -> list[int]:
+    """Return the submaps that own something, ascending."""
+    return list(np.flatnonzero(np.bincount(owners)).tolist())

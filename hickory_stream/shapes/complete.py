@@ -26,7 +26,8 @@ class CompletionConfig:
     """How unseen space is completed.
 
     Of the 26 directions around an unknown voxel at least `min_hit_share` must meet the object, and those that meet free
-    space may be at most `max_free_ratio` times as many, times the share of the object's box that was not seen free.
+    space may be at most `max_free_ratio` times as many, times the share of the object's box that was not seen free; a
+    box of which that share is more than `full_share` is full: a nightstand of which only the front was seen.
     What ends within `max_support_gap_m` above the support is continued down to it, through what nobody saw. So is an
     object that would float by `min_hidden_m` to `max_hidden_m`: something hid its foot. One that floats by less may
     well be a sofa on short feet, whose bottom is where it was seen to be.
@@ -35,6 +36,7 @@ class CompletionConfig:
 
     min_hit_share: float = 0.08
     max_free_ratio: float = 0.9
+    full_share: float = 0.85
     max_support_gap_m: float = 0.08
     min_hidden_m: float = 0.15
     max_hidden_m: float = 0.3
@@ -71,11 +73,15 @@ def solid_of(
     """
     states = states.copy()
     states[:, :, : support_index or 0] = UNKNOWN
-    hits, frees = look_around(states)
     enclosed = np.zeros(states.shape, dtype=bool)
     # The more of the box was seen free, the less of what was not seen is likely to be solid.
-    max_free_ratio = config.max_free_ratio * float((states[fillable] != FREE).mean())
-    enclosed[fillable] = ((hits >= config.min_hit_share) & (frees <= max_free_ratio * hits))[fillable]
+    share = float((states[fillable] != FREE).mean())
+    if share > config.full_share:
+        enclosed[fillable] = True
+    else:
+        hits, frees = look_around(states)
+        max_free_ratio = config.max_free_ratio * share
+        enclosed[fillable] = ((hits >= config.min_hit_share) & (frees <= max_free_ratio * hits))[fillable]
     enclosed[:, :, : support_index or 0] = False
     solid = (states == SOLID) | ((states == UNKNOWN) & enclosed)
     solid = _without_hair(solid, states)

@@ -27,13 +27,13 @@ class RevolutionConfig:
 
     The front is measured in `num_bins` across the width. The misfit of the arc, the root of its mean square, may be at
     most `max_misfit` of the radius and `max_ratio` of the misfit of a line. At most `max_contradiction` of the turned
-    points may lie in space seen free.
+    points may lie in space seen free: of a bin, into which one looks, some do.
     """
 
     num_bins: int = 13
     max_misfit: float = 0.11
     max_ratio: float = 0.7
-    max_contradiction: float = 0.12
+    max_contradiction: float = 0.3
 
 
 def half_turn_of(
