@@ -76,7 +76,7 @@ class JournalConfig:
     """
 
     flush_s: float = 2.0
-    checkpoint_keyframes: int = 6
+    checkpoint_keyframes: int = 12
     keep_images: bool = True
     jpeg_quality: int = 80
 

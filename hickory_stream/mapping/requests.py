@@ -46,9 +46,9 @@ class RequestConfig:
 
     max_in_flight: int = 4
     latency_s: float = 4.0
-    first_sightings: int = 20
+    first_sightings: int = 32
     min_gain: float = 1.2
-    final_gain: float = 0.5
+    final_gain: float = 0.8
     interval_s: float = 8.0
     max_failures: int = 2
     job_s: float = 2.2
