@@ -59,6 +59,12 @@ def places(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArra
     return found
 
 
+def coarse_keys(keys: NDArray[np.int64], halvings: int) -> NDArray[np.int64]:
+    """Return (N,) the keys of the first voxels of the cells, 2^halvings voxels a side, in which (N,) voxels lie."""
+    low = (1 << halvings) - 1
+    return keys & ~np.int64((low << (2 * _BITS)) | (low << _BITS) | low)
+
+
 def difference(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the sorted keys of `a` that are not in `b`, both sorted; `a` itself where none of `b` are in it."""
     gone = b[contains(a, b)]

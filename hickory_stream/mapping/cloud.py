@@ -12,10 +12,13 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from hickory_stream.geometry.voxels import first_not_below, keys_of_points
+from hickory_stream.geometry.voxels import coarse_keys, contains, first_not_below, keys_of_points, sorted_unique
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+_SETTLED_SIGHTINGS = 8
+_MOST_TAIL, _MUCH_SMALLER = 0.35, 0.4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
@@ -60,12 +63,25 @@ def without(cloud: Cloud, drop: NDArray[np.bool_]) -> Cloud:
 def solid_part(cloud: Cloud, sightings: int) -> Cloud:
     """Return the voxels that were seen again: what a single frame put beside the surface is noise.
 
-    Where that would take more than half, the cloud is young or far away and stays whole.
+    Where that would take more than half, the cloud is young or far away, and its voxels are seldom hit twice. Then only
+    a tail goes, a piece of its neighbour that one frame took for it: cells of eight voxels of which none was seen
+    again, where without them the cloud is much smaller.
     """
     if sightings < 4:
         return cloud
     once = cloud.hits < (2 if sightings < 12 else 3)
-    return cloud if once.mean() > 0.5 else without(cloud, once)
+    if once.mean() <= 0.5:
+        return without(cloud, once)
+    if sightings < _SETTLED_SIGHTINGS:
+        return cloud
+    cells = coarse_keys(cloud.keys, 3)
+    alone = ~contains(sorted_unique(cells[~once]), cells)
+    is_tail = 0 < alone.mean() <= _MOST_TAIL and _volume(cloud.points[~alone]) < _MUCH_SMALLER * _volume(cloud.points)
+    return without(cloud, alone) if is_tail else cloud
+
+
+def _volume(points: NDArray[np.float32]) -> float:
+    return float(np.prod(np.ptp(points, axis=0)))
 
 
 def is_near(keys: NDArray[np.int64], cloud: Cloud) -> NDArray[np.bool_]:

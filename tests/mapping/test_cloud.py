@@ -1,5 +1,6 @@
 """Layer-1 clouds: fusing is a weighted union whatever the order, and nearness is that of the 27 cells."""
 
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -138,6 +139,33 @@ def test_the_solid_part_is_what_was_seen_again_unless_that_is_little(
     sightings: int, hits: list[int], kept: int
 ) -> None:
     assert len(solid_part(with_hits(hits), sightings).keys) == kept
+
+
+@pytest.mark.parametrize(
+    ("tail_cells", "sightings", "is_cut"),
+    [
+        (100, 20, True),
+        # Young: what was seen once may be all there is.
+        (100, 7, False),
+        # Beside it, not beyond: a side that has just come into view.
+        (30, 20, False),
+    ],
+)
+def test_a_tail_that_one_frame_put_far_beyond_what_is_seldom_hit_twice_is_no_part_of_it(
+    tail_cells: int, sightings: int, is_cut: bool
+) -> None:
+    sheet = np.stack(np.meshgrid(np.arange(40), np.arange(40), [0]), axis=-1).reshape(-1, 3)
+    wall = np.stack(np.meshgrid([0], np.arange(40), np.arange(20)), axis=-1).reshape(-1, 3)
+    tail = np.stack(np.meshgrid(40 + np.arange(tail_cells), np.arange(8), [0]), axis=-1).reshape(-1, 3)
+    cells = np.concatenate([sheet, wall, tail])
+    points = ((cells + 0.5) * VOXEL_M).astype(np.float32)
+    cloud = cloud_of(points, np.zeros((len(points), 3), np.uint8), VOXEL_M)
+    x = cells_of_keys(cloud.keys)[:, 0]
+    again = (np.arange(len(x)) % 3 == 0) & (x < 40)
+    cloud = replace(cloud, hits=np.where(again, 5, 1).astype(np.int32))
+    kept = cells_of_keys(solid_part(cloud, sightings).keys)[:, 0]
+    assert kept.max() == (39 if is_cut else 39 + tail_cells)
+    assert (kept < 40).sum() == (x < 40).sum()
 
 
 @given(seeds)
