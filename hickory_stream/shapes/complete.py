@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from hickory_stream.shapes.tsdf import Evidence
 
 UNKNOWN, FREE, SOLID = 0, 1, 2
+# Of what comes down to the support the lowest voxels may be blurred into it.
+_DOWN = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,6 +33,9 @@ class CompletionConfig:
     What ends within `max_support_gap_m` above the support is continued down to it, through what nobody saw. So is an
     object that would float by `min_hidden_m` to `max_hidden_m`: something hid its foot. One that floats by less may
     well be a sofa on short feet, whose bottom is where it was seen to be.
+    What is wide, `min_feet_area_m2` from above, stands on feet where its surface ends in the air along `min_edge` of
+    its outline, not above `max_clear` of its height, and in `edge_ratio` times as many places as it comes down to the
+    support: nothing is filled under the median height of that edge, since nobody sees far under a bed.
     `min_piece_share`: a separate piece smaller than this share of the largest is dropped.
     """
 
@@ -40,6 +45,10 @@ class CompletionConfig:
     max_support_gap_m: float = 0.08
     min_hidden_m: float = 0.15
     max_hidden_m: float = 0.3
+    min_feet_area_m2: float = 0.25
+    min_edge: float = 0.33
+    max_clear: float = 0.35
+    edge_ratio: float = 1.5
     min_piece_share: float = 0.02
 
 
@@ -65,11 +74,13 @@ def solid_of(
     support_index: int | None,
     max_gap: int,
     config: CompletionConfig,
+    *,
+    is_wide: bool = False,
 ) -> NDArray[np.bool_]:
     """Return the completed solid.
 
     Unseen voxels are filled within `fillable` only; `support_index` is the lowest layer above the support, `max_gap` in
-    voxels.
+    voxels; what `is_wide` may stand on feet.
     """
     states = states.copy()
     states[:, :, : support_index or 0] = UNKNOWN
@@ -83,12 +94,41 @@ def solid_of(
         max_free_ratio = config.max_free_ratio * share
         enclosed[fillable] = ((hits >= config.min_hit_share) & (frees <= max_free_ratio * hits))[fillable]
     enclosed[:, :, : support_index or 0] = False
+    clear = _under_edge(states, fillable, support_index, config) if is_wide and support_index is not None else None
+    if clear is not None:
+        enclosed &= ~clear
     solid = (states == SOLID) | ((states == UNKNOWN) & enclosed)
     solid = _without_hair(solid, states)
-    if support_index is not None:
+    if support_index is not None and clear is None:
         # A column under a stray voxel must not become a spike on the floor.
         solid = _without_hair(_down_to_support(solid, states, support_index, max_gap), states)
     return _large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), config.min_piece_share)
+
+
+def _under_edge(
+    states: NDArray[np.uint8],
+    fillable: tuple[slice, slice, slice],
+    support_index: int,
+    config: CompletionConfig,
+) -> NDArray[np.bool_] | None:
+    """Return the space under what stands on feet, but for the feet that were seen; None for what does not."""
+    observed = states == SOLID
+    i, j = np.nonzero(observed.any(axis=2))
+    lowest = observed.argmax(axis=2)[i, j]
+    above = lowest - support_index
+    ends_in_air = states[i, j, np.maximum(lowest - 1, 0)] == FREE
+    nx, ny, nz = states.shape
+    is_edge = ends_in_air & (above > _DOWN) & (above <= config.max_clear * (nz - support_index))
+    is_down = above <= _DOWN
+    outline = 2 * sum(extent.stop - extent.start for extent in fillable[:2])
+    if is_edge.sum() < max(config.min_edge * outline, config.edge_ratio * is_down.sum()):
+        return None
+    feet = np.zeros((nx, ny), dtype=bool)
+    feet[i[is_down], j[is_down]] = True
+    clear = np.zeros(states.shape, dtype=bool)
+    top = support_index + int(np.median(above[is_edge]))
+    clear[:, :, support_index:top] = ~ndimage.binary_dilation(feet)[:, :, None]
+    return clear
 
 
 def look_around(states: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -151,7 +151,7 @@ def reconstruct_views(
     evidence = integrate(grid, views, volume.noise_per_m)
     cells = grid.cells(inputs.points_world)
     states = classify(evidence, cells[grid.contains(cells)])
-    solid = solid_of(states, block.fillable, block.support_index, block.max_gap, completion)
+    solid = solid_of(states, block.fillable, block.support_index, block.max_gap, completion, is_wide=block.is_wide)
     if not solid.any():
         return NoShape(reason="no voxel of the object's box is solid: its views contradict one another")
     return _mesh_of(solid, evidence, grid, inputs, volume)
@@ -162,13 +162,14 @@ class Block:
     """The grid of one object: unseen space is filled within `fillable` only, the object's box.
 
     `support_index` is the lowest layer above the support, None where the object does not rest on one; what ends within
-    `max_gap` layers above it is continued down to it.
+    `max_gap` layers above it is continued down to it. What `is_wide` may stand on feet.
     """
 
     grid: VoxelGrid
     fillable: tuple[slice, slice, slice]
     support_index: int | None
     max_gap: int
+    is_wide: bool
 
 
 def block_over(
@@ -199,6 +200,7 @@ def block_over(
         fillable=(inner[0], inner[1], inner[2]),
         support_index=support_index,
         max_gap=int(np.ceil((float_m + completion.max_support_gap_m) / voxel)) + 1 if rests else 0,
+        is_wide=float(4 * half[0] * half[1]) >= completion.min_feet_area_m2,
     )
 
 
