@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _BITS = 21
 _OFFSET = 1 << (_BITS - 1)
 _MASK = (1 << _BITS) - 1
-_NOWHERE = np.empty(0, dtype=np.int64)
+_NONE = np.empty(0, dtype=np.int64)
 
 
 def keys_of_cells(cells: NDArray[Any]) -> NDArray[np.int64]:
@@ -67,14 +67,12 @@ def coarse_keys(keys: NDArray[np.int64], halvings: int) -> NDArray[np.int64]:
 
 def difference(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the sorted keys of `a` that are not in `b`, both sorted; `a` itself where none of `b` are in it."""
-    gone = b[contains(a, b)]
-    return np.asarray(_exchanged(a, places(a, gone), _NOWHERE, a[:0])) if len(gone) else a
+    return exchanged(a, b, _NONE)
 
 
 def union(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the sorted keys of `a` and `b`, both sorted and each key once; `a` itself where `b` brings no new ones."""
-    fresh = b[~contains(a, b)]
-    return inserted(a, places(a, fresh), fresh) if len(fresh) else a
+    return exchanged(a, _NONE, b)
 
 
 def exchanged(a: NDArray[np.int64], gone: NDArray[np.int64], new: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -82,14 +80,14 @@ def exchanged(a: NDArray[np.int64], gone: NDArray[np.int64], new: NDArray[np.int
     gone = gone[contains(a, gone)]
     # What goes and comes stays, as in a difference and a union after it.
     fresh = new[~contains(a, new) | contains(gone, new)]
-    if len(gone) == 0:
-        return inserted(a, places(a, fresh), fresh) if len(fresh) else a
+    if len(gone) + len(fresh) == 0:
+        return a
     return np.asarray(_exchanged(a, places(a, gone), places(a, fresh), fresh))
 
 
 def inserted(values: NDArray[Any], at: NDArray[np.int64], new: NDArray[Any]) -> NDArray[Any]:
     """Return (N,) values with (M,) new ones of the same type, each put before the value at its place; places ascend."""
-    return np.asarray(_exchanged(values, _NOWHERE, at, new))
+    return np.asarray(_exchanged(values, _NONE, at, new))
 
 
 def sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -16,6 +16,8 @@ from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.mapping.cloud import is_near
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from hickory_stream.mapping.cloud import Cloud
@@ -101,16 +103,23 @@ def is_on_foot(upper: Track, lower: Track) -> bool:
     # A pot on a counter has the counter under it, but it does not cover it.
     if float(upper.box.is_over_or_under(lower.solid.points, _CORNER_M).mean()) < 0.8:
         return False
-    return not stands_on(upper, lower)
+    return not _stands_on(upper, lower)
 
 
 def is_inner_part(
-    small: Track, large: Track, *, inside: float = 0.8, max_volume: float = 0.3, was_one: bool = False
+    small: Track,
+    large: Track,
+    others: Iterable[Track] = (),
+    *,
+    inside: float = 0.8,
+    max_volume: float = 0.3,
+    was_one: bool = False,
 ) -> bool:
-    """Return whether a piece belongs to the larger thing around it: inside its box, touching it, not standing on it.
+    """Return whether a piece belongs to the larger thing around it: inside its box, touching it, standing on nothing.
 
     The panel of a desk, the board of a shelf, the foot of a chair. What stands in a shelf has a board under it, and
-    what stands under a desk does not touch it. `was_one`: their points were of one track, so that they did touch. A
+    what stands under a desk does not touch it. A mug on the table, one of the `others`, is inside the box of a chair
+    that is pushed under it. `was_one`: their points were of one track, so that they did touch. A
     panel's edges are seen less well than its face: it touches across a wider gap.
     """
     box = large.box.grown(0.02)
@@ -122,7 +131,7 @@ def is_inner_part(
         touching = _touches_across(small, large, _PANEL_GAP_M) if is_panel(small) else _touches(small, large)
         if not touching:
             return False
-    return not stands_on(small, large)
+    return not any(_stands_on(small, support) for support in (large, *others))
 
 
 def is_panel(track: Track) -> bool:
@@ -145,7 +154,7 @@ def _touches_across(small: Track, large: Track, gap_m: float) -> bool:
     return float(np.isfinite(distances_m).mean()) >= _TOUCH_SHARE
 
 
-def stands_on(small: Track, large: Track) -> bool:
+def _stands_on(small: Track, large: Track) -> bool:
     """Return whether the larger thing goes on level around the foot of the smaller one, whose support it hides.
 
     What does not rise above that level is a piece of it.

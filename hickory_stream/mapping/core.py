@@ -32,7 +32,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
-from hickory_stream.mapping.carried import is_inner_part, stands_on
+from hickory_stream.mapping.carried import is_inner_part
 from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
 from hickory_stream.mapping.floating import FloatConfig, stem_of
 from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
@@ -465,10 +465,8 @@ class MapperCore:
         votes = self._votes.plus([pair], apart=len(part.frames)).plus([pair], together=part.together)
         small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
         near = touching(new.bounds, [self._tracks[i] for i in sorted(self._tracks) if i != host_id])
-        belongs = is_inner_part(small, large, inside=0.55, max_volume=0.5, was_one=True)
-        if belongs and not any(stands_on(small, other) for other in near):
-            return None
-        if why_one(left, new, near, votes, self._config.merge) is not None:
+        belongs = is_inner_part(small, large, near, inside=0.55, max_volume=0.5, was_one=True)
+        if belongs or why_one(left, new, near, votes, self._config.merge) is not None:
             return None
         self._next_id += 1
         self._votes = votes

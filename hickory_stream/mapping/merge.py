@@ -13,7 +13,7 @@ import numpy as np
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
-from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, stands_in, stands_on
+from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, stands_in
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.track import Track, TrackConfig, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
@@ -179,8 +179,7 @@ def why_one(a: Track, b: Track, near: Sequence[Track], book: VoteBook, config: M
             return "the smaller stands under the larger like a leg"
         if not less.is_promoted and stands_in(more, less):
             return "the larger stands in the smaller"
-        # A mug before a chair that is pushed under the table is inside the chair's box, too.
         others = [track for track in near if track.id not in (a.id, b.id)]
-        if not less.is_promoted and is_inner_part(less, more) and not any(stands_on(less, other) for other in others):
+        if not less.is_promoted and is_inner_part(less, more, others):
             return "the smaller is a part inside the larger"
     return None

@@ -31,7 +31,7 @@ def test_where_much_was_seen_free_what_hides_behind_the_front_is_not_filled_to_t
     assert solid[INNER].mean() < 0.45
 
 
-def seen_bed(feet: int) -> np.ndarray:
+def seen_bed() -> np.ndarray:
     """A slab over the support, layer 3: its sides and top are seen, and free space before and a bit under it."""
     states = np.zeros((40, 40, 30), np.uint8)
     states[:, :4, 3:] = FREE
@@ -42,7 +42,7 @@ def seen_bed(feet: int) -> np.ndarray:
     states[:, 4:7, 3:9] = FREE
     states[5:8, :, 3:9] = states[32:35, :, 3:9] = FREE
     states[:5] = states[35:] = FREE
-    for x in np.linspace(5, 33, feet).astype(int):
+    for x in (5, 33):
         states[x : x + 2, 4:6, 3:9] = SOLID
     return states
 
@@ -51,7 +51,7 @@ BED = (slice(5, 35), slice(4, 35), slice(3, 20))
 
 
 def test_nothing_is_filled_under_a_bed_and_its_feet_stay() -> None:
-    states = seen_bed(2)
+    states = seen_bed()
     solid = solid_of(states, BED, 3, 3, CONFIG, is_wide=True)
     assert not solid[10:30, 10:30, 3:8].any()
     assert solid[10:30, 10:30, 10:19].all()
@@ -59,9 +59,9 @@ def test_nothing_is_filled_under_a_bed_and_its_feet_stay() -> None:
 
 
 def test_what_is_narrow_or_comes_down_in_many_places_is_filled_to_the_support() -> None:
-    narrow = solid_of(seen_bed(2), BED, 3, 3, CONFIG, is_wide=False)
+    narrow = solid_of(seen_bed(), BED, 3, 3, CONFIG, is_wide=False)
     assert narrow[12:28, 12:28, 3:8].mean() > 0.9
-    states = seen_bed(2)
+    states = seen_bed()
     states[5:35, 4, 3:9] = states[5, 4:35, 3:9] = states[34, 4:35, 3:9] = SOLID
     closed = solid_of(states, BED, 3, 3, CONFIG, is_wide=True)
     assert closed[12:28, 12:28, 3:8].mean() > 0.9
