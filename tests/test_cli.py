@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import cv2
+import numpy as np
 import psutil
 import pytest
 
@@ -276,6 +277,23 @@ def test_render_draws_the_layers_that_are_asked_for(made: Made, tmp_path: Path) 
     assert pictures[0].shape == pictures[1].shape == (320, 640, 3)
     assert (pictures[0] != pictures[1]).mean() > 0.01
     assert all(len(set(picture.reshape(-1, 3).mean(axis=1).round().tolist())) > 20 for picture in pictures)
+
+
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_a_log_finds_itself_in_its_map_and_stops_there(
+    made: Made, short_log: Path, coarse_config: Path, form: str
+) -> None:
+    options = ("--config", coarse_config, "--until-found", *(("--json",) if form == "json" else ()))
+    ended = run("relocalise", made.by_one, short_log, *options)
+    assert ended.status == 0, ended.stderr
+    if form == "json":
+        last = [json.loads(line) for line in ended.stdout.splitlines()][-1]
+        assert (last["event"], last["confirmed"]) == ("located", True)
+        assert np.allclose(last["map_from_log"], np.eye(4), atol=0.02)
+        assert ended.stderr == ""
+    else:
+        assert "confirmed" in ended.stdout
+        assert "ERROR" not in ended.stderr
 
 
 # ---- configuration, help ---------------------------------------------------------------------------------------------

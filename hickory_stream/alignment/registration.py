@@ -69,4 +69,5 @@ def differs(
 
     moved_m = float(np.linalg.norm(apply(a_from_b, center_b) - apply(other_a_from_b, center_b)))
     turned_rad = rotation_angle_rad(a_from_b[:3, :3].T @ other_a_from_b[:3, :3])
-    return moved_m > distance_m or turned_rad > angle_rad
+    # Limits that numpy made would make this numpy's bool, which is no JSON.
+    return bool(moved_m > distance_m or turned_rad > angle_rad)

@@ -49,9 +49,10 @@ class Mapper:
         segmenter, extractor: other perception than the configured one.
         workers: other shape workers than child processes of this machine.
 
-    Entering makes the shape workers available; leaving ends them. One `run` per mapper. In between linear algebra has
-    one thread in this process: the cores are busy with workers, and sums that are split differently differ in their
-    last bits.
+    Entering makes the shape workers available; leaving ends them, and a run whose loop was left before its end: as
+    `stop` does, with the map saved, or at once where an error or a temporary folder leaves nothing to save. One `run`
+    per mapper. In between linear algebra has one thread in this process: the cores are busy with workers, and sums that
+    are split differently differ in their last bits.
 
     Raises:
         ConfigError: the configuration asks for what is not there.
@@ -78,6 +79,7 @@ class Mapper:
         self._temporary: Path | None = None
         self._threads: threadpool_limits | None = None
         self._run: Run | None = None
+        self._task: asyncio.Task[None] | None = None
         self.folder: MapFolder | None = None
 
     @classmethod
@@ -113,11 +115,25 @@ class Mapper:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        await self._workers.__aexit__(kind, error, trace)
-        if self._threads is not None:
-            self._threads.restore_original_limits()
-        if self._temporary is not None:
-            shutil.rmtree(self._temporary, ignore_errors=True)
+        try:
+            await self._end_run(is_in_order=kind is None and self._temporary is None)
+        finally:
+            await self._workers.__aexit__(kind, error, trace)
+            if self._threads is not None:
+                self._threads.restore_original_limits()
+            if self._temporary is not None:
+                shutil.rmtree(self._temporary, ignore_errors=True)
+
+    async def _end_run(self, *, is_in_order: bool) -> None:
+        """End a run whose snapshots are no longer asked for: it needs the workers and the folder that go now."""
+        if self._task is None or self._task.done():
+            return
+        if is_in_order:
+            self.stop()
+            await self._task
+        else:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
 
     @property
     def was_stopped(self) -> bool:
@@ -200,7 +216,7 @@ class Mapper:
                 journal.abandon()
                 folder.close()
 
-        task = asyncio.create_task(play(), name="run")
+        task = self._task = asyncio.create_task(play(), name="run")
         task.add_done_callback(lambda _: None if newest.full() else newest.put_nowait(None))
         try:
             while not (task.done() and newest.empty()):
@@ -208,10 +224,14 @@ class Mapper:
                 if snapshot is not None:
                     yield snapshot
             await task
-        finally:
-            if not task.done():
-                task.cancel()
-                await asyncio.gather(task, return_exceptions=True)
+        except GeneratorExit:
+            # The loop was left: the run ends in order, and `__aexit__` waits for it.
+            self.stop()
+            raise
+        except BaseException:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+            raise
 
     async def _play(
         self,

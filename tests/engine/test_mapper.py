@@ -57,6 +57,46 @@ def test_a_map_folder_of_its_own_is_there_while_mapping_and_gone_afterwards() ->
     assert not asyncio.run(run()).exists()
 
 
+def test_a_loop_that_is_left_early_ends_the_run_in_order_and_saves_what_was_mapped(tmp_path: Path) -> None:
+    complaints = []
+
+    async def run() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
+        async with Mapper(out=tmp_path / "map") as mapper:
+            async for _ in mapper.run(SceneSource(8)):
+                break
+        assert mapper.was_stopped
+
+    asyncio.run(run())
+    saved = open_map(tmp_path / "map")
+    assert not saved.manifest.finished_cleanly
+    assert saved.ledger["frames"]["read"] >= 1
+    assert complaints == []
+
+
+@pytest.mark.parametrize("is_broken", [False, True])
+def test_a_loop_that_is_left_early_leaves_nothing_in_a_folder_of_its_own(is_broken: bool) -> None:
+    complaints, folders = [], []
+
+    async def run() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
+        async with Mapper() as mapper:
+            async for _ in mapper.run(SceneSource(8)):
+                assert mapper.folder is not None
+                folders.append(mapper.folder.path)
+                if is_broken:
+                    raise KeyError("what the consumer looked for")
+                break
+
+    if is_broken:
+        with pytest.raises(KeyError, match="consumer"):
+            asyncio.run(run())
+    else:
+        asyncio.run(run())
+    assert not folders[0].exists()
+    assert complaints == []
+
+
 def test_linear_algebra_has_one_thread_while_mapping_and_all_of_them_again_afterwards() -> None:
     def threads() -> list[int]:
         return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
