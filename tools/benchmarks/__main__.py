@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import math
 import pkgutil
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from tools.benchmarks.figures import Options, print_table, write_json
 _HELPERS = {
     "__main__",
     "apartment_maps",
+    "coarse_runs",
     "figures",
     "first_layer",
     "labelled_clouds",
@@ -21,6 +23,7 @@ _HELPERS = {
     "mask_scores",
     "perception_models",
     "processes",
+    "repetitions",
     "shape_meshes",
     "shape_truth",
     "small_logs",
@@ -42,6 +45,18 @@ def main() -> int:
     parser.add_argument("--meshes", type=Path, metavar="DIR", help="shapes: measure on the meshes of a folder instead")
     parser.add_argument("--clouds", type=Path, metavar="DIR", help="perception: labelled clouds, *.pcd, of a folder")
     parser.add_argument("--render", type=Path, metavar="DIR", help="shapes: write a picture of each object")
+    parser.add_argument(
+        "--state",
+        type=Path,
+        default=Path("out/bench"),
+        metavar="DIR",
+        help="engine, damage: where repetitions are kept",
+    )
+    parser.add_argument(
+        "--only", nargs="+", default=[], metavar="PART", help="engine: digests, kills, stops, live, soak"
+    )
+    parser.add_argument("--minutes", type=float, default=math.inf, help="engine, damage: begin nothing after this time")
+    parser.add_argument("--fresh", action="store_true", help="engine, damage: forget the repetitions that are kept")
     arguments = parser.parse_args()
     module = importlib.import_module(f"tools.benchmarks.{arguments.name}")
     if arguments.quick:
@@ -53,6 +68,10 @@ def main() -> int:
         meshes=arguments.meshes,
         clouds=arguments.clouds,
         render=arguments.render,
+        state=arguments.state,
+        only=tuple(arguments.only),
+        minutes=arguments.minutes,
+        fresh=arguments.fresh,
     )
     figures = module.measure(options)
     print_table(figures)

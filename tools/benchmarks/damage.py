@@ -9,9 +9,10 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +20,11 @@ from hickory_stream.errors import InputError
 from players.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors
 from players.opening import open_container
 from tools.benchmarks.figures import Figure, Options
+from tools.benchmarks.repetitions import Repetitions, measurement_folder
 from tools.benchmarks.small_logs import write_small_logs
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 _CASES, _QUICK_CASES = 1000, 160
 _TOO_LONG_S = 20.0
@@ -43,7 +48,13 @@ class Tally:
 
 def measure(options: Options) -> list[Figure]:
     """Return the figures of all cases; prints the recovered share by container and kind."""
-    tally = run_cases(_QUICK_CASES if options.quick else _CASES, options.seed)
+    repetitions = Repetitions()
+    if not options.quick:
+        kept = measurement_folder(options.state, "damage", seed=options.seed, fresh=options.fresh) / "logs.jsonl"
+        repetitions = Repetitions(kept, until=time.monotonic() + 60.0 * options.minutes)
+        print(f"kept in {kept}; {len(repetitions.records)} cases were there", flush=True)
+    with closing(repetitions):
+        tally = run_cases(_QUICK_CASES if options.quick else _CASES, options.seed, repetitions)
     for name, (recovered, expected) in sorted(tally.worst.items()):
         print(f"  {name:<32} {recovered:>7} of {expected:>7} messages outside the damage")
     for text in (*tally.crashes[:10], *tally.silent[:10]):
@@ -67,20 +78,39 @@ def figures_of(tally: Tally) -> list[Figure]:
     ]
 
 
-def run_cases(num_cases: int, seed: int) -> Tally:
-    """Return what came of so many cases, spread over all containers and kinds."""
-    tally = Tally()
+def run_cases(num_cases: int, seed: int, repetitions: Repetitions | None = None) -> Tally:
+    """Return what came of so many cases, spread over all containers and kinds; those of `repetitions` are there."""
+    repetitions = repetitions or Repetitions()
     with tempfile.TemporaryDirectory() as temporary:
         sound = write_small_logs(Path(temporary))
         truths = {name: (path.read_bytes(), parts_of(open_sound(path))) for name, path in sound.items()}
         names = sorted(truths)
-        for i in range(num_cases):
+        for i in repetitions.missing(num_cases):
             name, kind = names[i % len(names)], KINDS[i // len(names) % len(KINDS)]
             if name == "sqlite3" and kind == "shuffle":
                 kind = "zero"  # pages are found by their numbers: in another order they are another file
             rng = np.random.default_rng([seed, i])
             target = Path(temporary) / f"case{sound[name].suffix}"
-            _case(tally, name, kind, truths[name], target, rng)
+            case = Tally()
+            _case(case, name, kind, truths[name], target, rng)
+            repetitions.add(**asdict(case))
+    return _sum(Tally(**record) for record in repetitions.records)
+
+
+def _sum(cases: Iterable[Tally]) -> Tally:
+    """Return what came of all of them."""
+    tally = Tally()
+    for case in cases:
+        tally.cases += case.cases
+        tally.crashes += case.crashes
+        tally.silent += case.silent
+        tally.unprotected += case.unprotected
+        tally.expected += case.expected
+        tally.recovered += case.recovered
+        for group, (recovered, expected) in case.worst.items():
+            share = tally.worst.setdefault(group, [0, 0])
+            share[0] += recovered
+            share[1] += expected
     return tally
 
 

@@ -6,10 +6,8 @@ import dataclasses
 import json
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
+from typing import Literal
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,7 +29,9 @@ class Options:
     """What a benchmark may be told.
 
     `quick` asks for a smaller sample in under 50 s; `scenes` are truth folders to measure on instead of its own,
-    `meshes` a folder of meshes, `clouds` one of labelled clouds; pictures go to `render`.
+    `meshes` a folder of meshes, `clouds` one of labelled clouds; pictures go to `render`. What has many repetitions
+    keeps them under `state` (not when quick), does those alone that `only` names, begins none after `minutes`, and
+    forgets earlier ones when `fresh`.
     """
 
     seed: int
@@ -40,6 +40,10 @@ class Options:
     meshes: Path | None = None
     clouds: Path | None = None
     render: Path | None = None
+    state: Path = Path("out/bench")
+    only: tuple[str, ...] = ()
+    minutes: float = math.inf
+    fresh: bool = False
 
 
 def print_table(figures: list[Figure]) -> None:
