@@ -14,10 +14,11 @@ import types
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from hickory_stream.errors import ConfigError
+from hickory_stream.errors import ConfigError, RangeError
 from hickory_stream.mapping.core import MappingConfig
 from hickory_stream.mapping.keyframes import KeyframeConfig
 from hickory_stream.perception.perceive import PerceptionConfig
+from hickory_stream.ranges import Ranged, number, ranges_of
 from hickory_stream.shapes.build import ShapeConfig
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RunConfig:
+class RunConfig(Ranged):
     """How a run is carried out; nothing here changes the map of a playback.
 
     Attributes:
@@ -44,29 +45,21 @@ class RunConfig:
         grace_s: after a stop, this long is waited for jobs that are running.
     """
 
-    workers: int = 2
+    workers: int = number(2, 1, 1024, "processes")
     cluster: str = ""
-    cluster_gpus: float = 0.0
+    cluster_gpus: float = number(0.0, 0, 64, "GPUs")
     shape_cache: bool = True
     worker_python: str = ""
-    job_timeout_s: float = 60.0
-    job_memory_mb: float = 4000.0
-    crop_margin: float = 0.08
-    time_jump_s: float = 60.0
-    late_s: float = 1.0
-    grace_s: float = 5.0
-
-    def __post_init__(self) -> None:
-        for name in ("workers", "job_timeout_s", "job_memory_mb", "time_jump_s"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0, found {getattr(self, name)}")
-        for name in ("cluster_gpus", "crop_margin", "grace_s", "late_s"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, found {getattr(self, name)}")
+    job_timeout_s: float = number(60.0, 0.001, 1e6, "s")
+    job_memory_mb: float = number(4000.0, 1, 1e7, "MB")
+    crop_margin: float = number(0.08, 0, 10, "share")
+    time_jump_s: float = number(60.0, 0.001, 1e9, "s")
+    late_s: float = number(1.0, 0, 1e9, "s")
+    grace_s: float = number(5.0, 0, 1e6, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class JournalConfig:
+class JournalConfig(Ranged):
     """What is kept of a run; nothing here changes the map.
 
     Attributes:
@@ -75,18 +68,10 @@ class JournalConfig:
         keep_images: the images of keyframes are kept, for `replay --rrd`; `jpeg_quality` where the log has none.
     """
 
-    flush_s: float = 2.0
-    checkpoint_keyframes: int = 12
+    flush_s: float = number(2.0, 0, 86400, "s")
+    checkpoint_keyframes: int = number(12, 1, 1_000_000_000, "keyframes")
     keep_images: bool = True
-    jpeg_quality: int = 80
-
-    def __post_init__(self) -> None:
-        if self.checkpoint_keyframes < 1:
-            raise ValueError(f"checkpoint_keyframes must be at least 1, found {self.checkpoint_keyframes}")
-        if not self.flush_s >= 0:
-            raise ValueError(f"flush_s must not be negative, found {self.flush_s}")
-        if not 1 <= self.jpeg_quality <= 100:
-            raise ValueError(f"jpeg_quality must be 1 to 100, found {self.jpeg_quality}")
+    jpeg_quality: int = number(80, 1, 100, "percent")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -136,12 +121,14 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
     values = {key: _converted(hints[key], value, f"{where}{key}") for key, value in data.items()}
     try:
         return kind(**values)
+    except RangeError as error:
+        raise ConfigError(f"{where}{error}") from error
     except ValueError as error:
         raise ConfigError(f"configuration {where.rstrip('.') or 'of the mapper'}: {error}") from error
 
 
 def to_toml(config: Any) -> str:
-    """Return a configuration as TOML, sections in the order of their declaration."""
+    """Return a configuration as TOML, sections in the order of their declaration; comments say what may be there."""
     lines: list[str] = []
     _write_section(config, "", lines)
     return "\n".join(lines).strip() + "\n"
@@ -152,11 +139,20 @@ def _write_section(config: Any, name: str, lines: list[str]) -> None:
     plain = [(key, value) for key, value in values if not dataclasses.is_dataclass(value) and value is not None]
     if plain:
         if name:
-            lines += ["", f"[{name}]"]
-        lines += [f"{key} = {_toml_value(value)}" for key, value in plain]
+            summary = (type(config).__doc__ or "").partition("\n")[0]
+            lines += ["", f"# {summary}", f"[{name}]"]
+        allowed = _allowed(type(config))
+        lines += [f"{key} = {_toml_value(value)}" + allowed.get(key, "") for key, value in plain]
     for key, value in values:
         if dataclasses.is_dataclass(value):
             _write_section(value, f"{name}.{key}" if name else key, lines)
+
+
+def _allowed(kind: Any) -> dict[str, str]:
+    """Return the comments that say which numbers and which words may be there."""
+    told = {key: f"  # {found}" for key, found in ranges_of(kind).items()}
+    words = {key: get_args(hint) for key, hint in get_type_hints(kind).items() if get_origin(hint) is Literal}
+    return told | {key: f"  # {' or '.join(map(_toml_value, found))}" for key, found in words.items()}
 
 
 def _toml_value(value: Any) -> str:

@@ -3,6 +3,7 @@
     HickoryError                    exit status 1: our own failure
     |-- InputError                  exit status 2: something outside is not as it must be
     |   |-- ConfigError             a key, a value or a file of the configuration
+    |   |   `-- RangeError          a number outside of its range
     |   |-- RecordingError          a log that cannot be read or lacks what mapping needs
     |   |-- CalibrationError        intrinsics or extrinsics that are missing or contradict the images
     |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
@@ -30,6 +31,10 @@ class InputError(HickoryError):
 
 class ConfigError(InputError):
     """A configuration key, value or file that is refused."""
+
+
+class RangeError(ConfigError, ValueError):
+    """A number of a configuration that is outside of its range; a `ValueError`, as constructors raise it."""
 
 
 class RecordingError(InputError):

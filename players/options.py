@@ -5,16 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from hickory_stream.ranges import Ranged, number
+
 if TYPE_CHECKING:
     from pathlib import Path
 
 DEFAULT_MAX_POSE_GAP_NS = 500_000_000
+MAX_GAP_NS = 3_600_000_000_000
+"""Nobody means an hour: neither tolerance is longer."""
 
 Clock = Literal["auto", "header", "log"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SourceOptions:
+class SourceOptions(Ranged):
     """Topics, tolerances and calibration of a source; None means: the profile's, or discover, or what is stated here.
 
     The topics are for logs and not used by image folders. `pose_frame` is the frame whose pose the pose topic gives:
@@ -33,8 +37,8 @@ class SourceOptions:
     depth_info_topic: str | None = None
     pose_topic: str | None = None
     pose_frame: str | None = None
-    sync_tolerance_ns: int | None = None
-    max_pose_gap_ns: int | None = None
+    sync_tolerance_ns: int | None = number(None, 0, MAX_GAP_NS, "ns")
+    max_pose_gap_ns: int | None = number(None, 1, MAX_GAP_NS, "ns")
     profile: str | None = None
     robot: str | None = None
     pose_file: Path | None = None

@@ -17,6 +17,8 @@ import numpy as np
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
+from hickory_stream.ranges import Range, Ranged, number, required
+from players.options import MAX_GAP_NS
 from players.poses import nearest_rigid
 from players.tf import Edge
 from players.tracks import JumpLimits
@@ -28,6 +30,10 @@ if TYPE_CHECKING:
 
     from players.containers import Topic
 
+_TOLERANCE = Range(low=0.001, high=MAX_GAP_NS / 1e6, unit="ms")
+_OFFSET = Range(low=-1000, high=1000, unit="m")
+_COMPONENT = Range(low=-2, high=2, unit="for a component")
+
 _FOLDER = Path(__file__).parent / "profiles"
 _ROLES = ("color", "depth", "color_info", "depth_info", "pose")
 
@@ -36,13 +42,13 @@ OPTICAL_FROM_FLU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Intrinsics:
+class Intrinsics(Ranged):
     """A pinhole without its image size, in pixels."""
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+    fx: float = required(1e-3, 1e6, "px")
+    fy: float = required(1e-3, 1e6, "px")
+    cx: float = required(-1e6, 1e6, "px")
+    cy: float = required(-1e6, 1e6, "px")
 
     def camera(self, size: tuple[int, int]) -> Camera:
         """Return the camera of images of (width, height)."""
@@ -69,7 +75,7 @@ class PoseColumns:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Profile:
+class Profile(Ranged):
     """What is known of a kind of log.
 
     For folders: `color` are the intrinsics of a colour camera that is not the depth camera; `color_from_depth_m` the
@@ -79,16 +85,16 @@ class Profile:
 
     name: str = ""
     title: str = ""
-    depth_units_per_m: float = 1000.0
-    max_depth_m: float | None = None
-    frame_rate_hz: int = 30
-    extrinsics_units_per_m: float = 1.0
+    depth_units_per_m: float = number(1000.0, 1e-3, 1e9, "1/m")
+    max_depth_m: float | None = number(None, 0.01, 1e4, "m")
+    frame_rate_hz: int = number(30, 1, 1000, "Hz")
+    extrinsics_units_per_m: float = number(1.0, 1e-3, 1e9, "1/m")
     color: Intrinsics | None = None
-    color_from_depth_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    color_from_depth_m: tuple[float, float, float] = number((0.0, 0.0, 0.0), -100, 100, "m")
     topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     rig: RigLinks | None = None
-    sync_tolerance_ns: int | None = None
-    max_pose_gap_ns: int | None = None
+    sync_tolerance_ns: int | None = number(None, 1, MAX_GAP_NS, "ns")
+    max_pose_gap_ns: int | None = number(None, 1, MAX_GAP_NS, "ns")
     jump_limits: JumpLimits = field(default_factory=JumpLimits)
     pose_file: PoseColumns | None = None
     parameters: Mapping[str, str] = field(default_factory=dict)
@@ -169,23 +175,24 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
         color_from_depth_m=(x, y, z),
         topics={role: names for role, names in topics.items() if names},
         rig=_rig(rig, robots, parameters) if rig else None,
-        sync_tolerance_ns=_ns(time.pop("sync_tolerance_ms", None)),
-        max_pose_gap_ns=_ns(time.pop("max_pose_gap_ms", None)),
+        sync_tolerance_ns=_ns(time, "sync_tolerance_ms"),
+        max_pose_gap_ns=_ns(time, "max_pose_gap_ms"),
         jump_limits=JumpLimits(**{f.name: float(time.pop(f.name)) for f in fields(JumpLimits) if f.name in time}),
         pose_file=PoseColumns(**{**columns, "columns": tuple(columns["columns"])}) if columns else None,
         parameters=parameters,
     )
     if time:
         raise TypeError(f"time: unknown {', '.join(sorted(time))}")
-    if not (profile.depth_units_per_m > 0 and profile.frame_rate_hz > 0):
-        raise ValueError("depth_units_per_m and frame_rate_hz must be positive")
     return profile
 
 
-def _ns(milliseconds: float | None) -> int | None:
-    if milliseconds is not None and not milliseconds > 0:
-        raise ValueError(f"{milliseconds} ms; expected a positive time")
-    return None if milliseconds is None else round(milliseconds * 1e6)
+def _ns(time: dict[str, Any], name: str) -> int | None:
+    """Take a tolerance in milliseconds out of the table of times; None where it names none."""
+    milliseconds = time.pop(name, None)
+    if milliseconds is None:
+        return None
+    _TOLERANCE.check(name, milliseconds)
+    return round(milliseconds * 1e6)
 
 
 def _filled(names: Sequence[str] | str, parameters: Mapping[str, str]) -> tuple[str, ...]:
@@ -216,12 +223,16 @@ def _transform(link: Mapping[str, Any]) -> NDArray[np.float64]:
         rigid = nearest_rigid(np.asarray(link["matrix"], dtype=np.float64))
         if rigid is None:
             raise ValueError(f"the matrix from {link['child']} to {link['parent']} is no rigid transform")
+        _OFFSET.check("the translation of a matrix", rigid[:3, 3].tolist())
         return rigid
     rotation = np.eye(3)
     if "quaternion_xyzw" in link:
+        _COMPONENT.check("quaternion_xyzw", link["quaternion_xyzw"])
         rotation = rotation_from_quaternion(*(float(part) for part in link["quaternion_xyzw"]))
     elif link.get("axes") == "flu_from_optical":
         rotation = OPTICAL_FROM_FLU.T
     elif "axes" in link:
         raise ValueError(f"axes {link['axes']!r}; expected flu_from_optical")
-    return from_rotation_translation(rotation, np.asarray(link.get("translation_m", (0, 0, 0)), dtype=np.float64))
+    translation_m = link.get("translation_m", (0, 0, 0))
+    _OFFSET.check("translation_m", translation_m)
+    return from_rotation_translation(rotation, np.asarray(translation_m, dtype=np.float64))

@@ -22,6 +22,7 @@ from hickory_stream.geometry.rigid import (
     invert,
     rotation_angle_rad,
 )
+from hickory_stream.ranges import Ranged, number
 from players.poses import HOLD_NS, pose_of_row
 
 if TYPE_CHECKING:
@@ -39,18 +40,18 @@ SLOW_NS = 45_000_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class JumpLimits:
+class JumpLimits(Ranged):
     """What no robot does between two poses: beyond these the odometry itself has jumped.
 
     A pose is held against the one that constant velocity predicts: it may be off by `jump_m`, and by what
     `acceleration_mps2` gives in the time between; its rotation may differ by `jump_rad` and `turn_radps`.
     """
 
-    jump_m: float = 0.15
-    acceleration_mps2: float = 5.0
-    jump_rad: float = 0.2
-    turn_radps: float = 3.5
-    speed_mps: float = 4.0
+    jump_m: float = number(0.15, 0.001, 1000, "m")
+    acceleration_mps2: float = number(5.0, 0, 1000, "m/s2")
+    jump_rad: float = number(0.2, 0.001, 3.15, "rad")
+    turn_radps: float = number(3.5, 0, 1000, "rad/s")
+    speed_mps: float = number(4.0, 0, 1000, "m/s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

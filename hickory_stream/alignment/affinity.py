@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AffinityConfig:
+class AffinityConfig(Ranged):
     """Which pairs of objects are considered, and when two such pairs agree.
 
     Attributes:
@@ -35,18 +36,11 @@ class AffinityConfig:
         max_candidates: and never more than these.
     """
 
-    centroid_m: float = 0.05
-    gate: float = 3.0
-    level_tilt_deg: float = 0.5
-    candidate_share: float = 0.25
-    max_candidates: int = 2000
-
-    def __post_init__(self) -> None:
-        for name in ("centroid_m", "gate", "candidate_share", "max_candidates"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0, found {getattr(self, name)}")
-        if self.level_tilt_deg < 0:
-            raise ValueError(f"level_tilt_deg must not be negative, found {self.level_tilt_deg}")
+    centroid_m: float = number(0.05, 0.0001, 10, "m")
+    gate: float = number(3.0, 0.1, 100, "standard deviations")
+    level_tilt_deg: float = number(0.5, 0, 90, "deg")
+    candidate_share: float = number(0.25, 0.0001, 1, "share")
+    max_candidates: int = number(2000, 1, 1_000_000, "pairs")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

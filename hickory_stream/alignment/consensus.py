@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from hickory_stream.alignment.clique import heaviest_clique
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ConsensusConfig:
+class ConsensusConfig(Ranged):
     """How hard the densest set is looked for.
 
     Attributes:
@@ -33,10 +34,10 @@ class ConsensusConfig:
         exact_nodes: nodes of the exact search; beyond them its best clique so far is taken.
     """
 
-    pair_gain: float = 4.0
-    penalties: int = 8
-    ascent_steps: int = 12
-    exact_nodes: int = 200_000
+    pair_gain: float = number(4.0, 0, 1000, "log10")
+    penalties: int = number(8, 1, 1000, "steps")
+    ascent_steps: int = number(12, 1, 10_000, "iterations")
+    exact_nodes: int = number(200_000, 0, 1_000_000_000, "nodes")
 
 
 def densest_clique(affinity: Affinity, alive: NDArray[np.bool_], config: ConsensusConfig) -> NDArray[np.int64]:

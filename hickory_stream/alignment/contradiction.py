@@ -14,6 +14,7 @@ import numpy as np
 from hickory_stream.alignment.answer import Contradictions
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import contains, keys_of_cells
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,7 +26,7 @@ _MAX_POINTS = 100
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ContradictionConfig:
+class ContradictionConfig(Ranged):
     """When an object counts as missing.
 
     Attributes:
@@ -36,11 +37,11 @@ class ContradictionConfig:
         min_expected: where at least so many are expected.
     """
 
-    min_looked_at: float = 0.5
-    max_missed: float = 0.6
-    price: float = 0.5
-    max_missing: float = 0.4
-    min_expected: int = 5
+    min_looked_at: float = number(0.5, 0, 1, "share")
+    max_missed: float = number(0.6, 0, 1, "share")
+    price: float = number(0.5, 0, 1000, "log10")
+    max_missing: float = number(0.4, 0, 1, "share")
+    min_expected: int = number(5, 0, 1_000_000, "objects")
 
 
 def contradictions(

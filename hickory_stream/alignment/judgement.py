@@ -11,6 +11,7 @@ from hickory_stream.alignment.answer import Contradictions, NoAlignment, Refusal
 from hickory_stream.alignment.contradiction import contradictions
 from hickory_stream.alignment.registration import information
 from hickory_stream.alignment.search import searched
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +25,7 @@ _SURE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AcceptanceConfig:
+class AcceptanceConfig(Ranged):
     """What an alignment must show.
 
     Attributes:
@@ -39,16 +40,16 @@ class AcceptanceConfig:
         num_rivals: how many distinct transforms are looked for.
     """
 
-    max_log10_chance: float = -2.5
-    min_margin: float = 2.0
-    min_pairs: int = 4
-    min_spread_m: float = 0.3
-    max_turn_deg: float = 2.0
-    tilt_price: float = 4.0
-    max_tilt_deg: float = 25.0
-    distinct_m: float = 0.5
-    distinct_deg: float = 5.0
-    num_rivals: int = 5
+    max_log10_chance: float = number(-2.5, -1000, 1000, "log10")
+    min_margin: float = number(2.0, 0, 1000, "log10")
+    min_pairs: int = number(4, 1, 1_000_000, "pairs")
+    min_spread_m: float = number(0.3, 0, 1000, "m")
+    max_turn_deg: float = number(2.0, 0, 180, "deg")
+    tilt_price: float = number(4.0, 0, 1000, "log10")
+    max_tilt_deg: float = number(25.0, 0, 180, "deg")
+    distinct_m: float = number(0.5, 0, 1000, "m")
+    distinct_deg: float = number(5.0, 0, 180, "deg")
+    num_rivals: int = number(5, 1, 1000, "transforms")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.alignment.contradiction import thinned
 from hickory_stream.alignment.registration import information
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,7 +29,7 @@ _MAX_POINTS = 400
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RefinementConfig:
+class RefinementConfig(Ranged):
     """How surfaces are laid on one another.
 
     Attributes:
@@ -39,12 +40,12 @@ class RefinementConfig:
         neighbors: points that a normal is made of.
     """
 
-    rounds: int = 12
-    first_m: float = 0.08
-    last_m: float = 0.015
-    surface_m: float = 0.01
-    min_points: int = 30
-    neighbors: int = 12
+    rounds: int = number(12, 0, 1000, "rounds")
+    first_m: float = number(0.08, 0.0001, 10, "m")
+    last_m: float = number(0.015, 0.0001, 10, "m")
+    surface_m: float = number(0.01, 0, 1, "m")
+    min_points: int = number(30, 3, 1_000_000, "points")
+    neighbors: int = number(12, 3, 1000, "points")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

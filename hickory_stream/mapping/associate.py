@@ -15,6 +15,7 @@ from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.cloud import share_near
 from hickory_stream.mapping.track import bounds_of, touching
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AssociateConfig:
+class AssociateConfig(Ranged):
     """When an observation is a track.
 
     Attributes:
@@ -34,10 +35,10 @@ class AssociateConfig:
             is the track and more; it is not fused into it unless that repeats itself.
     """
 
-    min_iou: float = 0.2
-    min_lies_on: float = 0.55
-    settled_sightings: int = 5
-    swollen: float = 2.2
+    min_iou: float = number(0.2, 0, 1, "IoU")
+    min_lies_on: float = number(0.55, 0, 1, "share")
+    settled_sightings: int = number(5, 0, 1_000_000, "sightings")
+    swollen: float = number(2.2, 1, 1000, "ratio")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

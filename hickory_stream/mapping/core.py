@@ -84,6 +84,7 @@ from hickory_stream.mapping.track import (
     without_views,
 )
 from hickory_stream.mapping.views import ViewConfig, better, covers_better, score, score_bound, sector_of
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MappingConfig:
+class MappingConfig(Ranged):
     """The configuration of everything that the core decides. `space_voxel_m` is the grid of the observed space."""
 
     track: TrackConfig = field(default_factory=TrackConfig)
@@ -108,7 +109,7 @@ class MappingConfig:
     flush: FlushConfig = field(default_factory=FlushConfig)
     floating: FloatConfig = field(default_factory=FloatConfig)
     submaps: SubmapConfig = field(default_factory=SubmapConfig)
-    space_voxel_m: float = 0.05
+    space_voxel_m: float = number(0.05, 0.005, 1, "m")
 
 
 _FLOATS = "it would float but for this one"

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.observed_space import sees_structure
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,7 +29,7 @@ _LOWEST_PCT = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FloatConfig:
+class FloatConfig(Ranged):
     """When a thing floats, and what it then belongs to.
 
     Attributes:
@@ -39,12 +40,12 @@ class FloatConfig:
         stem_m: the nearest other thing within this is what it belongs to.
     """
 
-    min_height_m: float = 0.25
-    free_share: float = 0.9
-    support_m: float = 0.06
-    support_share: float = 0.1
-    wall_m: float = 0.1
-    stem_m: float = 0.15
+    min_height_m: float = number(0.25, 0, 100, "m")
+    free_share: float = number(0.9, 0, 1, "share")
+    support_m: float = number(0.06, 0, 10, "m")
+    support_share: float = number(0.1, 0, 1, "share")
+    wall_m: float = number(0.1, 0, 10, "m")
+    stem_m: float = number(0.15, 0, 10, "m")
 
 
 def stem_of(track: Track, others: Iterable[Track], space: SpaceState, config: FloatConfig) -> Track | None:

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.rigid import rotation_angle_rad
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class KeyframeConfig:
+class KeyframeConfig(Ranged):
     """When a frame is a keyframe.
 
     Attributes:
@@ -23,10 +24,10 @@ class KeyframeConfig:
         max_interval_s: ... unless the last one is this old.
     """
 
-    min_interval_s: float = 0.25
-    min_distance_m: float = 0.15
-    min_angle_deg: float = 5.0
-    max_interval_s: float = 2.0
+    min_interval_s: float = number(0.25, 0, 3600, "s")
+    min_distance_m: float = number(0.15, 0, 100, "m")
+    min_angle_deg: float = number(5.0, 0, 180, "deg")
+    max_interval_s: float = number(2.0, 0, 3600, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

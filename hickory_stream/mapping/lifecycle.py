@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LifecycleConfig:
+class LifecycleConfig(Ranged):
     """The numbers of the table.
 
     Attributes:
@@ -46,24 +47,24 @@ class LifecycleConfig:
         phantom_share: share of a track's voxels that must be seen free for a keyframe to count as looking through.
     """
 
-    confirm_sightings: int = 4
-    tentative_s: float = 8.0
-    dormant_s: float = 4.0
-    archive_s: float = 60.0
-    phantom_frames: int = 4
-    phantom_share: float = 0.7
-    structure_m: float = 2.0
-    structure_m3: float = 4.5
-    wall_foot_m: float = 0.7
-    wall_top_m: float = 1.25
-    wall_height_m: float = 0.75
-    wall_thickness_m: float = 0.22
-    lintel_foot_m: float = 1.4
-    lintel_top_m: float = 2.1
-    structure_share: float = 0.5
-    wall_share: float = 0.15
-    wall_hits: int = 4
-    wall_against: float = 2.0
+    confirm_sightings: int = number(4, 1, 1_000_000, "sightings")
+    tentative_s: float = number(8.0, 0, 1e9, "s")
+    dormant_s: float = number(4.0, 0, 1e9, "s")
+    archive_s: float = number(60.0, 0, 1e9, "s")
+    phantom_frames: int = number(4, 1, 1_000_000, "keyframes")
+    phantom_share: float = number(0.7, 0, 1, "share")
+    structure_m: float = number(2.0, 0, 1000, "m")
+    structure_m3: float = number(4.5, 0, 1e6, "m3")
+    wall_foot_m: float = number(0.7, 0, 100, "m")
+    wall_top_m: float = number(1.25, 0, 100, "m")
+    wall_height_m: float = number(0.75, 0, 100, "m")
+    wall_thickness_m: float = number(0.22, 0, 100, "m")
+    lintel_foot_m: float = number(1.4, 0, 100, "m")
+    lintel_top_m: float = number(2.1, 0, 100, "m")
+    structure_share: float = number(0.5, 0, 1, "share")
+    wall_share: float = number(0.15, 0, 1, "share")
+    wall_hits: int = number(4, 0, 1_000_000, "keyframes")
+    wall_against: float = number(2.0, 0, 1000, "ratio")
 
 
 def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | None:

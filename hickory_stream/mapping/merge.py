@@ -17,6 +17,7 @@ from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, st
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.track import Track, TrackConfig, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -31,7 +32,7 @@ _FOOT_GAP_M = 0.2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MergeConfig:
+class MergeConfig(Ranged):
     """When two tracks are one.
 
     Attributes:
@@ -43,12 +44,12 @@ class MergeConfig:
             view from close by takes an object to pieces more easily than a view from afar takes two for one.
     """
 
-    duplicate_share: float = 0.5
-    sure_share: float = 0.7
-    covers_share: float = 0.3
-    min_votes: int = 3
-    sure_votes: int = 6
-    sure_ratio: float = 0.7
+    duplicate_share: float = number(0.5, 0, 1, "share")
+    sure_share: float = number(0.7, 0, 1, "share")
+    covers_share: float = number(0.3, 0, 1, "share")
+    min_votes: int = number(3, 1, 1_000_000, "votes")
+    sure_votes: int = number(6, 1, 1_000_000, "votes")
+    sure_ratio: float = number(0.7, 0, 1000, "votes per keyframe")
 
 
 @dataclass(frozen=True, slots=True)

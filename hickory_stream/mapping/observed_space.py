@@ -22,6 +22,7 @@ from hickory_stream.geometry.voxels import (
     places,
     sorted_unique,
 )
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import ObservedSpace
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ _FAR = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FlushConfig:
+class FlushConfig(Ranged):
     """When a flat thing is more of the wall around it: sizes, and the share of its border along which the wall goes on.
 
     Structure counts from half of `reach_m` to `reach_m` beyond the border (a wall that meets the thing at an edge is
@@ -49,16 +50,16 @@ class FlushConfig:
     its height is the edge of a wall or the frame of a door.
     """
 
-    thickness_m: float = 0.12
-    min_size_m: float = 0.2
-    reach_m: float = 0.2
-    border_share: float = 0.25
-    max_offset: float = 0.8
-    foot_m: float = 0.1
-    edge_width_m: float = 0.1
-    edge_height_m: float = 0.38
-    edge_reach_m: float = 0.1
-    edge_share: float = 0.8
+    thickness_m: float = number(0.12, 0, 100, "m")
+    min_size_m: float = number(0.2, 0, 100, "m")
+    reach_m: float = number(0.2, 0, 100, "m")
+    border_share: float = number(0.25, 0, 1, "share")
+    max_offset: float = number(0.8, 0, 100, "ratio")
+    foot_m: float = number(0.1, 0, 100, "m")
+    edge_width_m: float = number(0.1, 0, 100, "m")
+    edge_height_m: float = number(0.38, 0, 100, "m")
+    edge_reach_m: float = number(0.1, 0, 100, "m")
+    edge_share: float = number(0.8, 0, 1, "share")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.mapping.cloud import Cloud, fuse, share_near
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PartConfig:
+class PartConfig(Ranged):
     """When a part is an object.
 
     Attributes:
@@ -30,13 +31,13 @@ class PartConfig:
         min_size_m: what is thinner, or less than twice that wide, is a rim or a board of its host.
     """
 
-    min_apart: int = 4
-    apart_ratio: float = 2.0
-    same_share: float = 0.45
-    covered_share: float = 0.6
-    alone_share: float = 0.8
-    min_voxels: int = 40
-    min_size_m: float = 0.025
+    min_apart: int = number(4, 1, 1_000_000, "keyframes")
+    apart_ratio: float = number(2.0, 0, 1000, "ratio")
+    same_share: float = number(0.45, 0, 1, "share")
+    covered_share: float = number(0.6, 0, 1, "share")
+    alone_share: float = number(0.8, 0, 1, "share")
+    min_voxels: int = number(40, 1, 1_000_000, "voxels")
+    min_size_m: float = number(0.025, 0, 10, "m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ _SUPPORT_SECTORS = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RequestConfig:
+class RequestConfig(Ranged):
     """The budget of shape jobs.
 
     Attributes:
@@ -44,24 +45,17 @@ class RequestConfig:
             share of `latency_s` that has passed since: later, what was begun is worth more than what would be won.
     """
 
-    max_in_flight: int = 4
-    latency_s: float = 4.0
-    first_sightings: int = 32
-    min_gain: float = 1.2
-    final_gain: float = 0.8
-    interval_s: float = 8.0
-    max_failures: int = 2
-    job_s: float = 2.2
-    view_s: float = 0.18
-    kilopoint_s: float = 0.03
-    replace_by: float = 0.5
-
-    def __post_init__(self) -> None:
-        if not self.job_s > 0:
-            raise ValueError(f"job_s must be above 0, found {self.job_s}")
-        for name in ("view_s", "kilopoint_s", "replace_by"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, found {getattr(self, name)}")
+    max_in_flight: int = number(4, 1, 10_000, "jobs")
+    latency_s: float = number(4.0, 0, 3600, "s")
+    first_sightings: int = number(32, 1, 1_000_000, "sightings")
+    min_gain: float = number(1.2, 0, 1e6, "ratio")
+    final_gain: float = number(0.8, 0, 1e6, "ratio")
+    interval_s: float = number(8.0, 0, 1e9, "s")
+    max_failures: int = number(2, 1, 1000, "failures")
+    job_s: float = number(2.2, 0.001, 86400, "s")
+    view_s: float = number(0.18, 0, 86400, "s")
+    kilopoint_s: float = number(0.03, 0, 86400, "s")
+    replace_by: float = number(0.5, 0, 1e6, "ratio")
 
 
 def next_requests(

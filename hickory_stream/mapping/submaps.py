@@ -18,6 +18,7 @@ import numpy as np
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.voxels import contains, keys_of_points, places
 from hickory_stream.mapping.observed_space import SpaceState, add, add_structure, as_record, empty_space
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation, Submap
 
 if TYPE_CHECKING:
@@ -27,14 +28,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SubmapConfig:
+class SubmapConfig(Ranged):
     """When a submap ends beside where the odometry jumps: after `travel_m` of the camera's way."""
 
-    travel_m: float = 15.0
-
-    def __post_init__(self) -> None:
-        if not self.travel_m > 0:
-            raise ValueError(f"travel_m must be above 0, found {self.travel_m}")
+    travel_m: float = number(15.0, 0.01, 1e6, "m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

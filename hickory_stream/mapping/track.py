@@ -13,6 +13,7 @@ from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.voxels import in_company
 from hickory_stream.mapping.cloud import Cloud, fuse, solid_part
 from hickory_stream.mapping.views import better
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase, TrackedObject, View
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ _BOX_POINTS = 10_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TrackConfig:
+class TrackConfig(Ranged):
     """How a track keeps its points and its box.
 
     Attributes:
@@ -36,8 +37,8 @@ class TrackConfig:
         sketch_growth: a sketch is made anew when the surely seen points have become more or fewer by this share.
     """
 
-    voxel_m: float = 0.01
-    sketch_growth: float = 0.3
+    voxel_m: float = number(0.01, 0.001, 1, "m")
+    sketch_growth: float = number(0.3, 0, 100, "ratio")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,6 +14,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, assert_never
 
+from hickory_stream.ranges import Ranged, number
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -25,7 +27,7 @@ _SECTORS = 8
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ViewConfig:
+class ViewConfig(Ranged):
     """How views are chosen.
 
     Attributes:
@@ -40,11 +42,11 @@ class ViewConfig:
     """
 
     strategy: Strategy = "s_score"
-    alpha: float = 0.3
-    beta: float = 0.5
-    feature_norm2: float = 768.0
-    cut_worth: float = 0.7
-    better_by: float = 1.4
+    alpha: float = number(0.3, 0, 10, "exponent")
+    beta: float = number(0.5, 0, 10, "exponent")
+    feature_norm2: float = number(768.0, 0.001, 1e6, "ratio")
+    cut_worth: float = number(0.7, 0, 1, "share")
+    better_by: float = number(1.4, 1, 1000, "ratio")
 
 
 def s_score(variance: float, r_area: float, r_depth: float, config: ViewConfig) -> float:

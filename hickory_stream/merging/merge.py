@@ -15,6 +15,7 @@ from hickory_stream.geometry.rigid import invert
 from hickory_stream.merging.clusters import Pairing, clusters_of
 from hickory_stream.merging.graph import Relation, odometry, solve
 from hickory_stream.merging.objects import MergedObject, placed, united
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import MapSnapshot, Phase, Submap
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MergeMapsConfig:
+class MergeMapsConfig(Ranged):
     """How maps are merged.
 
     Attributes:
@@ -39,9 +40,9 @@ class MergeMapsConfig:
     """
 
     align: AlignConfig = field(default_factory=AlignConfig)
-    same_share: float = 0.6
-    changed_share: float = 0.15
-    max_views: int = 8
+    same_share: float = number(0.6, 0, 1, "share")
+    changed_share: float = number(0.15, 0, 1, "share")
+    max_views: int = number(8, 1, 64, "views")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

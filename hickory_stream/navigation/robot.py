@@ -17,6 +17,7 @@ import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.ranges import Range, Ranged, check_order, check_ranges, number, ranges_of, required
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,24 +25,32 @@ if TYPE_CHECKING:
 _HEADINGS = 24
 _MOST_POSTURES = 8
 
+# What the numbers of a robot's file may be; a `Part` takes heights of the world as well.
+_IN_A_FILE = {
+    "low_m": Range(low=0, high=100, unit="m"),
+    "high_m": Range(low=0, high=100, unit="m"),
+    "radius_m": Range(low=0, high=100, unit="m"),
+    "footprint_m": Range(low=-100, high=100, unit="m"),
+    "spheres_m": Range(low=-100, high=100, unit="m"),
+}
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Part:
+class Part(Ranged):
     """A convex part of a body: `corners_m` (V, 2) in the robot's frame, heights above the floor, radii."""
 
-    low_m: float
-    high_m: float
+    low_m: float = required(-1e4, 1e4, "m")
+    high_m: float = required(-1e4, 1e4, "m")
     corners_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 2)))
-    disc_m: float = 0.0
-    ball_m: float = 0.0
+    disc_m: float = number(0.0, 0, 1000, "m")
+    ball_m: float = number(0.0, 0, 1000, "m")
 
     def __post_init__(self) -> None:
         freeze(self, "corners_m", np.float64, (None, 2))
-        numbers = np.array([self.low_m, self.high_m, self.disc_m, self.ball_m])
-        if not (np.isfinite(numbers).all() and np.isfinite(self.corners_m).all() and len(self.corners_m)):
-            raise ValueError("a part of a body is not finite, or has no corners")
-        if self.low_m > self.high_m or self.disc_m < 0 or self.ball_m < 0:
-            raise ValueError(f"a part of a body reaches from {self.low_m} to {self.high_m} m, with negative radii")
+        check_ranges(self)
+        check_order(self, "low_m", "high_m")
+        if not (np.isfinite(self.corners_m).all() and len(self.corners_m)):
+            raise ValueError("a part of a body has corners that are not finite, or none")
 
     @property
     def numbers(self) -> NDArray[np.float64]:
@@ -60,12 +69,12 @@ class Part:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Posture:
+class Posture(Ranged):
     """The parts of a body in one posture; a metre in it costs as much as `cost` metres in a posture of cost 1."""
 
     name: str
     parts: tuple[Part, ...]
-    cost: float = 1.0
+    cost: float = number(1.0, 1, 1000, "ratio")
 
     @property
     def height_m(self) -> float:
@@ -74,7 +83,7 @@ class Posture:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Robot:
+class Robot(Ranged):
     """A robot that turns on the spot and drives straight on, forwards or backwards, in any of its postures.
 
     The postures that it prefers come first. `num_headings` is 1 for a round body, which needs not turn.
@@ -82,7 +91,7 @@ class Robot:
 
     name: str
     postures: tuple[Posture, ...]
-    num_headings: int = 1
+    num_headings: int = number(1, 1, 360, "headings")
 
     @property
     def reach_m(self) -> float:
@@ -159,14 +168,18 @@ def robot_of(record: dict[str, Any], default_name: str = "robot") -> Robot:
         raise ValueError(f"expected 1 to {_MOST_POSTURES} tables [[posture]]")
     postures = tuple(_posture_of(item) for item in found)
     is_round = all(part.is_round for posture in postures for part in posture.parts)
-    headings = int(record.get("num_headings", 1 if is_round else _HEADINGS))
-    if not (1 <= headings <= 360) or (headings < 8 and not is_round):
+    headings = record.get("num_headings", 1 if is_round else _HEADINGS)
+    ranges_of(Robot)["num_headings"].check("num_headings", headings)
+    if headings < 8 and not is_round:
         raise ValueError(f"found num_headings = {headings}, expected 8 to 360, or 1 for a round robot")
     return Robot(name=str(record.get("name", default_name)), postures=postures, num_headings=headings)
 
 
 def _posture_of(record: dict[str, Any]) -> Posture:
     _only(record, {"name", "low_m", "high_m", "radius_m", "footprint_m", "spheres_m", "cost"})
+    for key, told in _IN_A_FILE.items():
+        for value in record[key] if isinstance(record.get(key), list) else [record.get(key, told.low)]:
+            told.check(key, value)
     if "spheres_m" in record:
         parts = tuple(
             Part(low_m=z, high_m=z, corners_m=np.array([[x, y]]), ball_m=radius)
@@ -184,10 +197,7 @@ def _posture_of(record: dict[str, Any]) -> Posture:
                 disc_m=float(record.get("radius_m", 0.0)),
             ),
         )
-    cost = float(record.get("cost", 1.0))
-    if not 1.0 <= cost < float("inf"):
-        raise ValueError(f"found cost = {cost}, expected 1 or more")
-    return Posture(name=str(record["name"]), parts=parts, cost=cost)
+    return Posture(name=str(record["name"]), parts=parts, cost=record.get("cost", 1.0))
 
 
 def _only(record: dict[str, Any], known: set[str]) -> None:

@@ -19,6 +19,7 @@ from hickory_stream.navigation import tree_kernels
 from hickory_stream.navigation.cell_route import route_over_cells
 from hickory_stream.navigation.occupancy import Cell
 from hickory_stream.navigation.verify import is_verified
+from hickory_stream.ranges import Ranged, check_ranges, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,7 +36,7 @@ _STAR_STEP_CELLS = 24.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SearchConfig:
+class SearchConfig(Ranged):
     """How to search.
 
     `step_cells` and `goal_bias` as in the paper, whose RRT has 7,000 iterations; RRT-Connect, which reaches for whole
@@ -46,21 +47,18 @@ class SearchConfig:
     """
 
     planner: Planner = "rrt-connect"
-    max_iterations: int = 50_000
-    step_cells: float = 10.0
-    connect_step_cells: float = 60.0
-    goal_bias: float = 0.18
-    attempts: int = 6
-    star_iterations: int = 4000
+    max_iterations: int = number(50_000, 1, 1_000_000_000, "iterations")
+    step_cells: float = number(10.0, 0.1, 1e6, "cells")
+    connect_step_cells: float = number(60.0, 0.1, 1e6, "cells")
+    goal_bias: float = number(0.18, 0, 1, "probability")
+    attempts: int = number(6, 1, 10_000, "searches")
+    star_iterations: int = number(4000, 0, 1_000_000_000, "iterations")
     shortens: bool = True
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         if self.planner not in PLANNERS:
             raise InputError(f"found the planner {self.planner!r}, expected one of {', '.join(PLANNERS)}")
-        if self.max_iterations < 1 or self.attempts < 1:
-            raise InputError("max_iterations and attempts must be at least 1")
-        if not (self.step_cells > 0 and self.connect_step_cells > 0 and 0 <= self.goal_bias <= 1):
-            raise InputError("steps must be above 0, and goal_bias within 0..1")
 
 
 class NoPathReason(StrEnum):

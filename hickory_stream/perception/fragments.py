@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
+from hickory_stream.ranges import Ranged, number
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FragmentConfig:
+class FragmentConfig(Ranged):
     """What divides a surface.
 
     Attributes:
@@ -30,11 +32,11 @@ class FragmentConfig:
         min_pixels: smaller fragments are given to a neighbour or dropped.
     """
 
-    step_m: float = 0.008
-    gap_share: float = 0.025
-    crease_rad: float = 0.45
-    crease_reach_px: int = 2
-    min_pixels: int = 12
+    step_m: float = number(0.008, 0, 10, "m")
+    gap_share: float = number(0.025, 0, 1, "share")
+    crease_rad: float = number(0.45, 0, 3.15, "rad")
+    crease_reach_px: int = number(2, 1, 100, "px")
+    min_pixels: int = number(12, 1, 1_000_000, "px")
 
 
 def support_labels(

@@ -20,6 +20,7 @@ from hickory_stream.perception.shades import ShadeConfig, divided_by_color
 from hickory_stream.perception.structure import StructureConfig
 from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
 from hickory_stream.perception.trees import Trees, embedded_trees
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask, Segmentation
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class GeometricConfig:
+class GeometricConfig(Ranged):
     """The geometric segmenter's parts, and what a mask must be.
 
     Attributes:
@@ -44,10 +45,10 @@ class GeometricConfig:
     fragments: FragmentConfig = field(default_factory=FragmentConfig)
     shades: ShadeConfig = field(default_factory=ShadeConfig)
     join: JoinConfig = field(default_factory=JoinConfig)
-    min_area_px: int = 60
-    max_extent_m: float = 3.0
-    hidden_share: float = 0.6
-    support_area_m2: float = 0.03
+    min_area_px: int = number(60, 1, 1_000_000, "px")
+    max_extent_m: float = number(3.0, 0.01, 1000, "m")
+    hidden_share: float = number(0.6, 0, 1, "share")
+    support_area_m2: float = number(0.03, 0, 1000, "m2")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

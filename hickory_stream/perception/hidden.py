@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
+from hickory_stream.ranges import Ranged, number
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class HiddenConfig:
+class HiddenConfig(Ranged):
     """When a plane comes into view again, and when two parts are one behind what hides it.
 
     Attributes:
@@ -31,11 +33,11 @@ class HiddenConfig:
         other_lines: so many of them must bridge a level plane of theirs, and so many an upright one.
     """
 
-    gap_m: float = 0.5
-    tolerance_m: float = 0.006
-    min_lines: int = 4
-    min_share: float = 0.12
-    other_lines: int = 2
+    gap_m: float = number(0.5, 0, 100, "m")
+    tolerance_m: float = number(0.006, 0, 10, "m")
+    min_lines: int = number(4, 0, 10_000, "lines")
+    min_share: float = number(0.12, 0, 1, "share")
+    other_lines: int = number(2, 0, 10_000, "lines")
 
 
 def bridges(surface: Surface, labels: NDArray[np.int32], config: HiddenConfig) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ import numpy as np
 from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.hidden import HiddenConfig, are_one_behind
 from hickory_stream.perception.parts import measure
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class JoinConfig:
+class JoinConfig(Ranged):
     """How fragments are joined; the trees were grown with the defaults of `reach_px`, `gap_m` and `hidden`.
 
     Attributes:
@@ -39,10 +40,10 @@ class JoinConfig:
         gap_m: fragments that do not meet are looked at together up to this distance.
     """
 
-    probability: float = 0.65
-    rounds: int = 12
-    reach_px: int = 3
-    gap_m: float = 0.2
+    probability: float = number(0.65, 0, 1, "probability")
+    rounds: int = number(12, 0, 1000, "rounds")
+    reach_px: int = number(3, 1, 100, "px")
+    gap_m: float = number(0.2, 0, 10, "m")
     hidden: HiddenConfig = field(default_factory=HiddenConfig)
 
 

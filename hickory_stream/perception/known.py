@@ -14,6 +14,7 @@ import numpy as np
 
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import contains, keys_of_cells
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class KnownConfig:
+class KnownConfig(Ranged):
     """When two masks are pieces of one known object.
 
     Attributes:
@@ -38,11 +39,11 @@ class KnownConfig:
     """
 
     enabled: bool = False
-    min_sightings: int = 4
-    voxel_m: float = 0.04
-    min_share: float = 0.6
-    samples: int = 120
-    stride_px: int = 4
+    min_sightings: int = number(4, 1, 1_000_000, "sightings")
+    voxel_m: float = number(0.04, 0.001, 1, "m")
+    min_share: float = number(0.6, 0, 1, "share")
+    samples: int = number(120, 1, 1_000_000, "px")
+    stride_px: int = number(4, 1, 1000, "px")
 
 
 def with_known(

@@ -17,6 +17,7 @@ import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.perception.pieces import label_boxes
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class InstanceMask:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MaskConfig:
+class MaskConfig(Ranged):
     """What becomes of masks that overlap.
 
     Attributes:
@@ -64,21 +65,16 @@ class MaskConfig:
         hidden_share: a small mask with more of its outline than this behind something nearer is rejected.
     """
 
-    min_area_px: int = 240
-    max_share: float = 0.6
-    structure_share: float = 0.5
-    duplicate_iou: float = 0.8
-    inside_share: float = 0.85
-    stands_out_m: float = 0.008
-    flat_area_m2: float = 0.008
-    visible_share: float = 0.25
-    max_extent_m: float = 3.0
-    hidden_share: float = 0.6
-
-    def __post_init__(self) -> None:
-        for name in ("max_share", "structure_share", "duplicate_iou", "inside_share", "visible_share", "hidden_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be from 0 to 1, found {getattr(self, name)}")
+    min_area_px: int = number(240, 0, 1_000_000, "px")
+    max_share: float = number(0.6, 0, 1, "share")
+    structure_share: float = number(0.5, 0, 1, "share")
+    duplicate_iou: float = number(0.8, 0, 1, "IoU")
+    inside_share: float = number(0.85, 0, 1, "share")
+    stands_out_m: float = number(0.008, 0, 10, "m")
+    flat_area_m2: float = number(0.008, 0, 100, "m2")
+    visible_share: float = number(0.25, 0, 1, "share")
+    max_extent_m: float = number(3.0, 0.01, 1000, "m")
+    hidden_share: float = number(0.6, 0, 1, "share")
 
 
 def compose(

@@ -13,6 +13,7 @@ from scipy.ndimage import find_objects
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points, sums_of_equal
+from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.records import Observation, RejectedMask
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ObserveConfig:
+class ObserveConfig(Ranged):
     """How masks are lifted.
 
     Attributes:
@@ -35,13 +36,17 @@ class ObserveConfig:
         max_box_m: a box with a longer side is no object.
     """
 
-    min_depth_m: float = 0.2
-    max_depth_m: float = 5.0
-    erode_px: int = 2
-    voxel_m: float = 0.01
-    min_neighbors: int = 4
-    min_points: int = 30
-    max_box_m: float = 3.0
+    min_depth_m: float = number(0.2, 0, 100, "m")
+    max_depth_m: float = number(5.0, 0.1, 1000, "m")
+    erode_px: int = number(2, 0, 100, "px")
+    voxel_m: float = number(0.01, 0.001, 1, "m")
+    min_neighbors: int = number(4, 0, 1000, "points")
+    min_points: int = number(30, 1, 1_000_000, "points")
+    max_box_m: float = number(3.0, 0.01, 1000, "m")
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        check_order(self, "min_depth_m", "max_depth_m")
 
 
 def observe(

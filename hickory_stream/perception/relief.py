@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from hickory_stream.ranges import Ranged, number
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ReliefConfig:
+class ReliefConfig(Ranged):
     """What counts as a part of a thing that stands off a plane.
 
     Attributes:
@@ -35,14 +37,14 @@ class ReliefConfig:
             of a door has none. One on the floor needs only `min_touch_px` of it: a foot has a thin leg.
     """
 
-    window_px: int = 5
-    least_m: float = 0.009
-    sigmas: float = 3.0
-    min_area_px: int = 24
-    color_step: float = 12.0
-    reach_px: int = 12
-    min_held: float = 0.3
-    min_touch_px: int = 2
+    window_px: int = number(5, 1, 1001, "px")
+    least_m: float = number(0.009, 0, 10, "m")
+    sigmas: float = number(3.0, 0, 100, "standard deviations")
+    min_area_px: int = number(24, 1, 1_000_000, "px")
+    color_step: float = number(12.0, 0, 1000, "CIE Lab")
+    reach_px: int = number(12, 1, 1000, "px")
+    min_held: float = number(0.3, 0, 1, "share")
+    min_touch_px: int = number(2, 0, 1_000_000, "px")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import find_objects
 
 from hickory_stream.errors import ConfigError
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask, Segmentation
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ DYNAMIC = ("person", "animal", "car", "dog", "cat", "bicycle", "bike", "motorbik
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FilterConfig:
+class FilterConfig(Ranged):
     """Which classes are no objects.
 
     Attributes:
@@ -45,13 +46,8 @@ class FilterConfig:
 
     structure: tuple[str, ...] = STRUCTURE
     dynamic: tuple[str, ...] = DYNAMIC
-    share: float = 0.3
-    iou: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name in ("share", "iou"):
-            if not 0 < getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be above 0 and at most 1, found {getattr(self, name)}")
+    share: float = number(0.3, 0.001, 1, "share")
+    iou: float = number(0.3, 0.001, 1, "IoU")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

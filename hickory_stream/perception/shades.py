@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from hickory_stream.ranges import Ranged, number
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ShadeConfig:
+class ShadeConfig(Ranged):
     """When a fragment has two colours.
 
     Attributes:
@@ -30,12 +32,12 @@ class ShadeConfig:
         depth: a piece is divided again, down to so many times.
     """
 
-    window_px: int = 9
-    lightness: float = 0.5
-    min_step: float = 12.0
-    min_separation: float = 0.7
-    min_pixels: int = 30
-    depth: int = 2
+    window_px: int = number(9, 1, 1001, "px")
+    lightness: float = number(0.5, 0, 10, "ratio")
+    min_step: float = number(12.0, 0, 1000, "CIE Lab")
+    min_separation: float = number(0.7, 0, 1, "share")
+    min_pixels: int = number(30, 1, 1_000_000, "px")
+    depth: int = number(2, 0, 16, "divisions")
 
 
 def divided_by_color(

@@ -15,6 +15,7 @@ import numpy as np
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import keys_of_cells, keys_of_points, sorted_unique
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SpaceConfig:
+class SpaceConfig(Ranged):
     """The grid and the sampling of rays.
 
     Attributes:
@@ -33,9 +34,9 @@ class SpaceConfig:
         max_depth_m: farther returns are ignored.
     """
 
-    voxel_m: float = 0.05
-    stride_px: int = 6
-    max_depth_m: float = 5.0
+    voxel_m: float = number(0.05, 0.005, 1, "m")
+    stride_px: int = number(6, 1, 1000, "px")
+    max_depth_m: float = number(5.0, 0.1, 1000, "m")
 
 
 def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig) -> SpaceObservation:

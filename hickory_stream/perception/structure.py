@@ -26,6 +26,7 @@ from hickory_stream.perception.structure_kernels import (
     weight_below,
     weighted_sum,
 )
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StructureConfig:
+class StructureConfig(Ranged):
     """What counts as structure.
 
     Attributes:
@@ -51,17 +52,17 @@ class StructureConfig:
         relief: what stands off a floor or a wall by less than its tolerance.
     """
 
-    floor_area_m2: float = 0.25
-    wall_area_m2: float = 0.45
-    behind_share: float = 0.02
-    tolerance_m: float = 0.025
-    floor_below_camera_m: float = 0.25
-    wall_height_m: float = 2.1
-    wall_foot_m: float = 1.2
-    wall_cut_m: float = 1.5
-    wall_width_m: float = 0.9
-    furniture_depth_m: float = 0.75
-    backing_m2: float = 0.15
+    floor_area_m2: float = number(0.25, 0, 1000, "m2")
+    wall_area_m2: float = number(0.45, 0, 1000, "m2")
+    behind_share: float = number(0.02, 0, 1, "share")
+    tolerance_m: float = number(0.025, 0, 10, "m")
+    floor_below_camera_m: float = number(0.25, 0, 100, "m")
+    wall_height_m: float = number(2.1, 0, 100, "m")
+    wall_foot_m: float = number(1.2, 0, 100, "m")
+    wall_cut_m: float = number(1.5, 0, 100, "m")
+    wall_width_m: float = number(0.9, 0, 100, "m")
+    furniture_depth_m: float = number(0.75, 0, 100, "m")
+    backing_m2: float = number(0.15, 0, 1000, "m2")
     relief: ReliefConfig = field(default_factory=ReliefConfig)
 
 

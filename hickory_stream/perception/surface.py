@@ -16,6 +16,7 @@ import numpy as np
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.perception.pieces import lab_of
+from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SurfaceConfig:
+class SurfaceConfig(Ranged):
     """How the surface is taken from depth.
 
     Attributes:
@@ -35,11 +36,15 @@ class SurfaceConfig:
         normal_radius_px: half the side of the window of a normal.
     """
 
-    width_px: int = 320
-    max_depth_m: float = 6.0
-    min_depth_m: float = 0.2
-    depth_noise_per_m: float = 0.0025
-    normal_radius_px: int = 3
+    width_px: int = number(320, 32, 8192, "px")
+    max_depth_m: float = number(6.0, 0.1, 1000, "m")
+    min_depth_m: float = number(0.2, 0, 100, "m")
+    depth_noise_per_m: float = number(0.0025, 0, 1, "1/m")
+    normal_radius_px: int = number(3, 1, 100, "px")
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        check_order(self, "min_depth_m", "max_depth_m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

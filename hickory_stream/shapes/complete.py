@@ -13,6 +13,8 @@ import numba
 import numpy as np
 from scipy import ndimage
 
+from hickory_stream.ranges import Ranged, check_order, check_ranges, number
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -24,7 +26,7 @@ _DOWN = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class CompletionConfig:
+class CompletionConfig(Ranged):
     """How unseen space is completed.
 
     Of the 26 directions around an unknown voxel at least `min_hit_share` must meet the object, and those that meet free
@@ -39,17 +41,21 @@ class CompletionConfig:
     `min_piece_share`: a separate piece smaller than this share of the largest is dropped.
     """
 
-    min_hit_share: float = 0.08
-    max_free_ratio: float = 0.9
-    full_share: float = 0.85
-    max_support_gap_m: float = 0.08
-    min_hidden_m: float = 0.15
-    max_hidden_m: float = 0.3
-    min_feet_area_m2: float = 0.25
-    min_edge: float = 0.33
-    max_clear: float = 0.35
-    edge_ratio: float = 1.5
-    min_piece_share: float = 0.02
+    min_hit_share: float = number(0.08, 0, 1, "share")
+    max_free_ratio: float = number(0.9, 0, 100, "ratio")
+    full_share: float = number(0.85, 0, 1, "share")
+    max_support_gap_m: float = number(0.08, 0, 10, "m")
+    min_hidden_m: float = number(0.15, 0, 10, "m")
+    max_hidden_m: float = number(0.3, 0, 10, "m")
+    min_feet_area_m2: float = number(0.25, 0, 1000, "m2")
+    min_edge: float = number(0.33, 0, 1, "share")
+    max_clear: float = number(0.35, 0, 1, "share")
+    edge_ratio: float = number(1.5, 0, 1000, "ratio")
+    min_piece_share: float = number(0.02, 0, 1, "share")
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        check_order(self, "min_hidden_m", "max_hidden_m")
 
 
 def classify(evidence: Evidence, surface_cells: NDArray[np.int64]) -> NDArray[np.uint8]:

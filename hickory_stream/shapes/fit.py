@@ -20,6 +20,7 @@ from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, log_implicit_value, moved, volumes_m3
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
 from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
@@ -37,7 +38,7 @@ SEEDS_PER_COMPONENT = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FitConfig:
+class FitConfig(Ranged):
     """How a mesh becomes superquadrics.
 
     `cells` along the longest side, up to twice as many where the thinnest part is below `min_thickness_cells`;
@@ -52,30 +53,30 @@ class FitConfig:
     their own.
     """
 
-    cells: int = 64
-    band_cells: float = 3.0
-    min_thickness_cells: float = 3.5
-    num_seeds: int = 3
-    num_candidates: int = 4
-    min_gain: float = 0.015
-    max_primitives: int = 12
-    waste_weight: float = 1.5
-    coarse_samples: int = 200
-    coarse_iterations: int = 5
-    fine_samples: int = 800
-    fine_iterations: int = 8
-    gain_samples: int = 6000
-    merge_loss: float = 0.02
-    num_rounds: int = 1
-    joint_samples: int = 4500
-    joint_sweeps: int = 15
-    simple_samples: int = 40_000
-    simple_samples_each: int = 600
-    simple_sweeps: int = 5
-    simple_tolerance: float = 0.03
-    min_explained: float = 0.5
-    max_protruding: int = 4
-    protruding_cells: float = 3.0
+    cells: int = number(64, 8, 512, "cells")
+    band_cells: float = number(3.0, 0.5, 100, "cells")
+    min_thickness_cells: float = number(3.5, 0, 100, "cells")
+    num_seeds: int = number(3, 1, 100, "components")
+    num_candidates: int = number(4, 1, 100, "candidates")
+    min_gain: float = number(0.015, 0, 1, "share")
+    max_primitives: int = number(12, 1, 1000, "primitives")
+    waste_weight: float = number(1.5, 0, 100, "ratio")
+    coarse_samples: int = number(200, 1, 1_000_000, "cells")
+    coarse_iterations: int = number(5, 0, 1000, "iterations")
+    fine_samples: int = number(800, 1, 1_000_000, "cells")
+    fine_iterations: int = number(8, 0, 1000, "iterations")
+    gain_samples: int = number(6000, 1, 10_000_000, "cells")
+    merge_loss: float = number(0.02, 0, 1, "share")
+    num_rounds: int = number(1, 0, 100, "rounds")
+    joint_samples: int = number(4500, 1, 10_000_000, "cells")
+    joint_sweeps: int = number(15, 0, 1000, "sweeps")
+    simple_samples: int = number(40_000, 1, 10_000_000, "cells")
+    simple_samples_each: int = number(600, 1, 1_000_000, "cells")
+    simple_sweeps: int = number(5, 0, 1000, "sweeps")
+    simple_tolerance: float = number(0.03, 0, 100, "cells")
+    min_explained: float = number(0.5, 0, 1, "share")
+    max_protruding: int = number(4, 0, 100, "primitives")
+    protruding_cells: float = number(3.0, 0, 1000, "cells")
 
 
 def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:

@@ -14,6 +14,7 @@ from hickory_stream.geometry.boxes import faced_box, gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.shapes.complete import CompletionConfig, classify, solid_of
 from hickory_stream.shapes.revolution import RevolutionConfig, half_turn_of
 from hickory_stream.shapes.surface import extract, in_object_frame, painted, surface_field, taubin_smoothed
@@ -31,7 +32,7 @@ _MIN_HALF_EXTENT_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class VolumeConfig:
+class VolumeConfig(Ranged):
     """The grid and the surface taken from it.
 
     The voxel is the longest side of the box over `cells`, within `min_voxel_m` .. `max_voxel_m`, and larger where the
@@ -40,17 +41,21 @@ class VolumeConfig:
     counts as seen.
     """
 
-    cells: int = 56
-    min_voxel_m: float = 0.004
-    max_voxel_m: float = 0.03
-    max_faces: int = 20_000
-    noise_per_m: float = 0.004
-    smoothing: int = 15
-    seen_voxels: float = 1.5
+    cells: int = number(56, 4, 512, "cells")
+    min_voxel_m: float = number(0.004, 0.0005, 1, "m")
+    max_voxel_m: float = number(0.03, 0.0005, 1, "m")
+    max_faces: int = number(20_000, 100, 10_000_000, "faces")
+    noise_per_m: float = number(0.004, 0, 1, "1/m")
+    smoothing: int = number(15, 0, 1000, "iterations")
+    seen_voxels: float = number(1.5, 0, 100, "voxels")
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        check_order(self, "min_voxel_m", "max_voxel_m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FusedConfig:
+class FusedConfig(Ranged):
     """`volume` is the grid, `completion` says how unseen space is filled, `revolution` what counts as round.
 
     `turned_trust` is the weight of a view of the far side of what is round, relative to that of a view.
@@ -59,7 +64,7 @@ class FusedConfig:
     volume: VolumeConfig = field(default_factory=VolumeConfig)
     completion: CompletionConfig = field(default_factory=CompletionConfig)
     revolution: RevolutionConfig = field(default_factory=RevolutionConfig)
-    turned_trust: float = 0.2
+    turned_trust: float = number(0.2, 0, 1, "ratio")
 
 
 class FusedReconstructor:

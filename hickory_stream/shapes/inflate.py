@@ -20,6 +20,7 @@ import numpy as np
 
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, joined, volumes_m3
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Containment
 from hickory_stream.shapes.certify import Certificate, Inside, certify, inside_of, uncovered_cells
 from hickory_stream.shapes.cover import (
@@ -58,7 +59,7 @@ _THINNEST = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class InflateConfig:
+class InflateConfig(Ranged):
     """How layer 4 is made.
 
     `rule` is "per_axis" or the paper's "single_factor". `r_safe_m` is the margin; `g` in 0..1 is the value of G that
@@ -68,10 +69,10 @@ class InflateConfig:
     """
 
     rule: Literal["per_axis", "single_factor"] = "per_axis"
-    r_safe_m: float = 0.02
-    g: float = 1.0
-    tolerance: float = 0.01
-    most_added: int = 8
+    r_safe_m: float = number(0.02, 0, 2, "m")
+    g: float = number(1.0, 0.01, 1, "value of G")
+    tolerance: float = number(0.01, 0.0001, 1, "share")
+    most_added: int = number(8, 0, 100, "boxes")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.shapes.symmetry import shares_against
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RevolutionConfig:
+class RevolutionConfig(Ranged):
     """How round fronts are told.
 
     The front is measured in `num_bins` across the width. The misfit of the arc, the root of its mean square, may be at
@@ -30,10 +31,10 @@ class RevolutionConfig:
     points may lie in space seen free: of a bin, into which one looks, some do.
     """
 
-    num_bins: int = 13
-    max_misfit: float = 0.11
-    max_ratio: float = 0.7
-    max_contradiction: float = 0.3
+    num_bins: int = number(13, 3, 1000, "bins")
+    max_misfit: float = number(0.11, 0, 10, "ratio")
+    max_ratio: float = number(0.7, 0, 10, "ratio")
+    max_contradiction: float = number(0.3, 0, 1, "share")
 
 
 def half_turn_of(

@@ -14,6 +14,7 @@ import numpy as np
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.shapes.complete import CompletionConfig
 from hickory_stream.shapes.fused import VolumeConfig, moved_views, noise_m, reconstruct_views, seen_points, view_of
 from hickory_stream.shapes.symmetry import SymmetryConfig, mirror_plane
@@ -28,7 +29,7 @@ _MIN_POINTS = 20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SingleViewConfig:
+class SingleViewConfig(Ranged):
     """`volume` and `completion` as for `fused`; `symmetry` says how planes are searched.
 
     `mirror_trust` is the weight of a mirrored view relative to the view itself.
@@ -37,7 +38,7 @@ class SingleViewConfig:
     volume: VolumeConfig = field(default_factory=VolumeConfig)
     completion: CompletionConfig = field(default_factory=CompletionConfig)
     symmetry: SymmetryConfig = field(default_factory=SymmetryConfig)
-    mirror_trust: float = 0.2
+    mirror_trust: float = number(0.2, 0, 1, "ratio")
 
 
 class SingleViewReconstructor:

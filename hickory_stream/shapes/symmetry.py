@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SymmetryConfig:
+class SymmetryConfig(Ranged):
     """How mirror planes are searched.
 
     `num_yaws` directions in half a turn and `num_offsets` places along each, from the middle of the seen extent to its
@@ -31,13 +32,13 @@ class SymmetryConfig:
     mirrored.
     """
 
-    num_yaws: int = 36
-    num_offsets: int = 9
-    max_contradiction: float = 0.1
-    growth_penalty: float = 0.6
-    min_second_score: float = 0.25
-    contradiction_penalty: float = 4.0
-    max_points: int = 800
+    num_yaws: int = number(36, 1, 720, "directions")
+    num_offsets: int = number(9, 1, 1000, "places")
+    max_contradiction: float = number(0.1, 0, 1, "share")
+    growth_penalty: float = number(0.6, 0, 100, "score")
+    min_second_score: float = number(0.25, 0, 1, "score")
+    contradiction_penalty: float = number(4.0, 0, 1000, "score")
+    max_points: int = number(800, 1, 1_000_000, "points")
 
 
 def mirror_plane(

@@ -9,23 +9,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from hickory_stream.ranges import Ranged, number
+
 if TYPE_CHECKING:
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.records import FrameReport, MapSnapshot
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DiskSinkConfig:
+class DiskSinkConfig(Ranged):
     """How often the map is saved.
 
     `every_keyframes`: a save at most every so many keyframes; a killed run loses no more than these.
     """
 
-    every_keyframes: int = 20
-
-    def __post_init__(self) -> None:
-        if self.every_keyframes < 1:
-            raise ValueError(f"every_keyframes must be at least 1, found {self.every_keyframes}")
+    every_keyframes: int = number(20, 1, 1_000_000_000, "keyframes")
 
 
 class DiskSink:

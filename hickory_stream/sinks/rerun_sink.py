@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind, parse_viewer, start_viewer
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _CLOSE_TIMEOUT_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RerunConfig:
+class RerunConfig(Ranged):
     """What is shown, and how much of it.
 
     Attributes:
@@ -47,24 +47,15 @@ class RerunConfig:
         bind: where a viewer or server that we start listens.
     """
 
-    rrd_cap_mb: float = 1000.0
-    max_points_per_object: int = 3000
-    cloud_period_s: float = 1.0
-    color_every: int = 1
-    jpeg_quality: int = 80
-    structure_every: int = 20
-    live_queue_length: int = 256
+    rrd_cap_mb: float = number(1000.0, 0.001, 1e7, "MB")
+    max_points_per_object: int = number(3000, 1, 100_000_000, "points")
+    cloud_period_s: float = number(1.0, 0, 86400, "s")
+    color_every: int = number(1, 1, 1_000_000, "frames")
+    jpeg_quality: int = number(80, 1, 100, "percent")
+    structure_every: int = number(20, 1, 1_000_000, "keyframes")
+    live_queue_length: int = number(256, 1, 1_000_000, "entries")
     server_memory_limit: str = "512MiB"
     bind: str = "127.0.0.1"
-
-    def __post_init__(self) -> None:
-        for name in ("max_points_per_object", "color_every", "structure_every", "live_queue_length"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"rerun.{name} is {getattr(self, name)}; expected at least 1")
-        if not 1 <= self.jpeg_quality <= 100:
-            raise ConfigError(f"rerun.jpeg_quality is {self.jpeg_quality}; expected 1 to 100")
-        if self.rrd_cap_mb <= 0 or self.cloud_period_s < 0:
-            raise ConfigError("rerun.rrd_cap_mb must be positive and rerun.cloud_period_s not negative")
 
 
 class RerunSink:

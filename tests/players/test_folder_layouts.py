@@ -147,7 +147,18 @@ def test_depth_without_a_single_return_is_a_frame_and_counted(seven: Path) -> No
     [
         ("depth_unit = 3", "unexpected keyword argument 'depth_unit'"),
         ("[color]\nfx = 3.0", "missing"),
-        ("frame_rate_hz = 0", "must be positive"),
+        ("frame_rate_hz = 0", "frame_rate_hz is 0; expected 1 to 1000 Hz"),
+        ("max_depth_m = -5", "max_depth_m is -5; expected 0.01 to 10000 m"),
+        ("depth_units_per_m = nan", "depth_units_per_m is nan; expected 0.001 to 1000000000 1/m"),
+        ("color_from_depth_m = [0, inf, 0]", "color_from_depth_m is .*inf.*; expected -100 to 100 m"),
+        ("[color]\nfx = nan\nfy = 1\ncx = 1\ncy = 1", "fx is nan; expected 0.001 to 1000000 px"),
+        ("[time]\nsync_tolerance_ms = nan", "sync_tolerance_ms is nan; expected 0.001 to 3600000 ms"),
+        ("[time]\njump_m = inf", "jump_m is inf; expected 0.001 to 1000 m"),
+        (
+            '[rig]\nbody = "a"\ncolor = "b"\ndepth = "b"\n'
+            '[[rig.links]]\nparent = "a"\nchild = "b"\ntranslation_m = [0, nan, 0]',
+            "translation_m is .*nan.*; expected -1000 to 1000 m",
+        ),
         ("= 4", "Invalid"),
     ],
 )

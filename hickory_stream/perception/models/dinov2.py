@@ -15,6 +15,7 @@ import numpy as np
 
 from hickory_stream.errors import ModelError
 from hickory_stream.perception.models.imagenet import normalised
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,7 +26,7 @@ _MOST_EXTRA_TOKENS = 16
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DinoConfig:
+class DinoConfig(Ranged):
     """How features are taken.
 
     Attributes:
@@ -35,12 +36,8 @@ class DinoConfig:
     """
 
     model: str = "dinov2-small"
-    patch_px: int = 14
-    reduce: int = 1
-
-    def __post_init__(self) -> None:
-        if self.patch_px < 1 or self.reduce < 1:
-            raise ValueError("patch_px and reduce must be at least 1")
+    patch_px: int = number(14, 1, 1024, "px")
+    reduce: int = number(1, 1, 64, "ratio")
 
 
 class DinoExtractor:

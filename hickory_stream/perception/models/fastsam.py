@@ -18,6 +18,7 @@ from hickory_stream.perception.models.letterbox import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, masks_of
 from hickory_stream.perception.scenery import scenery_of
 from hickory_stream.perception.surface import Surface, surface_of
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask, Segmentation
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ _SUPPORT_AREA_M2 = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FastSamConfig:
+class FastSamConfig(Ranged):
     """How masks are taken from the network.
 
     Attributes:
@@ -47,18 +48,11 @@ class FastSamConfig:
     """
 
     model: str = "fastsam-s"
-    confidence: float = 0.4
-    nms_iou: float = 0.9
-    max_masks: int = 300
-    input_px: int = 640
-    mask_px: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("confidence", "nms_iou"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be from 0 to 1, found {getattr(self, name)}")
-        if self.max_masks < 1 or self.input_px < 32 or self.mask_px < 0:
-            raise ValueError("max_masks must be at least 1, input_px at least 32 and mask_px not negative")
+    confidence: float = number(0.4, 0, 1, "probability")
+    nms_iou: float = number(0.9, 0, 1, "IoU")
+    max_masks: int = number(300, 1, 100_000, "masks")
+    input_px: int = number(640, 32, 8192, "px")
+    mask_px: int = number(0, 0, 8192, "px")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

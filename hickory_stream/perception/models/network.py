@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hickory_stream.errors import ModelError
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +32,7 @@ _CHAINS = {"auto": ("cuda", "cpu"), "tensorrt": ("tensorrt", "cuda", "cpu"), "cu
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class NetworkConfig:
+class NetworkConfig(Ranged):
     """How networks are run.
 
     Attributes:
@@ -42,14 +43,9 @@ class NetworkConfig:
     """
 
     provider: Provider = "auto"
-    threads: int = 0
-    device: int = 0
+    threads: int = number(0, 0, 1024, "threads")
+    device: int = number(0, 0, 255, "index")
     warm_up: bool = True
-
-    def __post_init__(self) -> None:
-        for name in ("threads", "device"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} must not be negative, found {getattr(self, name)}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

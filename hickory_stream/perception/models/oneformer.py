@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Literal
 import cv2
 import numpy as np
 
+from hickory_stream.ranges import Ranged, number
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PanopticConfig:
+class PanopticConfig(Ranged):
     """How queries become classes.
 
     Attributes:
@@ -27,14 +29,9 @@ class PanopticConfig:
     """
 
     output: Literal["panoptic", "semantic"] = "panoptic"
-    threshold: float = 0.5
-    mask_threshold: float = 0.5
-    overlap: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name in ("threshold", "mask_threshold", "overlap"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be from 0 to 1, found {getattr(self, name)}")
+    threshold: float = number(0.5, 0, 1, "probability")
+    mask_threshold: float = number(0.5, 0, 1, "probability")
+    overlap: float = number(0.3, 0, 1, "share")
 
 
 def panoptic_classes(

@@ -15,6 +15,7 @@ from hickory_stream.errors import ModelError
 from hickory_stream.perception.models.imagenet import normalised
 from hickory_stream.perception.models.oneformer import PanopticConfig, panoptic_classes, query_scores
 from hickory_stream.perception.semantic_filter import FilterConfig
+from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SemanticImage
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ _MULTIPLE = 32
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SemanticConfig:
+class SemanticConfig(Ranged):
     """Which semantic model, and what it takes away.
 
     Attributes:
@@ -35,13 +36,9 @@ class SemanticConfig:
     """
 
     model: str = "oneformer-ade20k-swin-tiny"
-    short_px: int = 512
+    short_px: int = number(512, 32, 8192, "px")
     panoptic: PanopticConfig = field(default_factory=PanopticConfig)
     exclude: FilterConfig = field(default_factory=FilterConfig)
-
-    def __post_init__(self) -> None:
-        if self.short_px < 32:
-            raise ValueError(f"short_px must be at least 32, found {self.short_px}")
 
 
 class GraphSemantics:
