@@ -31,6 +31,11 @@ joint_samples = 500
 """
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what takes minutes, so that no processor waits for it at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 @pytest.fixture(scope="session")
 def demo_log() -> Path:
     return ROOT / "recordings" / "demo.mcap"
