@@ -12,17 +12,12 @@ import queue
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from hickory_stream.engine.jobs import read_job, write_result
 from hickory_stream.engine.warm_up import warm_up
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import build_shape, make_reconstructor
-
-if TYPE_CHECKING:
-    from hickory_stream.ports import Reconstruction, Reconstructor, ShapeInputs
 
 
 def main() -> None:
@@ -49,33 +44,11 @@ def _say(answers: int, message: dict[str, Any]) -> None:
     os.write(answers, json.dumps(message).encode() + b"\n")
 
 
-class _Checked:
-    """A reconstructor whose meshes are looked at before anybody computes with them."""
-
-    def __init__(self, reconstructor: Reconstructor) -> None:
-        self._reconstructor = reconstructor
-        self.name = reconstructor.name
-
-    def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
-        """Return what the other one gives, or why it cannot be used."""
-        made = self._reconstructor.reconstruct(inputs)
-        if isinstance(made, NoShape):
-            return made
-        vertices, faces = made.mesh.vertices, made.mesh.faces
-        if len(vertices) == 0 or len(faces) == 0:
-            return NoShape(reason=f"an empty mesh: {len(vertices)} vertices, {len(faces)} faces")
-        if not (np.isfinite(vertices).all() and np.isfinite(made.world_from_object).all()):
-            return NoShape(reason="a mesh with vertices or a place that are not finite")
-        if faces.min() < 0 or faces.max() >= len(vertices):
-            return NoShape(reason=f"a mesh whose faces name vertices that there are not ({len(vertices)} are)")
-        return made
-
-
 def serve(folder: Path) -> str | None:
     """Do one job; return why the worker itself failed, None if it answered."""
     try:
         inputs, config = read_job(folder)
-        built = build_shape(inputs, _Checked(make_reconstructor(config.reconstructor, config)), config)
+        built = build_shape(inputs, make_reconstructor(config.reconstructor, config), config)
     except Exception as error:  # noqa: BLE001 -- the child's main loop: a poisonous job must not end the worker
         built = NoShape(reason=f"{type(error).__name__}: {error}")
     try:

@@ -17,6 +17,7 @@ from hickory_stream.geometry.rigid import invert
 from hickory_stream.geometry.superquadric import world_bounds
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.navigation import kernels
+from hickory_stream.navigation.sweep_kernels import sweep_states
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -205,12 +206,12 @@ class ClearanceScene:
     ) -> NDArray[np.uint8]:
         """Return (N,) the `Answer` for a ball, or a rounded box, moved along (N, 3) straight ways.
 
-        FREE is proven. A hit may be a near miss by a hundredth of the radius plus a thousandth of the way. The observed
-        space is not consulted.
+        FREE is proven: a plane keeps all of the way and the primitive apart. A hit touches, or comes nearer than a
+        tenth of a millimetre to that. The observed space is not consulted.
         """
         half = np.zeros(3) if half_extents_m is None else np.asarray(half_extents_m, dtype=np.float64)
         return np.asarray(
-            kernels.sweep_states(
+            sweep_states(
                 np.ascontiguousarray(starts_world, dtype=np.float64),
                 np.ascontiguousarray(ends_world, dtype=np.float64),
                 half,

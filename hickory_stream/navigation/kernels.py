@@ -203,14 +203,17 @@ def _behind(row, p, n, q):  # type: ignore[no-untyped-def] # pragma: no cover
 @numba.njit(cache=True, nogil=True)
 def touching(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the point (a, b) of a^p + b^p = 1, both >= 0, that is farthest along (s, t)."""
-    largest = max(s, t)
-    if largest <= 0.0:
-        return 1.0, 0.0
-    # The dual exponent; near the diamond (p = 1) it goes to infinity and the farthest point is a corner.
-    power = 1.0 / max(p - 1.0, 1e-3)
-    a, b = (s / largest) ** power, (t / largest) ** power
-    norm = (a**p + b**p) ** (1.0 / p)
-    return a / norm, b / norm
+    largest, smallest = max(s, t), min(s, t)
+    # The farthest point of a diamond (p = 1), the limit of the rest, is a corner.
+    if largest <= 0.0 or p == 1.0:
+        return (1.0, 0.0) if s >= t else (0.0, 1.0)
+    b = smallest / largest
+    if p == 2.0:
+        norm = np.sqrt(1.0 + b * b)
+    else:
+        b **= 1.0 / (p - 1.0)
+        norm = (1.0 + _power(b, p)) ** (1.0 / p)
+    return (1.0 / norm, b / norm) if s >= t else (b / norm, 1.0 / norm)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -418,113 +421,3 @@ def _box_distance(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no co
     dy = max(row[LOW + 1] - y, 0.0, y - row[HIGH + 1])
     dz = max(row[LOW + 2] - z, 0.0, z - row[HIGH + 2])
     return np.sqrt(dx * dx + dy * dy + dz * dz)
-
-
-@numba.njit(cache=True, nogil=True)
-def sweep_states(starts, ends, half, radius, rows, kinds, layout, top, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N,) uint8: the gravest kind that a body touches on its way from (N, 3) starts to ends, else FREE.
-
-    The body is an axis-aligned box of half extents `half` (3), rounded by `radius`; a ball for half extents of 0.
-    """
-    out = np.zeros(len(starts), np.uint8)
-    gradient, way = np.empty(3), np.empty(3)
-    seen = np.full(len(rows), -1, np.int64)
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    first, last = np.empty(3), np.empty(3)
-    side = layout[3]
-    for n in range(len(starts)):
-        for axis in range(3):
-            way[axis] = ends[n, axis] - starts[n, axis]
-            first[axis] = min(starts[n, axis], ends[n, axis]) - half[axis] - radius
-            last[axis] = max(starts[n, axis], ends[n, axis]) + half[axis] + radius
-            low[axis] = max(int(np.floor((first[axis] - layout[axis]) / side)), 0)
-            high[axis] = min(int(np.floor((last[axis] - layout[axis]) / side)), top.shape[axis] - 1)
-        gravest = 0
-        for i in range(low[0], high[0] + 1):
-            for j in range(low[1], high[1] + 1):
-                for k in range(low[2], high[2] + 1):
-                    item = top[i, j, k, 1]
-                    while item >= 0 and gravest < HIT_SEEN:
-                        index = values[item] >> 1
-                        item = links[item]
-                        if seen[index] == n or kinds[index] <= gravest:
-                            continue
-                        seen[index] = n
-                        row = rows[index]
-                        if (
-                            row[LOW] > last[0]
-                            or row[LOW + 1] > last[1]
-                            or row[LOW + 2] > last[2]
-                            or row[HIGH] < first[0]
-                            or row[HIGH + 1] < first[1]
-                            or row[HIGH + 2] < first[2]
-                        ):
-                            continue
-                        if sweep_touches(row, starts[n], way, half, radius, gradient):
-                            gravest = kinds[index]
-        out[n] = gravest
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
-def sweep_touches(row, start, way, half, radius, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether a moving rounded box may touch a primitive; never False where it does.
-
-    A plane between a place of the body and the primitive, which is convex, keeps apart all of the way that stays on its
-    side. The way is covered from where a plane ends to where the next one begins; where a plane leaves less than a
-    hundredth of the way, or of the body, it counts as a touch.
-    """
-    length = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
-    # Begin where the way is nearest to the centre: one plane from there often keeps all of it apart.
-    t = 0.0
-    if length > 0.0:
-        for axis in range(3):
-            t += (row[CENTER + axis] - start[axis]) * way[axis]
-        t = min(max(t / (length * length), 0.0), 1.0)
-    begin, end = _free_around(row, start, way, t, half, radius, gradient)
-    if begin > end:
-        return True
-    least = 1e-3 + 0.01 * radius / max(length, 1e-12) if length > 0.0 else 0.0
-    while begin > 0.0:
-        before, _ = _free_around(row, start, way, begin, half, radius, gradient)
-        if before > begin - least and before > 0.0:
-            return True
-        begin = before
-    while end < 1.0:
-        _, after = _free_around(row, start, way, end, half, radius, gradient)
-        if after < end + least and after < 1.0:
-            return True
-        end = after
-    return False
-
-
-@numba.njit(cache=True, nogil=True)
-def _free_around(row, start, way, t, half, radius, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the stretch of the way around t that a plane keeps free of a primitive; begin > end where none does."""
-    best_begin, best_end = 2.0, -1.0
-    x, y, z = start[0] + t * way[0], start[1] + t * way[1], start[2] + t * way[2]
-    log_h = log_gauge(row, x, y, z, gradient)
-    if log_h <= 0.0:
-        return best_begin, best_end
-    slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-    gap = (1.0 - np.exp(-log_h)) / slope * (1.0 - 1e-9)
-    nx, ny, nz = gradient[0] / slope, gradient[1] / slope, gradient[2] / slope
-    # The tangent plane, and the faces of the primitive's own box.
-    for choice in range(4):
-        if choice > 0:
-            axis = choice - 1
-            nx, ny, nz = row[ROTATION + axis], row[ROTATION + 3 + axis], row[ROTATION + 6 + axis]
-            along = (x - row[CENTER]) * nx + (y - row[CENTER + 1]) * ny + (z - row[CENTER + 2]) * nz
-            if along < 0.0:
-                nx, ny, nz, along = -nx, -ny, -nz, -along
-            gap = along - row[AXES + axis]
-        margin = gap - radius - (abs(nx) * half[0] + abs(ny) * half[1] + abs(nz) * half[2])
-        if margin <= 0.0:
-            continue
-        speed = nx * way[0] + ny * way[1] + nz * way[2]
-        # Going against the normal uses the margin up.
-        begin = t - margin / speed if speed > 0.0 else -1.0
-        end = t - margin / speed if speed < 0.0 else 2.0
-        if best_begin > best_end or end - begin > best_end - best_begin:
-            best_begin, best_end = begin, end
-    return best_begin, best_end

@@ -232,7 +232,6 @@ def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):  # type: ignore[n
 
     For m = 0 the height is that of the obstacle alone.
     """
-    slack = 0.0
     if is_hull:
         best = 0
         value = -np.inf
@@ -246,17 +245,14 @@ def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):  # type: ignore[n
         n1 = row[ROTATION + 1] * dx + row[ROTATION + 4] * dy + row[ROTATION + 7] * m
         n2 = row[ROTATION + 2] * dx + row[ROTATION + 5] * dy + row[ROTATION + 8] * m
         s0, s1, s2 = abs(n0) * row[AXES], abs(n1) * row[AXES + 1], abs(n2) * row[AXES + 2]
-        u, v = _farthest(s0, s1, row[POWER_2])
-        w, t = _farthest(u * s0 + v * s1, s2, row[POWER_1])
+        u, v = touching(s0, s1, row[POWER_2])
+        w, t = touching(u * s0 + v * s1, s2, row[POWER_1])
         q0 = w * u * row[AXES] * np.sign(n0)
         q1 = w * v * row[AXES + 1] * np.sign(n1)
         q2 = t * row[AXES + 2] * np.sign(n2)
         x = row[CENTER] + row[ROTATION] * q0 + row[ROTATION + 1] * q1 + row[ROTATION + 2] * q2
         y = row[CENTER + 1] + row[ROTATION + 3] * q0 + row[ROTATION + 4] * q1 + row[ROTATION + 5] * q2
         z = row[CENTER + 2] + row[ROTATION + 6] * q0 + row[ROTATION + 7] * q1 + row[ROTATION + 8] * q2
-        # Near the diamond the touched point is found to a thousandth only: rather too far than too near.
-        if 1.0 < row[POWER_1] < 1.002 or 1.0 < row[POWER_2] < 1.002:
-            slack = 1e-3 * (s0 + s1 + s2)
     # The mirrored body: its corners, a disc around each, a ball around those, from low to high.
     nearest = np.inf
     bx, by = 0.0, 0.0
@@ -272,15 +268,7 @@ def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):  # type: ignore[n
     elif m < 0.0:
         z += part[3] * m / length - part[1]
     out[0], out[1], out[2] = x, y, z
-    out[3] = x * dx + y * dy + (z * m if m != 0.0 else 0.0) + slack
-
-
-@numba.njit(cache=True, nogil=True)
-def _farthest(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return what `touching` does; of a diamond (p = 1) a corner, exactly."""
-    if p <= 1.0:
-        return (1.0, 0.0) if s >= t else (0.0, 1.0)
-    return touching(s, t, p)
+    out[3] = x * dx + y * dy + (z * m if m != 0.0 else 0.0)
 
 
 @numba.njit(cache=True, nogil=True)

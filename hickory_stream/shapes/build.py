@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, assert_never
 
 import numpy as np
@@ -17,6 +17,7 @@ from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
 from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor
 from hickory_stream.shapes.inflate import InflateConfig, inflate
 from hickory_stream.shapes.single_view import SingleViewConfig, SingleViewReconstructor
+from hickory_stream.shapes.usable import usable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,13 +54,20 @@ def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: Shape
     reconstruction = reconstructor.reconstruct(inputs)
     if isinstance(reconstruction, NoShape):
         return NoShape(reason=f"{reconstructor.name}: {reconstruction.reason}")
+    try:
+        reconstruction = _usable(reconstruction)
+    except ValueError as error:
+        return NoShape(reason=f"{reconstructor.name}: {error}")
     meshed = time.perf_counter()
     try:
         fitted = moved(fit_superquadrics(reconstruction.mesh, config.fit), reconstruction.world_from_object)
     except ValueError as error:
         return NoShape(reason=f"fit: {error}")
     found = time.perf_counter()
-    inflated, containment = inflate(fitted, reconstruction, inputs.points_world, config.inflate)
+    try:
+        inflated, containment = inflate(fitted, reconstruction, inputs.points_world, config.inflate)
+    except ValueError as error:
+        return NoShape(reason=f"inflate: {error}")
     ended = time.perf_counter()
     return BuiltShape(
         reconstruction=reconstruction,
@@ -69,6 +77,13 @@ def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: Shape
         containment=containment,
         timings_s={"reconstruct": meshed - started, "fit": found - meshed, "inflate": ended - found},
     )
+
+
+def _usable(reconstruction: Reconstruction) -> Reconstruction:
+    """Return the reconstruction with what is surface of its mesh; raise ValueError where nothing can be made of it."""
+    if not np.isfinite(reconstruction.world_from_object).all():
+        raise ValueError("a mesh whose place is not finite")
+    return replace(reconstruction, mesh=usable(reconstruction.mesh))
 
 
 def seen_shares(primitives: Superquadrics, reconstruction: Reconstruction) -> NDArray[np.float64]:

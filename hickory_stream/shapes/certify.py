@@ -16,6 +16,7 @@ import numpy as np
 
 from hickory_stream.shapes.cover import NET, NET_FACTOR, log_gauge, log_gauge_of_ball
 from hickory_stream.shapes.sdf import distance_grid
+from hickory_stream.shapes.usable import used_surface
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -115,8 +116,10 @@ def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, 
     lattice is as fine as it takes for the margin to cover the latter, up to a limit; a margin below that leaves a thin
     shell under the surface, `shell_m`, that is not looked at. Overlapping parts are one solid; a plane has no inside.
     """
-    extent = np.ptp(vertices_world, axis=0)
-    if len(faces) == 0 or not extent.min() > 1e-6 * extent.max():
+    is_used, faces = used_surface(vertices_world, faces)
+    vertices_world = vertices_world[is_used]
+    extent = np.ptp(vertices_world, axis=0) if len(faces) else np.zeros(3)
+    if not extent.min() > 1e-6 * extent.max():
         return Inside(centers=np.empty((0, 3)), half_m=0.0, distances_m=np.empty(0), margin_m=r_safe_m, shell_m=0.0)
     longest = float(extent.max())
     wanted = 2.02 * _HALF_DIAGONAL * longest / max(r_safe_m, longest / _CELLS[1])
@@ -260,8 +263,9 @@ def _is_lost(values):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _cells(centers, half, exponents, axes, poses, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) which cells lie in no primitive as a whole."""
     out = np.ones(len(centers), np.bool_)
-    reach = np.empty((len(axes), 3))
+    reach, center = np.empty((len(axes), 3)), np.empty(3)
     for k in range(len(axes)):
         for i in range(3):
             reach[k, i] = half * (abs(poses[k, 0, i]) + abs(poses[k, 1, i]) + abs(poses[k, 2, i]))
@@ -269,19 +273,34 @@ def _cells(centers, half, exponents, axes, poses, log_g):  # type: ignore[no-unt
     for n in range(len(centers)):
         for step in range(len(axes)):
             k = (last + step) % len(axes)
-            dx, dy, dz = (
-                centers[n, 0] - poses[k, 0, 3],
-                centers[n, 1] - poses[k, 1, 3],
-                centers[n, 2] - poses[k, 2, 3],
-            )
-            x = abs(poses[k, 0, 0] * dx + poses[k, 1, 0] * dy + poses[k, 2, 0] * dz) + reach[k, 0]
-            y = abs(poses[k, 0, 1] * dx + poses[k, 1, 1] * dy + poses[k, 2, 1] * dz) + reach[k, 1]
-            z = abs(poses[k, 0, 2] * dx + poses[k, 1, 2] * dy + poses[k, 2, 2] * dz) + reach[k, 2]
+            for i in range(3):
+                center[i] = 0.0
+                for j in range(3):
+                    center[i] += poses[k, j, i] * (centers[n, j] - poses[k, j, 3])
+            x, y, z = abs(center[0]), abs(center[1]), abs(center[2])
             if x > axes[k, 0] or y > axes[k, 1] or z > axes[k, 2]:
                 continue
             e1, e2 = exponents[k, 0], exponents[k, 1]
-            if log_gauge(x, y, z, axes[k], e1, e2) <= 0.5 * e1 * log_g:
+            limit = 0.5 * e1 * log_g
+            # The box around the turned cell holds it, and reaches up to three halves far: most cells need no more.
+            around = log_gauge(x + reach[k, 0], y + reach[k, 1], z + reach[k, 2], axes[k], e1, e2)
+            if around <= limit or _holds_corners(center, half, axes[k], e1, e2, poses[k], limit):
                 out[n] = False
                 last = k
                 break
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _holds_corners(center, half, axes, e1, e2, pose, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether a primitive holds the eight corners of a cell: convex, it then holds all of it."""
+    for corner in range(8):
+        dx = half if corner & 1 else -half
+        dy = half if corner & 2 else -half
+        dz = half if corner & 4 else -half
+        x = abs(center[0] + pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz)
+        y = abs(center[1] + pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz)
+        z = abs(center[2] + pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz)
+        if log_gauge(x, y, z, axes, e1, e2) > limit:
+            return False
+    return True

@@ -27,6 +27,7 @@ from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplif
 from hickory_stream.shapes.quadric_lm import ROW, row_of
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
 from hickory_stream.shapes.seeds import chessboard_depth, grown_box, principal_axes
+from hickory_stream.shapes.usable import usable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -87,9 +88,10 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
     returned instead of splinters.
 
     Raises:
-        ValueError: the mesh has no triangles or no extent, or is not finite.
+        ValueError: the mesh has no triangles or no extent, or is not finite (`usable`).
     """
-    vertices = _checked(mesh)
+    mesh = usable(mesh)
+    vertices = mesh.vertices.astype(np.float64)
     # Far from the origin digits would be lost to the offset.
     offset = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     vertices = vertices - offset
@@ -111,21 +113,6 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
         rows = marching(grid, config)
     found = _superquadrics(rows, grid) if rows else around_all(local, mesh.faces, longest / config.cells)
     return canonical(moved(found, from_rotation_translation(axes, offset)))
-
-
-def _checked(mesh: Mesh) -> NDArray[np.float64]:
-    """Return the (V, 3) vertices that faces use; the mesh is known to be usable then."""
-    if len(mesh.faces) == 0:
-        raise ValueError("the mesh has no triangles; a shape needs at least one")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise ValueError(f"the mesh has faces of vertices that it has not ({len(mesh.vertices)}); repair it first")
-    vertices = mesh.vertices.astype(np.float64)
-    bad = int((~np.isfinite(vertices)).any(axis=1).sum())
-    if bad:
-        raise ValueError(f"{bad} of {len(vertices)} vertices are not finite; remove them first")
-    if not np.ptp(vertices[mesh.faces.ravel()], axis=0).max() > 0:
-        raise ValueError("all triangles of the mesh are one point; a shape needs an extent")
-    return vertices
 
 
 def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superquadrics:

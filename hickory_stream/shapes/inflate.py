@@ -35,6 +35,7 @@ from hickory_stream.shapes.cover import (
 from hickory_stream.shapes.pieces import owned_pieces, owners_of
 from hickory_stream.shapes.quadric_lm import row_of
 from hickory_stream.shapes.strays import boxes_around
+from hickory_stream.shapes.usable import used_surface
 
 if TYPE_CHECKING:
     from typing import Any
@@ -115,7 +116,21 @@ def inflated(
     points_world: NDArray[np.float64],
     config: InflateConfig,
 ) -> Inflated:
-    """Return the primitives grown around (V, 3) vertices with (F, 3) faces and (N, 3) points, and their certificate."""
+    """Return the primitives grown around (V, 3) vertices with (F, 3) faces and (N, 3) points, and their certificate.
+
+    Vertices that no face uses, and faces that are one point, are no part of the object.
+
+    Raises:
+        ValueError: vertices or points are not finite, or there are none of either.
+    """
+    is_used, faces = used_surface(vertices_world, faces)
+    vertices_world = vertices_world[is_used]
+    everything = np.concatenate([vertices_world, points_world])
+    if len(everything) == 0 or not np.isfinite(everything).all():
+        raise ValueError(
+            f"{len(vertices_world)} vertices of faces and {len(points_world)} points, "
+            f"{int((~np.isfinite(everything)).any(axis=1).sum())} of them not finite: nothing can be contained"
+        )
     inside = inside_of(vertices_world, faces, r_safe_m=config.r_safe_m)
     checked = {"r_safe_m": config.r_safe_m, "g": config.g}
     if len(fitted):
@@ -123,7 +138,7 @@ def inflated(
             certificate = certify(grown, vertices_world, faces, points_world, inside, **checked)
             if certificate.holds:
                 return Inflated(primitives=grown, certificate=certificate, is_fallback=False)
-    box = box_around(np.concatenate([vertices_world, points_world]), config)
+    box = box_around(everything, config)
     certificate = certify(box, vertices_world, faces, points_world, inside, **checked)
     return Inflated(primitives=box, certificate=certificate, is_fallback=True)
 

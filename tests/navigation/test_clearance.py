@@ -14,8 +14,10 @@ from hickory_stream.geometry.superquadric import Superquadrics, joined, log_impl
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.navigation.clearance import Answer, Body, ClearanceScene
+from hickory_stream.navigation.sweep_kernels import NEAR_M
 from hickory_stream.records import ObservedSpace
 from tests.navigation.rooms import tracked
+from tools.benchmarks.swept_truth import way_distance_m
 
 
 def random_primitives(rng: np.random.Generator, count: int, size_m: float = 4.0) -> Superquadrics:
@@ -124,6 +126,39 @@ def test_no_sweep_is_free_that_touches(seed: int, radius: float, is_box: bool) -
         ends - starts, axis=1
     )
     assert (answers[clear] == Answer.FREE).all()
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([0.0, 0.1]), st.booleans(), st.sampled_from([0.0, 0.6]))
+def test_a_free_way_keeps_its_distance_and_a_hit_misses_by_no_more_than_is_said(
+    seed: int, radius: float, is_box: bool, length: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    primitives = random_primitives(rng, 8, size_m=1.5)
+    half = np.array([0.1, 0.05, 0.2]) if is_box else np.zeros(3)
+    starts = rng.uniform(-0.5, 2, (25, 3))
+    ends = starts + rng.normal(size=starts.shape) * length
+    answers = scene_of(primitives).sweep(starts, ends, radius_m=radius, half_extents_m=half)
+    for start, end, answer in zip(starts, ends, answers, strict=True):
+        distance = way_distance_m(primitives, start, end, half, reach_m=radius + 0.1)
+        if answer == Answer.FREE:
+            assert distance > radius - 1e-6
+        else:
+            assert distance <= radius + NEAR_M + 1e-6
+
+
+@pytest.mark.parametrize("exponent", [0.1, 1.0, 1.9985, 1.9999, 2.0])
+@pytest.mark.parametrize("gap_m", [1e-3, -1e-3])
+def test_a_way_along_an_edge_is_told_from_one_through_it(exponent: float, gap_m: float) -> None:
+    # The corner of a diamond, of what is nearly one, of a ball and of a box, passed on the skew.
+    body = one((0.5, 0.3, 0.2), e=exponent)
+    corner, outwards = np.array([0.5, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    place = corner + (0.1 + gap_m) * outwards
+    skew = np.array([0.0, 0.6, 0.8])
+    answer = scene_of(body).sweep((place - skew)[None], (place + skew)[None], radius_m=0.1)[0]
+    assert answer == (Answer.FREE if gap_m > 0 else Answer.HIT_SEEN)
+    # By its distance to a corner a point is held against the same body.
+    assert scene_of(body).clearance_m(place[None], is_exact=True)[0] == pytest.approx(0.1 + gap_m, abs=1e-6)
 
 
 def test_a_sphere_is_as_far_as_geometry_says_and_a_graze_counts_as_a_touch() -> None:

@@ -1,5 +1,7 @@
 """Whatever mesh comes: a certified, finite layer 4, or an error that says why there is none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,8 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shape_fixtures import as_mesh, test_mesh
 
+from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value
+from hickory_stream.ports import BuiltShape, Reconstruction, ShapeInputs
+from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
 from hickory_stream.shapes.inflate import InflateConfig, inflated
 
@@ -73,6 +78,71 @@ BOX = trimesh.creation.box((0.4, 0.3, 0.2))
 @pytest.mark.parametrize("margin", [0.0, 0.05, 2.0])
 def test_an_odd_mesh_is_contained(mesh: Mesh, margin: float) -> None:
     certified(mesh, margin)
+
+
+WITH_WASTE = {
+    "a vertex that no triangle uses": ([[100, 0, 0]], []),
+    "one that is not finite": ([[np.nan, 0, np.inf]], []),
+    "a triangle of one vertex": ([[100, 0, 0]], [[8, 8, 8]]),
+    "a triangle of three vertices at one place": ([[100, 0, 0]] * 3, [[8, 9, 10]]),
+}
+
+
+@pytest.mark.parametrize(("vertices", "faces"), WITH_WASTE.values(), ids=WITH_WASTE.keys())
+def test_what_is_no_surface_changes_nothing(vertices: list[list[float]], faces: list[list[int]]) -> None:
+    wasteful = mesh_of(np.concatenate([BOX.vertices, vertices]), [*BOX.faces.tolist(), *faces])
+    clean = as_mesh(BOX)
+    for margin in (0.02, 5.0):
+        # What `inflated` is given itself, too: here the mesh as it came.
+        fitted = fit_superquadrics(wasteful, COARSE)
+        found = inflated(
+            fitted, wasteful.vertices.astype(float), wasteful.faces, np.empty((0, 3)), InflateConfig(r_safe_m=margin)
+        )
+        expected = certified(clean, margin)
+        assert found.certificate.holds
+        assert not found.is_fallback
+        assert np.array_equal(found.primitives.semi_axes_m, expected.semi_axes_m)
+        assert np.array_equal(found.primitives.world_from_local, expected.world_from_local)
+
+
+def test_a_triangle_that_is_a_line_is_contained_as_far_as_it_reaches() -> None:
+    spike = mesh_of(np.concatenate([BOX.vertices, [[3.0, 0, 0]]]), [*BOX.faces.tolist(), [0, 0, 8]])
+    certified(spike, 0.02)
+
+
+def test_a_box_whose_sides_share_no_vertices_is_the_same_box() -> None:
+    apart = mesh_of(BOX.vertices[BOX.faces.ravel()], np.arange(3 * len(BOX.faces)))
+    one, other = (certified(mesh, 0.02) for mesh in (as_mesh(BOX), apart))
+    assert len(other) == 1
+    assert other.semi_axes_m == pytest.approx(one.semi_axes_m, rel=1e-6)
+
+
+def test_a_shape_of_a_wasteful_reconstructor_is_that_of_its_surface_in_all_layers() -> None:
+    class Wasteful:
+        name = "wasteful"
+
+        def reconstruct(self, inputs: ShapeInputs) -> Reconstruction:
+            mesh = mesh_of(np.concatenate([BOX.vertices, [[100, 0, 0]]]), BOX.faces)
+            return Reconstruction(mesh=replace(mesh, is_seen=np.arange(9) < 8), world_from_object=np.eye(4))
+
+    inputs = ShapeInputs(
+        points_world=np.asarray(BOX.vertices, np.float32),
+        colors=np.zeros((8, 3), np.uint8),
+        box=OrientedBox(world_from_box=np.eye(4), half_extents_m=np.array([0.2, 0.15, 0.1])),
+        support_z_m=None,
+        crops=(),
+    )
+    built = build_shape(inputs, Wasteful(), ShapeConfig(fit=COARSE))
+    assert isinstance(built, BuiltShape)
+    assert len(built.reconstruction.mesh.vertices) == 8
+    assert (built.seen_share == 1.0).all()
+    assert built.inflated.semi_axes_m.max() < 0.3
+
+
+def test_points_that_are_not_finite_are_told_and_contained_by_nothing() -> None:
+    points = np.array([[0.0, 0, 0], [np.nan, 0, 0]])
+    with pytest.raises(ValueError, match="8 vertices of faces and 2 points, 1 of them not finite"):
+        inflated(fit_superquadrics(as_mesh(BOX), COARSE), BOX.vertices, BOX.faces, points, InflateConfig())
 
 
 @pytest.mark.parametrize("scale", [3e-3, 3e3])

@@ -9,7 +9,7 @@ from shape_fixtures import as_mesh, test_mesh
 
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, taken, volumes_m3
 from hickory_stream.ports import Reconstruction
-from hickory_stream.shapes.certify import certify, inside_of
+from hickory_stream.shapes.certify import Inside, certify, inside_of, uncovered_cells
 from hickory_stream.shapes.cover import NET, NET_FACTOR
 from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
 from hickory_stream.shapes.inflate import InflateConfig, inflate, inflate_to_cover, inflated
@@ -18,6 +18,7 @@ PLATE = Superquadrics(
     exponents=np.full((1, 2), 0.1), semi_axes_m=np.array([[0.6, 0.4, 0.02]]), world_from_local=np.eye(4)[None]
 )
 NO_POINTS = np.empty((0, 3))
+COARSE = FitConfig(cells=24, joint_samples=800, num_rounds=1)
 
 
 @st.composite
@@ -167,6 +168,41 @@ def test_the_certificate_counts_what_a_missing_primitive_leaves_open() -> None:
     certificate = certify(less, vertices, faces, NO_POINTS, inside, r_safe_m=0.02, g=1.0)
     assert certificate.uncovered_triangles > 0
     assert not certificate.holds
+
+
+@settings(max_examples=25, deadline=None)
+@given(primitives(), st.integers(0, 10_000))
+def test_a_cell_is_covered_where_one_primitive_holds_its_corners_and_never_where_a_point_sticks_out(
+    shape, seed
+) -> None:
+    rng = np.random.default_rng(seed)
+    half = 10 ** rng.uniform(-2.5, -0.5)
+    places = np.concatenate([rng.uniform(-1.5, 1.5, (300, 3)), shape.world_from_local[:, :3, 3]])
+    centers = 2 * half * np.unique(np.round(places / (2 * half)), axis=0)
+    deep = np.full(len(centers), -1e3)
+    inside = Inside(centers=centers, half_m=half, distances_m=deep, margin_m=0.0, shell_m=0.0)
+    left = uncovered_cells(shape, inside, 1.0)[:, :3]
+    is_left = (np.abs(left - centers[:, None]) < half).all(axis=2).any(axis=1)
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = (centers[:, None] + half * signs).reshape(-1, 3)
+    is_held = [implicit_value(shape, i, corners).reshape(-1, 8).max(axis=1) < 1 - 1e-6 for i in range(len(shape))]
+    assert not (is_left & np.any(is_held, axis=0)).any()
+    within = (centers[~is_left][:, None] + half * rng.uniform(-1, 1, (1, 40, 3))).reshape(-1, 3)
+    assert (lowest_g(shape, within) <= 1.0).all()
+
+
+@pytest.mark.parametrize("size_m", [4.0, 8.0, 20.0])
+@pytest.mark.parametrize("name", ["sphere", "cylinder", "ellipsoid"])
+def test_a_large_round_thing_needs_no_box(name: str, size_m: float) -> None:
+    shape = test_mesh(name).copy()
+    shape.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.2])))
+    shape.apply_scale(size_m / np.ptp(shape.vertices, axis=0).max())
+    found = inflated(fit_superquadrics(as_mesh(shape), COARSE), *arrays_of(shape), NO_POINTS, InflateConfig())
+    assert found.certificate.holds
+    assert not found.is_fallback
+    rng = np.random.default_rng(0)
+    assert (lowest_g(found.primitives, sampled_solid(shape, 0.02, rng)) <= 1.0).all()
+    assert volumes_m3(found.primitives).sum() < 1.5 * shape.volume
 
 
 def test_without_a_primitive_a_box_takes_its_place_and_says_so() -> None:

@@ -27,6 +27,7 @@ _HELPERS = {
     "shape_meshes",
     "shape_truth",
     "small_logs",
+    "swept_truth",
     "true_shapes",
 }
 

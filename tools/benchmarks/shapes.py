@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import trimesh
 
 from hickory_stream.geometry.mesh import Mesh
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.rigid import from_rotation_translation, invert
 from hickory_stream.geometry.shape_score import shape_score
-from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, moved, taken
+from hickory_stream.geometry.superquadric import Superquadrics, joined, log_implicit_value, moved, taken
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
-from hickory_stream.navigation.clearance import ClearanceScene
+from hickory_stream.navigation.clearance import Answer, ClearanceScene
 from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
 from hickory_stream.shapes.inflate import InflateConfig, Inflated, inflated
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.shape_meshes import MESH_NAMES, hollow_mesh, test_mesh
 from tools.benchmarks.shape_truth import Solid, grown_volume_ratio, surface_distance_pct, volumetric_iou
+from tools.benchmarks.swept_truth import way_distance_m
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -65,7 +67,7 @@ def measure(options: Options) -> list[Figure]:
             _row(name, hollow_mesh(name), _rotation(rng), options)
     figures = _of_rows(rows, with_simple=not options.meshes)
     figures += _of_scores(meshes, rng, trials=1 if options.quick else 3)
-    return figures + _of_collisions(options)
+    return figures + _of_collisions(options) + _of_sweeps(rows, options)
 
 
 def _of_rows(rows: list[Row], *, with_simple: bool) -> list[Figure]:
@@ -145,29 +147,53 @@ def _of_collisions(options: Options) -> list[Figure]:
         wrong = int((~scene.is_free(points) != expected).sum())
         if wrong:
             raise AssertionError(f"{wrong} of {len(points)} points are answered unlike brute force")
-    starts = uniform[: count // 5]
-    ways = rng.normal(size=starts.shape)
-    ends = starts + ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    _no_false_free(scene, starts[:300], ends[:300])
     return [
         _figure("points_per_second", len(uniform) / _best_of(lambda: scene.classify(uniform)), "1/s", "higher"),
         _figure("points_per_second_near", len(near) / _best_of(lambda: scene.classify(near)), "1/s", "higher"),
-        _figure(
-            "segments_per_second",
-            len(starts) / _best_of(lambda: scene.sweep(starts, ends, radius_m=0.1)),
-            "1/s",
-            "higher",
-        ),
     ]
 
 
-def _no_false_free(scene: ClearanceScene, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> None:
-    is_free = scene.sweep(starts, ends, radius_m=0.1) == 0
-    along = np.linspace(0, 1, 41)[None, :, None]
-    places = starts[is_free, None] + along * (ends - starts)[is_free, None]
-    nearest = scene.clearance_m(places.reshape(-1, 3), is_exact=True, reach_m=0.5)
-    if (nearest < 0.1 - 1e-9).any():
-        raise AssertionError("a swept ball is called free that touches")
+def _of_sweeps(rows: list[Row], options: Options) -> list[Figure]:
+    """Return the speeds of sweeps, and what share of the free ways is called a hit; a false free way is an error.
+
+    In a scene of random superquadrics, and among the inflated objects in a room; a ball and a box, along ways of 1 m.
+    """
+    rng = np.random.default_rng(options.seed + 2000)
+    scenes = {"": (_random_primitives(rng, 300), (10.0, 10.0, 2.0)), "_room": (_in_a_room(rows, rng), (6.0, 6.0, 2.0))}
+    bodies = {"ball": (0.1, np.zeros(3)), "box": (0.05, np.array([0.2, 0.2, 0.3]))}
+    figures = []
+    for where, (primitives, size) in scenes.items():
+        scene = ClearanceScene()
+        scene.put(0, primitives)
+        starts = rng.uniform((0, 0, 0), size, (100_000 if options.quick else 400_000, 3))
+        ways = rng.normal(size=starts.shape)
+        ends = starts + ways / np.linalg.norm(ways, axis=1, keepdims=True)
+        for name, (radius, half) in bodies.items():
+            sweep = partial(scene.sweep, starts, ends, radius_m=radius, half_extents_m=half)
+            checked = slice(300 if options.quick else 2000)
+            near = [
+                way_distance_m(primitives, start, end, half, reach_m=2 * radius)
+                for start, end in zip(starts[checked], ends[checked], strict=True)
+            ]
+            is_free, is_called_free = np.array(near) > radius, sweep()[checked] == Answer.FREE
+            if (is_called_free & (np.array(near) < radius - 1e-6)).any():
+                raise AssertionError(f"a swept {name} is called free that touches")
+            false_pct = 100 * np.mean(~is_called_free[is_free])
+            figures += [
+                _figure(f"sweeps_per_second_{name}{where}", len(starts) / _best_of(sweep), "1/s", "higher"),
+                _figure(f"false_hits_pct_{name}{where}", false_pct, "%", "lower"),
+            ]
+    return figures
+
+
+def _in_a_room(rows: list[Row], rng: np.random.Generator) -> Superquadrics:
+    """Return the inflated primitives of the objects, each three times about a room of 6 x 6 m."""
+    placed = []
+    for row in [*rows, *rows, *rows]:
+        a = rng.uniform(0, 2 * np.pi)
+        turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+        placed.append(moved(row.grown.primitives, from_rotation_translation(turn, rng.uniform((0, 0, 0), (6, 6, 1.5)))))
+    return joined(placed)
 
 
 def _row(name: str, upright: trimesh.Trimesh, turn: NDArray[np.float64], options: Options) -> Row:

@@ -1,0 +1,55 @@
+"""What of a mesh is surface: where meshes enter, whoever made them.
+
+A vertex that no triangle uses, and a triangle that is one point, are no part of the object: left in, one of them a
+hundred metres away would make a certified object of a hundred metres. A triangle that is a line has an extent and
+stays, to be contained as what it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.mesh import Mesh
+
+
+def usable(mesh: Mesh) -> Mesh:
+    """Return the mesh without vertices that no triangle uses and triangles that are one point.
+
+    Raises:
+        ValueError: there are no triangles, or none with an extent, or they name vertices that there are not or that are
+            not finite.
+    """
+    if len(mesh.faces) == 0:
+        raise ValueError("an empty mesh: it has no triangles; a shape needs at least one")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise ValueError(f"the mesh has faces of vertices that it has not ({len(mesh.vertices)}); repair it first")
+    is_used, faces = used_surface(mesh.vertices, mesh.faces)
+    vertices = mesh.vertices[is_used]
+    bad = int((~np.isfinite(vertices)).any(axis=1).sum())
+    if bad:
+        raise ValueError(f"{bad} of {len(vertices)} vertices are not finite; remove them first")
+    if len(faces) == 0:
+        raise ValueError("all triangles of the mesh are one point; a shape needs an extent")
+    if is_used.all() and len(faces) == len(mesh.faces):
+        return mesh
+    return replace(mesh, vertices=vertices, faces=faces, colors=mesh.colors[is_used], is_seen=mesh.is_seen[is_used])
+
+
+def used_surface(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
+    """Return (V,) which vertices belong to triangles that are not one point, and those triangles among these alone."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    # Of what is not finite nothing is equal: it stays, and is told.
+    is_point = ((a == b) & (b == c)).all(axis=1)
+    kept = faces[~is_point]
+    is_used = np.zeros(len(vertices), bool)
+    is_used[kept.ravel()] = True
+    places = np.cumsum(is_used) - 1
+    return is_used, places[kept].astype(np.int32)
