@@ -49,7 +49,7 @@ def certified(mesh: Mesh, margin: float, config: FitConfig = COARSE) -> Superqua
 
 @pytest.mark.timeout(120)
 @settings(max_examples=12, deadline=None)
-@given(st.integers(0, 100_000), st.integers(3, 20), st.integers(1, 30), st.sampled_from([0.0, 0.02, 5.0]))
+@given(st.integers(0, 100_000), st.integers(3, 20), st.integers(1, 30), st.sampled_from([0.0, 0.02, 2.0]))
 def test_a_mesh_of_random_triangles_is_contained(seed: int, num_vertices: int, num_faces: int, margin: float) -> None:
     rng = np.random.default_rng(seed)
     vertices = rng.normal(size=(num_vertices, 3)) * 10 ** rng.uniform(-2, 1, 3)
@@ -92,7 +92,7 @@ WITH_WASTE = {
 def test_what_is_no_surface_changes_nothing(vertices: list[list[float]], faces: list[list[int]]) -> None:
     wasteful = mesh_of(np.concatenate([BOX.vertices, vertices]), [*BOX.faces.tolist(), *faces])
     clean = as_mesh(BOX)
-    for margin in (0.02, 5.0):
+    for margin in (0.02, 1.0):
         # What `inflated` is given itself, too: here the mesh as it came.
         fitted = fit_superquadrics(wasteful, COARSE)
         found = inflated(
@@ -149,7 +149,7 @@ def test_points_that_are_not_finite_are_told_and_contained_by_nothing() -> None:
 def test_three_millimetres_and_three_kilometres_are_as_good_as_a_metre(scale: float) -> None:
     shape = test_mesh("monitor").copy()
     shape.apply_scale(scale / np.ptp(shape.vertices, axis=0).max())
-    grown = certified(as_mesh(shape), 0.02 * scale, FitConfig())
+    grown = certified(as_mesh(shape), min(0.02 * scale, 2.0), FitConfig())
     assert grown.semi_axes_m.max() < scale
 
 
