@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import json
 import tomllib
 import types
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from hickory_stream.errors import ConfigError, RangeError
+from hickory_stream.json_text import toml_string
 from hickory_stream.mapping.core import MappingConfig
 from hickory_stream.mapping.keyframes import KeyframeConfig
 from hickory_stream.perception.perceive import PerceptionConfig
@@ -50,7 +50,7 @@ class RunConfig(Ranged):
     cluster_gpus: float = number(0.0, 0, 64, "GPUs")
     shape_cache: bool = True
     worker_python: str = ""
-    job_timeout_s: float = number(60.0, 0.001, 1e6, "s")
+    job_timeout_s: float = number(60.0, 1e-9, 1e6, "s")
     job_memory_mb: float = number(4000.0, 1, 1e7, "MB")
     crop_margin: float = number(0.08, 0, 10, "share")
     time_jump_s: float = number(60.0, 0.001, 1e9, "s")
@@ -159,8 +159,7 @@ def _toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # TOML knows the escapes of JSON, and wants one for DEL, too.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return toml_string(value)
     if isinstance(value, tuple | list):
         return "[" + ", ".join(_toml_value(v) for v in value) + "]"
     return repr(value)

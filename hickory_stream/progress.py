@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from typing import TYPE_CHECKING, Literal
+
+from hickory_stream.json_text import dumps
+from hickory_stream.terminal import clear_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,7 +41,8 @@ class ProgressPrinter:
         self._printed_s, self._phase = now_s, progress.phase
         text = self._json(progress) if self._style == "json" else self._text(progress, now_s - self._started_s)
         if self._style == "bar":
-            sys.stderr.write("\r\x1b[K" + text)
+            clear_line()
+            sys.stderr.write(text)
         else:
             sys.stderr.write(text + "\n")
         sys.stderr.flush()
@@ -65,7 +68,7 @@ class ProgressPrinter:
         return f"{progress.phase}: {bar} {frames}, {rate:.0f}/s, {left_s:.0f} s left, {counts}"
 
     def _json(self, progress: Progress) -> str:
-        return json.dumps(
+        return dumps(
             {
                 "event": "progress",
                 "phase": progress.phase,

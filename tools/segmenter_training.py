@@ -8,7 +8,6 @@ is drawn from seeds. Needs the optional group `train`.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from hickory_stream.evaluation.truth import instances_of, load_truth
 from hickory_stream.evaluation.worlds.cache import cached_recording
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
+from hickory_stream.json_text import dumps_exactly
 from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.join import Groups, JoinConfig, measured, rounds
@@ -149,7 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "held_out": {_name(*scene): _told(score(*recording(*scene), trees)) for scene in HELD_OUT},
         "minutes": round((time.monotonic() - started_s) / 60, 1),
     }
-    text = json.dumps(card, indent=2)
+    text = dumps_exactly(card, indent=2)
     path.with_suffix(".json").write_text(text + "\n")
     print(text)
     return 0

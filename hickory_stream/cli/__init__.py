@@ -8,14 +8,16 @@ were not aligned, or there is no path; 130 stopped by a signal (the map is saved
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
+import traceback
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.parser import make_parser
 from hickory_stream.cli.status import STOPPED
 from hickory_stream.errors import HickoryError
+from hickory_stream.json_text import dumps
+from hickory_stream.terminal import shown_safely
 
 if TYPE_CHECKING:
     import argparse
@@ -23,7 +25,12 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status."""
+    """Run a command and return its exit status; nothing that it prints commands the terminal."""
+    with shown_safely():
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     options = make_parser().parse_args(arguments)
     logging.basicConfig(level=logging.DEBUG if options.debug else logging.WARNING, format="%(levelname)s: %(message)s")
     try:
@@ -36,9 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return STOPPED
     except BrokenPipeError:
         return 0
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001 -- what nobody foresaw ends here, in one line
         if options.debug:
-            raise
+            traceback.print_exc()
         _fail(f"internal failure, {type(error).__name__}: {error}; run with --debug to see where", options)
         return 1
     return status
@@ -48,4 +55,4 @@ def _fail(text: str, options: argparse.Namespace) -> None:
     message = " ".join(text.split())  # one line, whatever a library had to say
     sys.stderr.write(f"hickory-stream: {message}\n")
     if getattr(options, "json", False):
-        print(json.dumps({"event": "error", "message": message}))
+        print(dumps({"event": "error", "message": message}))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import read_settings
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -33,7 +33,7 @@ def _dump(options: argparse.Namespace) -> int:
     if options.json:
         import dataclasses
 
-        print(json.dumps(dataclasses.asdict(settings), indent=1))
+        print(dumps(dataclasses.asdict(settings), indent=1))
     else:
         print(to_toml(settings), end="")
     return 0
@@ -41,5 +41,5 @@ def _dump(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     read_settings(options)
-    print(json.dumps({"ok": True}) if options.json else f"{options.config}: ok")
+    print(dumps({"ok": True}) if options.json else f"{options.config}: ok")
     return 0

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -30,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     saved = open_map(options.map)
     changes = saved.diff(stamp_of(options.map, options.first), stamp_of(options.map, options.second))
     if options.json:
-        print(json.dumps([dataclasses.asdict(change) for change in changes], indent=1))
+        print(dumps([dataclasses.asdict(change) for change in changes], indent=1))
     else:
         width = max((len(change.kind) for change in changes), default=0)
         for change in changes:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.errors import InputError
+from hickory_stream.json_text import dumps
+from hickory_stream.terminal import clear_line, visible
 
 if TYPE_CHECKING:
     import argparse
@@ -34,15 +35,16 @@ def run(options: argparse.Namespace) -> int:
 
     def progress(stage: str) -> None:
         if sys.stderr.isatty() and not options.json:
-            sys.stderr.write(f"\r\x1b[K{stage} ...")
+            clear_line()
+            sys.stderr.write(f"{stage} ...")
 
     found = examine(options.source, source_options(options), progress)
     if sys.stderr.isatty() and not options.json:
-        sys.stderr.write("\r\x1b[K")
+        clear_line()
     if options.html is not None:
         try:
-            options.html.write_text(diagnosis_page(found), encoding="utf-8")
+            options.html.write_text(visible(diagnosis_page(found)), encoding="utf-8")
         except OSError as error:
             raise InputError(f"cannot write the page {options.html}: {error.strerror}") from error
-    print(json.dumps(found.as_dict(), indent=1) if options.json else diagnosis_text(found))
+    print(dumps(found.as_dict(), indent=1) if options.json else diagnosis_text(found))
     return found.status

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.align import METHODS, objects_of
 from hickory_stream.errors import InputError
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         map_a, map_b = objects_of(saved_a), objects_of(saved_b)
         rows += [row_of(scene, method, align_by(method, map_a, map_b), true_a_from_b) for method in options.method]
     rows.sort(key=lambda row: options.method.index(row.method))
-    print(json.dumps(table_json(rows), indent=1) if options.json else format_table(rows))
+    print(dumps(table_json(rows), indent=1) if options.json else format_table(rows))
     return 0
 
 

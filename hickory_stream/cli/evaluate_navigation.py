@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import positive
 from hickory_stream.errors import InputError
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -53,5 +53,5 @@ def run(options: argparse.Namespace) -> int:
         trials=trials,
         seeds=range(seeds),
     )
-    print(json.dumps(table_json(rows), indent=1) if options.json else format_table(rows))
+    print(dumps(table_json(rows), indent=1) if options.json else format_table(rows))
     return 0

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.values import read_settings
 from hickory_stream.errors import InputError
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
                 evaluations.setdefault(strategy, []).append(found)
     scores = compare(evaluations)
     if options.json:
-        print(json.dumps({"event": "finished", "strategies": [dataclasses.asdict(score) for score in scores]}))
+        print(dumps({"event": "finished", "strategies": [dataclasses.asdict(score) for score in scores]}))
     else:
         print(format_comparison(scores))
     return 0

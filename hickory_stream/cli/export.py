@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import open_map_at
 from hickory_stream.errors import InputError
+from hickory_stream.json_text import dumps, dumps_exactly
 
 if TYPE_CHECKING:
     import argparse
@@ -65,14 +65,14 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     if options.json:
         told = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
-        print(json.dumps(told if len(files) == 1 else told | {"files": len(files)}))
+        print(dumps(told if len(files) == 1 else told | {"files": len(files)}))
     return 0
 
 
 def _json(saved: SavedMap) -> bytes:
     from hickory_stream.engine.map_codec import encode_snapshot
 
-    return json.dumps(encode_snapshot(saved.snapshot)[0], indent=1, allow_nan=False).encode()
+    return dumps_exactly(encode_snapshot(saved.snapshot)[0], indent=1).encode()
 
 
 def _ply(saved: SavedMap) -> bytes:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import open_map_at
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -29,5 +29,5 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.evaluation.inspect import as_json, format_table, summarize
 
     summary = summarize(open_map_at(options.map, options.at))
-    print(json.dumps(as_json(summary), indent=1) if options.json else format_table(summary))
+    print(dumps(as_json(summary), indent=1) if options.json else format_table(summary))
     return 0

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.status import NO_ALIGNMENT
 from hickory_stream.errors import InputError
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
         both = sum(len(group) > 1 for group in merged.provenance.values())
         result |= {"objects": len(merged.objects), "united": both, "digest": manifest.digest}
     if options.json:
-        print(json.dumps(result, indent=1))
+        print(dumps(result, indent=1))
     else:
         for outcome in outcomes:
             print(f"{outcome['a']} and {outcome['b']}: {outcome['outcome']}")

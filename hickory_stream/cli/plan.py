@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_PATH
 from hickory_stream.cli.values import open_map_at, parse_place
 from hickory_stream.errors import InputError
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     boxes = without_layer_four(saved.snapshot)
     if options.out is not None:
         _draw(options.out, saved.snapshot, space, answer, start, goal)
-    print(json.dumps(_as_json(space, answer, boxes), indent=1) if options.json else _as_text(space, answer, boxes))
+    print(dumps(_as_json(space, answer, boxes), indent=1) if options.json else _as_text(space, answer, boxes))
     return NO_PATH if isinstance(answer, NoPath) else 0
 
 

@@ -12,6 +12,7 @@ from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.status import STOPPED
 from hickory_stream.cli.values import parse_rate, positive, read_settings
 from hickory_stream.errors import InputError
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -145,7 +146,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     objects = played.snapshot.objects if played.snapshot is not None else ()
     if options.json:
         print(
-            json.dumps(
+            dumps(
                 {
                     "event": "finished",
                     "map": str(out),

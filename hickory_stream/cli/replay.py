@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -41,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     recorded = saved.manifest.digest
     if options.json:
         said = {"event": "replayed", "digest": digest, "recorded_digest": recorded, "is_same": digest == recorded}
-        print(json.dumps({**said, "objects": len(snapshot.objects)}))
+        print(dumps({**said, "objects": len(snapshot.objects)}))
     elif recorded is None:
         print(f"{options.map}: {len(snapshot.objects)} objects; its run never ended, so that there is no digest yet")
     else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 from hickory_stream.cli.play import finish, make_sinks, make_style
 from hickory_stream.cli.values import read_settings
 from hickory_stream.errors import MapFolderError
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
         digest = save_live(options.map)
         said = {"event": "saved", "map": str(options.map), "finished_cleanly": False, "digest": digest}
         why = "its frames are gone" if is_live else "the log was sought in, so that it cannot be continued"
-        print(json.dumps(said) if options.json else f"{options.map}: saved as of its last step; {why}")
+        print(dumps(said) if options.json else f"{options.map}: saved as of its last step; {why}")
         return 0
     note = dict(manifest.run.get("source", {}))
     if options.source is not None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.values import read_settings
 from hickory_stream.errors import CalibrationError, ConfigError, InputError, RecordingError
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         told: dict[str, Any] = {"picture": str(options.out), "masks": masks, "objects": len(perceived.observations)}
         told["rejected"] = [{"box_px": r.box_px, "reason": r.reason} for r in perceived.rejected]
-        print(json.dumps(told))
+        print(dumps(told))
     else:
         print(
             f"{options.out}: {masks} masks, {len(perceived.observations)} objects, {len(perceived.rejected)} rejected"

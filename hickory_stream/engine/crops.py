@@ -15,6 +15,7 @@ import numpy as np
 from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import Crop
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def write_crop(views: Path, name: str, crop: Crop) -> None:
     with disk_errors(views):
         write_atomically(color_file, cv2.imencode(".png", bgra, quick)[1].tobytes(), sync=False)
         write_atomically(depth_file, cv2.imencode(".png", _millimetres(crop.depth_m), quick)[1].tobytes(), sync=False)
-        write_atomically(description_file, json.dumps(description).encode(), sync=False)
+        write_atomically(description_file, dumps_exactly(description).encode(), sync=False)
 
 
 def read_crop(views: Path, name: str) -> Crop:

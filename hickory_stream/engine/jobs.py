@@ -29,6 +29,7 @@ from hickory_stream.engine.session import GLB_ERRORS
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
+from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import BuiltShape, NoShape, ShapeInputs
 from hickory_stream.records import Containment, ObjectShape
 from hickory_stream.shapes.build import ShapeConfig
@@ -78,7 +79,7 @@ def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeCon
                 _link(source, folder / source.name)
         np.save(folder / "points.npy", request.points_world, allow_pickle=False)
         np.save(folder / "colors.npy", request.colors, allow_pickle=False)
-        (folder / JOB).write_text(json.dumps(job))
+        (folder / JOB).write_text(dumps_exactly(job))
 
 
 def read_job(folder: Path) -> tuple[ShapeInputs, ShapeConfig]:
@@ -110,7 +111,7 @@ def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) 
             "timings_s": dict(built.timings_s),
         }
     partial = folder / (RESULT + ".partial")
-    partial.write_text(json.dumps(result))
+    partial.write_text(dumps_exactly(result))
     partial.replace(folder / RESULT)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream import __version__
 from hickory_stream.errors import MapFolderError
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -121,7 +122,7 @@ def read_file(path: Path) -> bytes:
 
 def pretty_json(data: Any) -> bytes:
     """Return JSON for people to read."""
-    return (json.dumps(data, indent=1) + "\n").encode()
+    return (dumps(data, indent=1) + "\n").encode()
 
 
 def _check_format(folder: Path, found: object) -> None:

@@ -18,6 +18,7 @@ from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.session import create_map_folder
 from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
+from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import NoShape, ShapeInputs
 from hickory_stream.records import ObjectShape
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
@@ -131,7 +132,7 @@ def _copy_views(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: 
             _copied(color, new_color)
             _copied(depth, new_depth)
             told = json.loads(description.read_text()) | {"world_from_camera": view.world_from_camera.tolist()}
-            write_atomically(new_description, json.dumps(told).encode(), sync=False)
+            write_atomically(new_description, dumps_exactly(told).encode(), sync=False)
 
 
 def _with_mesh(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: Sequence[SavedMap]) -> TrackedObject:

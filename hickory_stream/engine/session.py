@@ -19,7 +19,6 @@ as of its last complete save. No pickle is written or read.
 
 from __future__ import annotations
 
-import json
 import shutil
 import struct
 from collections import deque
@@ -45,6 +44,7 @@ from hickory_stream.engine.manifest import (
 from hickory_stream.engine.map_codec import POINTS, SPACE, decode_snapshot, encode_snapshot, has_named_content
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.mesh import read_glb, sha256_of
+from hickory_stream.json_text import dumps_exactly
 from hickory_stream.records import MapSnapshot
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ class MapFolder:
         with self._lock, disk_errors(self.path):
             self._write_missing(files)
             self._sync_referenced(snapshot)
-            write_atomically(self.path / _OBJECTS, json.dumps(document, allow_nan=False).encode())
+            write_atomically(self.path / _OBJECTS, dumps_exactly(document).encode())
             sync(self.path)
             self._last = snapshot
             self._remove_unreferenced(set(files))
@@ -229,7 +229,7 @@ class MapFolder:
             self._remove_dropped()
             if not (self.path / _OBJECTS).exists():
                 document, _ = encode_snapshot(self._last)
-                write_atomically(self.path / _OBJECTS, json.dumps(document, allow_nan=False).encode())
+                write_atomically(self.path / _OBJECTS, dumps_exactly(document).encode())
             write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
             sync(self.path)
         return self.manifest

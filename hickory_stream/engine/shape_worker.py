@@ -16,6 +16,7 @@ from typing import Any
 
 from hickory_stream.engine.jobs import read_job, write_result
 from hickory_stream.engine.warm_up import warm_up
+from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import build_shape, make_reconstructor
 
@@ -41,7 +42,7 @@ def _listen(jobs: queue.Queue[str]) -> None:
 
 
 def _say(answers: int, message: dict[str, Any]) -> None:
-    os.write(answers, json.dumps(message).encode() + b"\n")
+    os.write(answers, dumps_exactly(message).encode() + b"\n")
 
 
 def serve(folder: Path) -> str | None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 import psutil
 
 from hickory_stream.errors import ConfigError, WorkerError
+from hickory_stream.json_text import dumps_exactly
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -214,7 +215,7 @@ class _Child:
         """
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(json.dumps({"job": str(folder)}).encode() + b"\n")
+            self._process.stdin.write(dumps_exactly({"job": str(folder)}).encode() + b"\n")
             await self._process.stdin.drain()
         except (BrokenPipeError, ConnectionResetError) as error:
             raise WorkerError("the shape worker has ended") from error

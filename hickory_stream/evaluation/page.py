@@ -17,6 +17,7 @@ from hickory_stream.evaluation.explain import figures, verdict, worst_first
 from hickory_stream.evaluation.match import meshes_of
 from hickory_stream.evaluation.raycast import Surface
 from hickory_stream.evaluation.render_parts import superquadric_surfaces
+from hickory_stream.terminal import visible
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -81,7 +82,7 @@ def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{html.escape(saved.folder.name)}: evaluation</title><style>{_STYLE}</style>{body}</html>"
     )
-    write_atomically(path, page.encode(), sync=False)
+    write_atomically(path, visible(page).encode(), sync=False)
 
 
 def _card(

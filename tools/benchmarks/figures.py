@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+from hickory_stream.json_text import dumps
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,4 +56,4 @@ def print_table(figures: list[Figure]) -> None:
 
 def write_json(figures: list[Figure], path: Path) -> None:
     """Write the figures as a list of records."""
-    path.write_text(json.dumps([dataclasses.asdict(figure) for figure in figures], indent=1) + "\n")
+    path.write_text(dumps([dataclasses.asdict(figure) for figure in figures], indent=1) + "\n")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import json
 import threading
 import time
 from dataclasses import replace
@@ -24,6 +23,7 @@ from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.session import open_map
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.json_text import dumps
 from hickory_stream.perception.geometric import GeometricSegmenter
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 from hickory_stream.sinks.disk_sink import DiskSink
@@ -153,7 +153,7 @@ def main() -> None:
     asyncio.run(_run(options.out, 0.5, 1.0, 0.0))
     for slower, stall_s in ((options.slower, 0.0), (1.0, 0.0), (1.0, options.stall)):
         asyncio.run(_run(options.out, options.seconds, slower, stall_s))
-        print(json.dumps({**_measured(options.out), "peak_mb": peak_mb[0]}), flush=True)
+        print(dumps({**_measured(options.out), "peak_mb": peak_mb[0]}), flush=True)
 
 
 async def _run(out: Path, seconds: float, slower: float, stall_s: float) -> None:

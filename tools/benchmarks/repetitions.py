@@ -16,6 +16,7 @@ import time
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.json_text import dumps_exactly
 from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ class Repetitions:
         """Keep what a repetition gave."""
         self.records.append(record)
         if self._file is not None:
-            self._file.write(json.dumps(record) + "\n")
+            self._file.write(dumps_exactly(record) + "\n")
             self._file.flush()
 
     def close(self) -> None:
@@ -93,7 +94,7 @@ def measurement_folder(state: Path, name: str, *, seed: int, fresh: bool) -> Pat
     about = folder / "about.json"
     if not about.exists():
         begun = datetime.now(tz=UTC).isoformat(timespec="seconds")
-        about.write_text(json.dumps({"begun": begun, "commit": _commit(), "code": code}, indent=1) + "\n")
+        about.write_text(dumps_exactly({"begun": begun, "commit": _commit(), "code": code}, indent=1) + "\n")
     return folder
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
 from hickory_stream.evaluation.worlds.layouts import layout_files
 from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
+from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,6 +51,6 @@ def recording_name(config: RecordingConfig) -> str:
     values = dataclasses.asdict(config)
     if config.layout == RecordingConfig().layout:
         del values["layout"]  # as before there were layouts: what is cached stays valid
-    told = json.dumps([WORLDS_VERSION, values], sort_keys=True)
+    told = dumps([WORLDS_VERSION, values], sort_keys=True)
     digest = hashlib.sha256(told.encode()).hexdigest()[:10]
     return f"{config.scene}-{config.seed}-walk{config.walk_index}-{digest}"

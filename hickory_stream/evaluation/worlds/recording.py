@@ -6,7 +6,6 @@ shorter one and another camera sees the same room.
 
 from __future__ import annotations
 
-import json
 import shutil
 import tempfile
 from dataclasses import dataclass, field, replace
@@ -32,6 +31,7 @@ from hickory_stream.evaluation.worlds.zed_log import encode_png
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.json_text import dumps_exactly
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -155,7 +155,7 @@ def _make(config: RecordingConfig, folder: Path, name: str, progress: Callable[[
         structure=structure,
         frames=tuple(frames),
     )
-    (truth_folder / TRUTH_FILE).write_text(json.dumps(truth_record(truth), indent=1) + "\n", encoding="utf-8")
+    (truth_folder / TRUTH_FILE).write_text(dumps_exactly(truth_record(truth), indent=1) + "\n", encoding="utf-8")
     return truth
 
 

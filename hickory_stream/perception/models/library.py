@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args
 from platformdirs import user_data_path
 
 from hickory_stream.errors import ModelError
+from hickory_stream.json_text import dumps_exactly
 
 Kind = Literal["fastsam", "dinov2", "oneformer", "semantic"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -184,7 +185,7 @@ def _write_manifest(folder: Path, entries: dict[str, ModelEntry]) -> None:
     models = {name: dataclasses.asdict(entry) for name, entry in sorted(entries.items())}
     for fields in models.values():
         del fields["name"]
-    text = json.dumps({"format": _FORMAT, "models": models}, indent=1) + "\n"
+    text = dumps_exactly({"format": _FORMAT, "models": models}, indent=1) + "\n"
     _replace(folder / MANIFEST, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 

@@ -1,0 +1,68 @@
+r"""Text on a terminal: what a log or a map says of itself is shown, and commands nothing.
+
+Names of topics and frames, messages and paths come from strangers. A terminal obeys control characters in them, and
+turns the order of a line where they change the direction of writing. `visible` replaces those by what a programmer
+would write, like `\x1b`; the command line sends all that it prints through it (`shown_safely`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import sys
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from typing import TextIO
+
+# C0 without tab and line feed, DEL, C1; what changes the direction of writing; other ends of a line; halves of pairs,
+# which stand for bytes of a file's name that are no UTF-8, and which no terminal takes.
+UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+_CLEAR_LINE = "\r\x1b[K"
+
+
+def visible(text: str) -> str:
+    r"""Return text with what a terminal would obey replaced by its escape, like `\x1b` or `\u202e`."""
+    return UNSAFE.sub(_escape, text)
+
+
+def clear_line() -> None:
+    """Begin the last line of standard error anew, as a bar of progress does."""
+    stream = sys.stderr
+    (stream.plain if isinstance(stream, VisibleStream) else stream).write(_CLEAR_LINE)
+
+
+class VisibleStream:
+    """A text stream whose text is made visible before it is written to `plain`."""
+
+    def __init__(self, plain: TextIO) -> None:
+        self.plain = plain
+
+    def write(self, text: str) -> int:
+        """Write text, made visible; return how many characters it had."""
+        self.plain.write(visible(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write several texts."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.plain, name)
+
+
+@contextlib.contextmanager
+def shown_safely() -> Iterator[None]:
+    """Make visible whatever is written to standard output and standard error within the block."""
+    with contextlib.ExitStack() as stack:
+        for redirect, stream in ((contextlib.redirect_stdout, sys.stdout), (contextlib.redirect_stderr, sys.stderr)):
+            if stream is not None and not isinstance(stream, VisibleStream):
+                stack.enter_context(redirect(VisibleStream(stream)))
+        yield
+
+
+def _escape(found: re.Match[str]) -> str:
+    code = ord(found[0])
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
