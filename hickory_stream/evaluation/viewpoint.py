@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.framing import looking, nearest_eye
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
 
 if TYPE_CHECKING:
@@ -85,15 +86,10 @@ def from_corner(
     points_world: NDArray[Any], azimuth_rad: float, elevation_rad: float, width: int, height: int, margin_px: int
 ) -> Viewpoint:
     """Return the nearest perspective view from a direction that has all (N, 3) points in the frame."""
-    rotation = _looking(azimuth_rad, elevation_rad)
-    local = np.asarray(points_world, dtype=np.float64) @ rotation
+    rotation = looking(azimuth_rad, elevation_rad)
     focal_px = (height / 2) / _HALF_FOV_TANGENT
-    tan_x, tan_y = (width / 2 - margin_px) / focal_px, (height / 2 - margin_px) / focal_px
-    # A point is within the right border when x - eye_x <= tan (z - eye_z): four bounds, two by two on one line.
-    right, left = (local[:, 0] - tan_x * local[:, 2]).max(), (-local[:, 0] - tan_x * local[:, 2]).max()
-    below, above = (local[:, 1] - tan_y * local[:, 2]).max(), (-local[:, 1] - tan_y * local[:, 2]).max()
-    depth = min(-(right + left) / (2 * tan_x), -(below + above) / (2 * tan_y), local[:, 2].min() - 0.5)
-    eye = rotation @ np.array([(right - left) / 2, (below - above) / 2, depth])
+    tangents = (width / 2 - margin_px) / focal_px, (height / 2 - margin_px) / focal_px
+    eye = nearest_eye(points_world, rotation, tangents)
     return Viewpoint(
         world_from_camera=from_rotation_translation(rotation, eye),
         focal_px=float(focal_px),
@@ -105,11 +101,3 @@ def from_corner(
 
 def _f32(values: NDArray[Any]) -> NDArray[np.float32]:
     return values.astype(np.float32, copy=False)
-
-
-def _looking(azimuth_rad: float, elevation_rad: float) -> NDArray[np.float64]:
-    """Return world_from_camera's rotation for an eye that stands at an azimuth and looks down by the elevation."""
-    c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
-    forward = np.array([-c * np.cos(elevation_rad), -s * np.cos(elevation_rad), -np.sin(elevation_rad)])
-    right = np.array([-s, c, 0.0])
-    return np.stack([right, np.cross(forward, right), forward], axis=1)

@@ -112,7 +112,7 @@ def associate(
                 iou=0.0 if found is None else row.get(found, 0.0),
                 lies_on=lying.get(observation.index, (None, 0.0))[1],
                 is_part=observation.index in parts,
-                candidates=tuple(sorted(row.items(), key=lambda pair: (-pair[1], pair[0]))[:4]),
+                candidates=tuple(sorted(row.items(), key=lambda pair: (-pair[1], pair[0]))),
             )
         )
     return matches

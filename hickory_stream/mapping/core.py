@@ -113,6 +113,8 @@ class MappingConfig(Ranged):
 
 
 _FLOATS = "it would float but for this one"
+# Of the tracks that an observation overlaps, the ones with the best IoU: what it barely touches it does not swallow.
+_MOST_DOUBTED = 4
 # Given, or made anew from the rest.
 _NOT_STATE = frozenset({"_config", "_shown", "_shown_submaps"})
 
@@ -484,7 +486,7 @@ class MapperCore:
         seen = {match.track_id for match in matches}
         for match in matches:
             observation = event.observations[match.observation_index]
-            for track_id, _ in match.candidates:
+            for track_id, _ in match.candidates[:_MOST_DOUBTED]:
                 track = self._tracks[track_id]
                 if track_id not in seen and is_swollen(observation, track, self._config.associate):
                     self._tracks[track_id] = replace(track, doubts=track.doubts + 1)

@@ -4,67 +4,61 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 import rerun.blueprint as rrb
 
+from hickory_stream.sinks.rerun_eye import MAIN_ASPECT, SIDE_ASPECT, eye_on
 from hickory_stream.sinks.rerun_frame import CAMERA, TRAJECTORY
 from hickory_stream.sinks.rerun_items import KEYFRAME
-from hickory_stream.sinks.rerun_numbers import DECISIONS, PLOTS
-from hickory_stream.sinks.rerun_objects import FITTED_LAYER, INFLATED_LAYER, MESH_LAYER, POINTS_LAYER
+from hickory_stream.sinks.rerun_labels import LABELS
+from hickory_stream.sinks.rerun_numbers import DECISIONS, OBJECT_DECISIONS, PLOTS
+from hickory_stream.sinks.rerun_objects import FILLED, FITTED_LAYER, INFLATED_LAYER, MESH_LAYER, POINTS_LAYER
 from hickory_stream.sinks.rerun_space import FLOOR
-from hickory_stream.sinks.rerun_views import SHEET_PX, VIEWS
+from hickory_stream.sinks.rerun_views import VIEWS, sheet_px
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
-_BACKGROUND = (22, 25, 31)
-# From above and a corner of the room: steep enough that objects do not hide one another.
-_EYE_DIRECTION = np.array([-0.62, -0.85, 0.95]) / np.linalg.norm([-0.62, -0.85, 0.95])
+BACKGROUND = (22, 25, 31)
 
 
-def default_blueprint(bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None) -> rrb.Blueprint:
-    """Return the arrangement; with the map's `bounds` (lowest, highest corner) the eyes look at all of it."""
-    eye = None if bounds is None else _eye(*bounds)
+def default_blueprint(corners: NDArray[np.float64], *, num_views: int) -> rrb.Blueprint:
+    """Return the arrangement, with all of (N, 3) points in view where there are any, and as many best views."""
+    main, side = (eye_on(corners, aspect).controls() if len(corners) else None for aspect in (MAIN_ASPECT, SIDE_ASPECT))
+    width_px, height_px = sheet_px(num_views)
+    layers = _map_view("Layers 1 and 2: points, boxes, meshes", [POINTS_LAYER, MESH_LAYER], main, is_main=True)
+    superquadrics = rrb.Vertical(
+        _map_view("Layer 3: superquadrics", [FITTED_LAYER], side),
+        _map_view("Layer 4: inflated, over the meshes", [INFLATED_LAYER, MESH_LAYER], side),
+    )
+    images = rrb.Vertical(
+        rrb.Tabs(
+            _camera_view("Camera", ["color", "masks", "boxes", "labels"]),
+            _camera_view("Rejected masks", ["color", "rejected/masks", "rejected/boxes"]),
+            _camera_view("Features", ["features"]),
+            _camera_view("Depth", ["depth"]),
+        ),
+        rrb.Tabs(
+            rrb.Spatial2DView(
+                origin=VIEWS,
+                name="Best views",
+                background=BACKGROUND,
+                visual_bounds=rrb.VisualBounds2D(x_range=(0, width_px), y_range=(0, height_px)),
+            ),
+            _plot("Score S", "score"),
+            _plot("S: variance", "variance"),
+            _plot("S: area", "area"),
+            _plot("S: depth", "depth"),
+            _plot("Stage times [s]", "time"),
+            _plot("Objects by phase", "objects"),
+            _plot("Queues", "queue"),
+        ),
+    )
+    # As wide as the window: a list of candidates is one long line.
+    decisions = rrb.Tabs(_log(DECISIONS, "Decisions"), _log(OBJECT_DECISIONS, "Decisions by object"))
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                _map_view("Layers 1 and 2: points, boxes, meshes", [POINTS_LAYER, MESH_LAYER], eye, is_main=True),
-                rrb.Horizontal(
-                    _map_view("Layer 3: superquadrics", [FITTED_LAYER], eye),
-                    _map_view("Layer 4: inflated, over the meshes", [INFLATED_LAYER, MESH_LAYER], eye),
-                ),
-                row_shares=[5, 3],
-            ),
-            rrb.Vertical(
-                rrb.Tabs(
-                    _camera_view("Camera", ["color", "masks", "boxes"]),
-                    _camera_view("Rejected masks", ["color", "rejected/masks", "rejected/boxes"]),
-                    _camera_view("Features", ["features"]),
-                    _camera_view("Depth", ["depth"]),
-                ),
-                rrb.Tabs(
-                    rrb.Spatial2DView(
-                        origin=VIEWS,
-                        name="Best views",
-                        background=_BACKGROUND,
-                        visual_bounds=rrb.VisualBounds2D(x_range=(-16, SHEET_PX[0]), y_range=(-16, SHEET_PX[1])),
-                    ),
-                    _plot("Score S", "score"),
-                    _plot("S: variance", "variance"),
-                    _plot("S: area", "area"),
-                    _plot("S: depth", "depth"),
-                    _plot("Stage times [s]", "time"),
-                    _plot("Objects by phase", "objects"),
-                    _plot("Queues", "queue"),
-                ),
-                rrb.TextLogView(
-                    origin=DECISIONS,
-                    name="Decisions",
-                    columns=rrb.TextLogColumns(timeline_columns=[KEYFRAME], text_log_columns=["loglevel", "body"]),
-                ),
-                row_shares=[4, 4, 3],
-            ),
-            column_shares=[5, 3],
+        rrb.Vertical(
+            rrb.Horizontal(layers, superquadrics, images, column_shares=[10, 4, 6]), decisions, row_shares=[4, 1]
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -79,20 +73,21 @@ def _map_view(
     extras = [f"+ {FLOOR}/**"]
     if is_main:
         # The images are left out: they would hang in the room at the camera and hide what is behind them.
-        extras += [f"+ {TRAJECTORY}/**", f"+ {CAMERA}"]
+        extras += [f"+ {TRAJECTORY}/**", f"+ {CAMERA}", f"+ {LABELS}/**", f"+ {FILLED}/**"]
     return rrb.Spatial3DView(
         origin="world",
         name=name,
         contents=[f"+ {layer}/**" for layer in layers] + extras,
-        background=_BACKGROUND,
+        background=BACKGROUND,
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=eye,
+        overrides={FILLED: rrb.EntityBehavior(visible=False)} if is_main else None,
     )
 
 
 def _camera_view(name: str, images: list[str]) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
-        origin=CAMERA, name=name, contents=[f"+ {CAMERA}/{image}" for image in images], background=_BACKGROUND
+        origin=CAMERA, name=name, contents=[f"+ {CAMERA}/{image}" for image in images], background=BACKGROUND
     )
 
 
@@ -102,12 +97,6 @@ def _plot(name: str, group: str) -> rrb.TimeSeriesView:
     )
 
 
-def _eye(low: NDArray[np.float64], high: NDArray[np.float64]) -> rrb.EyeControls3D:
-    middle = (low + high) / 2
-    distance = 0.95 * float(np.linalg.norm(high - low)) + 0.5
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        position=middle + distance * _EYE_DIRECTION,
-        look_target=middle,
-        eye_up=(0.0, 0.0, 1.0),
-    )
+def _log(origin: str, name: str) -> rrb.TextLogView:
+    columns = rrb.TextLogColumns(timeline_columns=[KEYFRAME], text_log_columns=["loglevel", "body"])
+    return rrb.TextLogView(origin=origin, name=name, columns=columns)

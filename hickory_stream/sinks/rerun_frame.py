@@ -12,15 +12,17 @@ import numpy as np
 import rerun as rr
 
 from hickory_stream.geometry.components import Components, main_components
-from hickory_stream.geometry.palette import color_of_id
+from hickory_stream.geometry.label_layout import rises
+from hickory_stream.geometry.palette import color_of_id, readable_on_dark
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
+from hickory_stream.sinks.rerun_labels import label_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from hickory_stream.records import Frame, FrameReport
+    from hickory_stream.records import Frame, FrameReport, Observation
 
 CAMERA = "world/camera"
 TRAJECTORY = "world/trajectory"
@@ -82,13 +84,44 @@ def mask_items(report: FrameReport) -> list[LogItem]:
         labels=["" if i is None else str(i) for i in ids],
         colors=[_GREY if i is None else color_of_id(i) for i in ids],
         radii=-1.0,
-        show_labels=True,
+        show_labels=False,
     )
     masks = rr.SegmentationImage(classes, opacity=0.5)
     return [
         LogItem(path=f"{CAMERA}/masks", archetypes=(masks,), weight=Weight.HEAVY),
         LogItem(path=f"{CAMERA}/boxes", archetypes=(boxes,)),
+        LogItem(path=f"{CAMERA}/labels", archetypes=(_numbers(report),)),
     ]
+
+
+def _numbers(report: FrameReport) -> Any:
+    """Return the numbers of the objects in a keyframe, each once, in its largest mask, set apart from one another."""
+    largest: dict[int, Observation] = {}
+    for observation, object_id in zip(report.observations, report.object_ids, strict=False):
+        if object_id is not None:
+            best = largest.get(object_id)
+            if best is None or observation.mask.sum() > best.mask.sum():
+                largest[object_id] = observation
+    ids = sorted(largest)
+    # The camera's view is a third as high as the one that the sizes are for.
+    sizes = 2.1 * report.camera.height * np.array([label_size(str(i)) for i in ids]).reshape(-1, 2)
+    centers = np.array([_innermost_px(largest[i]) for i in ids], dtype=np.float64).reshape(-1, 2)
+    centers[:, 1] -= rises(centers, sizes)
+    # A label hangs below its point.
+    return rr.Points2D(
+        centers - sizes * (0.0, 0.5),
+        radii=-0.1,
+        labels=[str(i) for i in ids],
+        colors=[readable_on_dark(color_of_id(i)) for i in ids],
+        show_labels=True,
+    )
+
+
+def _innermost_px(observation: Observation) -> tuple[float, float]:
+    """Return the place of a mask that is farthest from its edge."""
+    within = cv2.distanceTransform(np.pad(observation.mask, 1).astype(np.uint8), cv2.DIST_L2, 3)
+    _, _, _, (x, y) = cv2.minMaxLoc(within)
+    return observation.box_px[0] + x - 0.5, observation.box_px[1] + y - 0.5
 
 
 def rejected_items(report: FrameReport) -> list[LogItem]:

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import rerun as rr
 
-from hickory_stream.geometry.palette import color_of_id
+from hickory_stream.geometry.palette import color_of_id, readable_on_dark
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_items import LogItem, Span
 
 if TYPE_CHECKING:
     from hickory_stream.records import Decision, FrameReport, TrackedObject
 
-PLOTS, DECISIONS = "plots", "decisions"
+# Every decision is logged under its kind; one that is about an object also under that object, to be read by itself.
+PLOTS, DECISIONS, OBJECT_DECISIONS = "plots", "decisions", "decisions_of"
 # The groups of curves that there is one of per object, and what they show: S = ln(1 + sigma^2) R_area^a R_depth^b.
 _PER_OBJECT = {"score": "S", "variance": "sigma^2", "area": "R_area", "depth": "R_depth"}
-_LEVELS = {
-    "associate": rr.TextLogLevel.DEBUG,
-    "view": rr.TextLogLevel.DEBUG,
-    "reject": rr.TextLogLevel.WARN,
-    "drop": rr.TextLogLevel.WARN,
-}
+# What happens in every frame of a healthy run.
+_ROUTINE = ("associate", "view", "reject")
+# The viewer shows one line of a text, cut at the edge of its view: what is longer goes on in a row of its own.
+_LINE_LENGTH = 160
 
 
 class Plots:
@@ -50,20 +50,24 @@ class Plots:
 
 
 def decision_items(decisions: tuple[Decision, ...]) -> list[LogItem]:
-    """Return one line of text per decision, coloured as the object that it is about."""
-    return [
-        LogItem(
-            path=f"{DECISIONS}/{decision.kind}",
-            archetypes=(
-                rr.TextLog(
-                    _sentence(decision),
-                    level=_LEVELS.get(decision.kind, rr.TextLogLevel.INFO),
-                    color=None if decision.object_id is None else color_of_id(decision.object_id),
-                ),
-            ),
-        )
-        for decision in decisions
-    ]
+    """Return the decisions as text, coloured as the object that each is about: by kind, and by object."""
+    items = []
+    for decision in decisions:
+        about = decision.object_id
+        paths = [f"{DECISIONS}/{decision.kind}"] + ([] if about is None else [f"{OBJECT_DECISIONS}/{about}"])
+        color = None if about is None else readable_on_dark(color_of_id(about))
+        for line in textwrap.wrap(_sentence(decision), _LINE_LENGTH, subsequent_indent="    "):
+            text = rr.TextLog(line, level=_level(decision), color=color)
+            items += [LogItem(path=path, archetypes=(text,)) for path in paths]
+    return items
+
+
+def _level(decision: Decision) -> Any:
+    """Return how much a decision matters; a track that is dropped is routine, a jump of time or pose is not."""
+    if decision.kind in _ROUTINE:
+        return rr.TextLogLevel.DEBUG
+    is_jump = decision.kind == "drop" and decision.object_id is None
+    return rr.TextLogLevel.WARN if is_jump else rr.TextLogLevel.INFO
 
 
 def _factors(seen: TrackedObject) -> list[tuple[str, float]]:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 LAYERS = ("world/layer1", "world/layer2", "world/layer3", "world/layer4")
 POINTS_LAYER, MESH_LAYER, FITTED_LAYER, INFLATED_LAYER = LAYERS
+# The boxes once more, filled: the arrangement hides them, since they veil what is in them, until one is switched on.
+FILLED = "world/filled"
 _INFLATED_ALPHA = 96
 # What is known from points alone is drawn as lightly.
 _SKETCH_ALPHA = 112
@@ -67,7 +69,7 @@ class ObjectLayers:
             shown = self._shown.get(seen.id)
             items += self._changed_cloud(seen, shown, stamp_ns)
             if shown is None or not _same_box(seen, shown.object):
-                items.append(_box_item(seen))
+                items += _box_items(seen)
             if seen.shape is not None and (shown is None or not _same_shape(seen.shape, shown.object.shape)):
                 items += self._shape_items(seen.id, seen.shape)
             elif seen.sketch is not None and (shown is None or shown.object.sketch is not seen.sketch):
@@ -83,12 +85,10 @@ class ObjectLayers:
             if not _same(shown.object.points_world, shown.points_world)
         ]
 
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Return the lowest and the highest corner of the boxes of all objects that are more than tentative."""
-        corners = [s.object.box.corners_world() for s in self._shown.values() if s.object.phase is not Phase.TENTATIVE]
-        if not corners:
-            return None
-        return np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
+    def corners(self) -> NDArray[np.float64]:
+        """Return the (N, 3) corners of the boxes of all objects that are more than tentative."""
+        known = [s.object for s in self._shown.values() if s.object.phase is not Phase.TENTATIVE]
+        return np.concatenate([np.empty((0, 3)), *(o.box.corners_world() for o in known)])
 
     def _gone(self, present: set[int]) -> list[LogItem]:
         gone = sorted(self._shown.keys() - present)
@@ -97,7 +97,7 @@ class ObjectLayers:
         return [
             LogItem(path=f"{layer}/{i}", archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
             for i in gone
-            for layer in LAYERS
+            for layer in (*LAYERS, FILLED)
         ]
 
     def _changed_cloud(self, seen: TrackedObject, shown: _Shown | None, stamp_ns: int) -> list[LogItem]:
@@ -142,18 +142,27 @@ def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:
     return LogItem(path=f"{FITTED_LAYER}/{object_id}", archetypes=(mesh,), span=Span.LASTING)
 
 
-def _box_item(seen: TrackedObject) -> LogItem:
+def _box_items(seen: TrackedObject) -> list[LogItem]:
+    """Return an object's box as lines, and filled; the label, with its phase, shows when it is pointed at."""
     label = str(seen.id) if seen.phase is Phase.ACTIVE else f"{seen.id} {seen.phase}"
-    box = rr.Boxes3D(
-        centers=[seen.box.center],
-        half_sizes=[seen.box.half_extents_m],
-        quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(seen.box.world_from_box[:3, :3]))],
-        colors=shaded(color_of_id(seen.id), _FADED[seen.phase]),
-        radii=-1.5 if seen.phase is Phase.ACTIVE else -0.7,
-        labels=[label],
-        show_labels=True,
-    )
-    return LogItem(path=f"{POINTS_LAYER}/{seen.id}/box", archetypes=(box,), span=Span.LASTING)
+
+    def box(fill_mode: rr.components.FillMode) -> Any:
+        return rr.Boxes3D(
+            centers=[seen.box.center],
+            half_sizes=[seen.box.half_extents_m],
+            quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(seen.box.world_from_box[:3, :3]))],
+            colors=shaded(color_of_id(seen.id), _FADED[seen.phase]),
+            radii=-1.5 if seen.phase is Phase.ACTIVE else -0.7,
+            fill_mode=fill_mode,
+            labels=[label],
+            show_labels=False,
+        )
+
+    lines, filled = rr.components.FillMode.MajorWireframe, rr.components.FillMode.TransparentFillMajorWireframe
+    return [
+        LogItem(path=f"{POINTS_LAYER}/{seen.id}/box", archetypes=(box(lines),), span=Span.LASTING),
+        LogItem(path=f"{FILLED}/{seen.id}", archetypes=(box(filled),), span=Span.LASTING),
+    ]
 
 
 def _placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:

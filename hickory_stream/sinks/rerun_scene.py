@@ -16,6 +16,7 @@ from hickory_stream.sinks.rerun_frame import (
     rejected_items,
 )
 from hickory_stream.sinks.rerun_items import LogItem, Span
+from hickory_stream.sinks.rerun_labels import ObjectLabels
 from hickory_stream.sinks.rerun_numbers import Plots, decision_items
 from hickory_stream.sinks.rerun_objects import ObjectLayers
 from hickory_stream.sinks.rerun_space import structure_items
@@ -24,6 +25,7 @@ from hickory_stream.sinks.rerun_views import BestViews
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from hickory_stream.records import FrameReport, MapSnapshot
@@ -35,11 +37,11 @@ class RerunScene:
 
     def __init__(self, config: RerunConfig, shapes_folder: Path) -> None:
         self._config = config
+        period_ns = round(config.cloud_period_s * 1e9)
         self._layers = ObjectLayers(
-            shapes_folder=shapes_folder,
-            max_points=config.max_points_per_object,
-            cloud_period_ns=round(config.cloud_period_s * 1e9),
+            shapes_folder=shapes_folder, max_points=config.max_points_per_object, cloud_period_ns=period_ns
         )
+        self._labels = ObjectLabels(period_ns=period_ns)
         self._views = BestViews(config.jpeg_quality)
         self._plots = Plots()
         self._trajectory = Trajectory()
@@ -61,27 +63,31 @@ class RerunScene:
         return items + self._plots.items(report) + decision_items(report.decisions)
 
     def finish(self) -> list[LogItem]:
-        """Return what was held back: the clouds and the structure as they are at the end."""
+        """Return what was held back: clouds, labels and structure as they are at the end, best views without gaps."""
         structure = [] if self._last_snapshot is None else structure_items(self._last_snapshot)
-        return self._trajectory.items() + self._layers.finish() + structure
+        objects = self._layers.finish() + self._labels.finish()
+        return self._trajectory.items() + objects + structure + self._views.finish()
 
-    def bounds(self) -> tuple[NDArray[Any], NDArray[Any]] | None:
-        """Return the corners of the map; None while it has no objects."""
-        return self._layers.bounds()
+    def corners(self) -> NDArray[np.float64]:
+        """Return (N, 3) the corners of the map; none while it has no objects."""
+        return self._layers.corners()
 
-    def blueprint(self, bounds: tuple[NDArray[Any], NDArray[Any]] | None) -> Any:
-        """Return the default arrangement, looking at these corners."""
-        return default_blueprint(bounds)
+    def blueprint(self, corners: NDArray[np.float64]) -> Any:
+        """Return the default arrangement, with these (N, 3) points in view."""
+        return default_blueprint(corners, num_views=self._views.num_tiles)
 
     def _keyframe_items(self, report: FrameReport) -> list[LogItem]:
         items = self._trajectory.items()
         if report.frame is not None:
             items += depth_items(report.frame)
-        items += self._class_colors.items(report.object_ids) + mask_items(report) + self._views.items(report)
-        items += rejected_items(report) + self._feature_colors.items(report)
+        items += self._views.items(report) + self._feature_colors.items(report)
+        if report.frame is not None or report.segmentation is not None:
+            # The report after the last frame has none: what was seen last stays.
+            items += self._class_colors.items(report.object_ids) + mask_items(report) + rejected_items(report)
         if report.snapshot is not None:
             self._last_snapshot = report.snapshot
             items += self._layers.update(report.snapshot.objects, report.stamp_ns)
+            items += self._labels.update(report.snapshot.objects, report.stamp_ns)
             assert report.keyframe_index is not None
             if report.keyframe_index % self._config.structure_every == 0:
                 items += structure_items(report.snapshot)

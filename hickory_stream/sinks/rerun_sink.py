@@ -6,6 +6,7 @@ modules that need Rerun are imported when a sink is made, so that the command li
 
 from __future__ import annotations
 
+import itertools
 import uuid
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -109,8 +110,8 @@ class RerunSink:
         if self._last is not None:
             self._log(self._last, self._scene.finish())
         if self._file is not None:
-            if (bounds := self._scene.bounds()) is not None:
-                self._file.send_blueprint(self._scene.blueprint(bounds))
+            if len(corners := self._scene.corners()):
+                self._file.send_blueprint(self._scene.blueprint(corners))
             self._file.close()
         if self._feed is not None:
             self._feed.close(_CLOSE_TIMEOUT_S)
@@ -120,8 +121,8 @@ class RerunSink:
 
     def _begin(self, report: FrameReport) -> None:
         """Arrange the views for the part of the world that the first keyframe shows."""
-        bounds = None if report.frame is None else _visible_bounds(report.frame)
-        blueprint = self._scene.blueprint(bounds)
+        corners = np.empty((0, 3)) if report.frame is None else _visible_corners(report.frame)
+        blueprint = self._scene.blueprint(corners)
         if self._file is not None:
             self._file.send_blueprint(blueprint)
         if self._viewer is not None:
@@ -141,11 +142,11 @@ class RerunSink:
             self._feed.put(moment, items)
 
 
-def _visible_bounds(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the corners of what a frame sees, without the outermost tenths; None when it sees nothing."""
+def _visible_corners(frame: Frame) -> NDArray[np.float64]:
+    """Return the (8, 3) corners of what a frame sees, without the outermost tenths; (0, 3) when it sees nothing."""
     points = backproject(frame.depth_m, frame.camera)[::8, ::8].reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) == 0:
-        return None
-    low, high = np.percentile(apply(frame.world_from_camera, points), [10, 90], axis=0)
-    return low, high
+        return np.empty((0, 3))
+    ends = np.percentile(apply(frame.world_from_camera, points), [10, 90], axis=0)
+    return np.array(list(itertools.product(*ends.T)))

@@ -155,6 +155,12 @@ def test_the_candidates_are_named_best_first_with_their_exact_iou() -> None:
     assert [iou for _, iou in match.candidates] == pytest.approx([3 / 5, 1 / 3], abs=1e-5)
 
 
+def test_every_candidate_is_named_however_many_there_are() -> None:
+    tracks = [track(i, box_surface((0.01 * i, 0, 0.1))) for i in range(1, 9)]
+    (match,) = matched([observation(0, box_surface((0, 0, 0.1)))], *tracks)
+    assert [i for i, _ in match.candidates] == list(range(1, 9))
+
+
 @given(st.sampled_from([0.0, 0.4, 0.78]), st.floats(0, 0.5))
 def test_a_thing_seen_again_a_little_off_is_the_same_track(yaw_rad: float, off: float) -> None:
     known = track(9, box_surface((0, 0, 0.1), yaw_rad=yaw_rad))

@@ -1,5 +1,6 @@
 """What the Rerun sink writes to a file, read back with Rerun's own reader."""
 
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -16,6 +17,7 @@ from hickory_stream.errors import ConfigError, ViewerError
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.moved import moved_object
+from hickory_stream.records import Decision
 from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink, ViewerChoice, ViewerKind
 
 NO_VIEWER = ViewerChoice(kind=ViewerKind.NONE)
@@ -116,8 +118,8 @@ def test_a_large_cloud_is_thinned_to_its_limit(tmp_path):
 
 
 def test_an_object_that_is_gone_is_cleared_in_all_layers(rows):
-    for layer in (1, 2, 3, 4):
-        cleared = [row for row in rows[f"/world/layer{layer}/2"] if row.get("Clear:is_recursive")]
+    for path in (*(f"layer{layer}" for layer in (1, 2, 3, 4)), "filled", "labels"):
+        cleared = [row for row in rows[f"/world/{path}/2"] if row.get("Clear:is_recursive")]
         assert [row["frame"] for row in cleared] == [MERGE_AT]
     assert not any(row.get("Clear:is_recursive") for row in rows["/world/layer2/1"])
 
@@ -151,10 +153,89 @@ def test_every_object_has_a_thumbnail_from_the_frame_of_its_best_view(tmp_path, 
         assert rows[f"/views/{seen.id}/image"][-1]["frame"] == seen.best_view.frame_index
 
 
+def test_a_replay_has_the_same_best_views_from_the_compressed_colour_alone(tmp_path, rows):
+    again = rows_of(play(tmp_path, change=lambda report: replace(report, frame=None)))
+    for path in (path for path in rows if path.startswith("/views/") and path.endswith("/image")):
+        assert [row["frame"] for row in again[path]] == [row["frame"] for row in rows[path]]
+
+
+def test_at_the_end_the_thumbnails_stand_in_the_order_of_their_ids_without_gaps(rows):
+    places = {}
+    for path, found in rows.items():
+        if re.fullmatch(r"/views/\d+", path) and not found[-1].get("Clear:is_recursive"):
+            x, y, _ = found[-1]["Transform3D:translation"][0]
+            places[int(path.rpartition("/")[2])] = (y, x)
+    assert sorted(places) == [1, 3, 4, 5, 6, 7]
+    assert sorted(places, key=places.__getitem__) == sorted(places)
+    steps = np.diff([x for _, x in sorted(places.values())])
+    assert (steps == steps[0]).all()
+
+
 def test_every_decision_is_a_line_of_text_under_its_kind(tmp_path, rows):
     expected = Counter(d.kind for r in reports(NUM_FRAMES, tmp_path, width=160) for d in r.decisions)
     assert {kind: len(rows[f"/decisions/{kind}"]) for kind in expected} == expected
     assert rows["/decisions/reject"][0]["TextLog:text"][0].startswith("reject: mask (3, 5, 9, 12)")
+
+
+def test_the_decisions_about_an_object_are_an_entity_of_their_own_beside_the_common_one(tmp_path, rows):
+    expected = Counter(d.object_id for r in reports(NUM_FRAMES, tmp_path, width=160) for d in r.decisions)
+    del expected[None]
+    assert {i: len(rows[f"/decisions_of/{i}"]) for i in expected} == expected
+    assert all(row["TextLog:text"][0].startswith("associate 4: ") for row in rows["/decisions_of/4"])
+
+
+def test_what_is_routine_is_no_warning_and_a_jump_is_one(tmp_path):
+    told = (
+        Decision(kind="drop", object_id=4, text="never confirmed, after 2 sightings"),
+        Decision(kind="drop", object_id=None, text="the odometry jumped by 3.20 m: submap 1 begins"),
+        Decision(kind="reject", object_id=None, text="mask (3, 5, 9, 12): 21 pixels, 60 needed"),
+    )
+    rows = rows_of(play(tmp_path, num_frames=1, change=lambda report: replace(report, decisions=told)))
+    levels = {
+        row["TextLog:text"][0]: row["TextLog:level"][0] for k in ("drop", "reject") for row in rows[f"/decisions/{k}"]
+    }
+    assert [levels[text] for text in sorted(levels)] == ["INFO", "WARN", "DEBUG"]
+
+
+def test_a_list_of_candidates_is_told_to_its_end_in_rows_that_fit_the_view(tmp_path):
+    candidates = ", ".join(f"#{i} 0.{i:02d}" for i in range(99, 10, -1))
+    told = (Decision(kind="create", object_id=7, text=f"mask (1, 2, 3, 4): new; candidates by IoU: {candidates}"),)
+    rows = rows_of(play(tmp_path, num_frames=1, change=lambda report: replace(report, decisions=told)))
+    for path in ("/decisions/create", "/decisions_of/7"):
+        lines = [row["TextLog:text"][0] for row in rows[path]]
+        assert max(map(len, lines)) <= 160
+        assert " ".join(line.strip() for line in lines).endswith(candidates)
+
+
+def test_the_report_after_the_last_frame_leaves_the_last_masks_in_view(tmp_path):
+    """Only the map of it is new: no image, no masks."""
+
+    def change(report):
+        if report.index < KEYFRAME_EVERY:
+            return report
+        return replace(report, frame=None, color_bytes=None, observations=(), object_ids=())
+
+    rows = rows_of(play(tmp_path, num_frames=KEYFRAME_EVERY + 1, change=change))
+    for name in ("masks", "boxes", "labels", "rejected/masks"):
+        assert [row["keyframe"] for row in rows[f"/world/camera/{name}"]] == [0]
+    assert len(rows["/world/camera"]) == KEYFRAME_EVERY + 1
+
+
+def test_boxes_are_lines_and_their_fillings_entities_apart(rows):
+    for object_id in (1, 4, 7):
+        lines, filled = rows[f"/world/layer1/{object_id}/box"], rows[f"/world/filled/{object_id}"]
+        assert {row["Boxes3D:fill_mode"][0] for row in lines} == {rr.components.FillMode.MajorWireframe.value}
+        assert {row["Boxes3D:fill_mode"][0] for row in filled} == {
+            rr.components.FillMode.TransparentFillMajorWireframe.value
+        }
+        assert [row["Boxes3D:half_sizes"] for row in lines] == [row["Boxes3D:half_sizes"] for row in filled]
+
+
+def test_a_mask_is_numbered_once_for_each_object_within_its_largest_part(tmp_path, rows):
+    first = next(iter(reports(1, tmp_path, width=160)))
+    row = rows["/world/camera/labels"][0]
+    assert row["Points2D:labels"] == [str(i) for i in sorted(set(first.object_ids))]
+    assert len(row["Points2D:positions"]) == len(row["Points2D:labels"])
 
 
 def test_every_metric_and_the_objects_per_phase_are_plotted(tmp_path, rows):

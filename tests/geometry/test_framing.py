@@ -1,0 +1,51 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.geometry.framing import looking, nearest_eye
+from hickory_stream.geometry.label_layout import rises
+
+coordinate = st.floats(-5, 5)
+
+
+@given(
+    points=st.lists(st.tuples(coordinate, coordinate, coordinate), min_size=1, max_size=20),
+    azimuth=st.floats(-3.2, 3.2),
+    elevation=st.floats(0.1, 1.4),
+)
+def test_the_nearest_eye_has_every_point_in_its_frame_and_one_on_its_rim(
+    points: list[tuple[float, float, float]], azimuth: float, elevation: float
+) -> None:
+    rotation = looking(azimuth, elevation)
+    assert np.allclose(rotation.T @ rotation, np.eye(3))
+    assert np.linalg.det(rotation) > 0
+    local = (np.array(points) - nearest_eye(np.array(points), rotation, (0.6, 0.4))) @ rotation
+    shares = np.abs(local[:, :2] / local[:, 2:]) / (0.6, 0.4)
+    assert (local[:, 2] >= 0.5 - 1e-9).all()
+    assert (shares <= 1 + 1e-6).all()
+    assert shares.max() > 1 - 1e-6 or np.isclose(local[:, 2].min(), 0.5)
+
+
+label = st.tuples(st.floats(0, 1), st.floats(0, 1), st.floats(0.01, 0.2), st.floats(0.01, 0.1))
+
+
+@given(st.lists(label, max_size=25))
+def test_labels_that_are_set_apart_overlap_no_other_and_never_move_down(
+    labels: list[tuple[float, float, float, float]],
+) -> None:
+    numbers = np.array(labels).reshape(-1, 4)
+    centers, sizes = numbers[:, :2], numbers[:, 2:]
+    up = rises(centers, sizes)
+    assert (up >= 0).all()
+    low, high = centers - sizes / 2, centers + sizes / 2
+    low[:, 1] -= up
+    high[:, 1] -= up
+    for i in range(len(labels)):
+        for j in range(i):
+            within = np.minimum(high[i], high[j]) - np.maximum(low[i], low[j])
+            assert within.min() < 1e-9
+
+
+def test_a_label_that_is_in_nobody_s_way_stays_and_one_behind_another_moves_just_past_it() -> None:
+    centers = np.array([[0.5, 0.50], [0.52, 0.49], [0.9, 0.5]])
+    assert np.allclose(rises(centers, np.full((3, 2), 0.1)), [0.0, 0.09, 0.0])
