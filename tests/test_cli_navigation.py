@@ -14,6 +14,8 @@ from hickory_stream.engine.session import create_map_folder
 from hickory_stream.evaluation.truth import Truth, TruthObject, truth_record
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
+from hickory_stream.navigation.free_space import obstacle_grid
+from hickory_stream.navigation.robot import Part, Posture, Robot
 from tests.engine.snapshot_fixtures import box_mesh, placed
 from tests.navigation.rooms import boxes, snapshot, table, tracked
 
@@ -51,7 +53,7 @@ def told(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
 
 
 def test_plan_prints_the_path_and_draws_it(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["plan", str(folder), "--start", "0.7,0.6", "--goal", "5.3,3.4"]
+    command = ["plan", str(folder), "--start", "0.7,0.6", "--goal", "5.3,3.4", "--robot", "point"]
     assert main([*command, "--json", "-o", str(tmp_path / "plan.png")]) == 0
     found = told(capsys)
     assert found["found"] is True
@@ -63,13 +65,13 @@ def test_plan_prints_the_path_and_draws_it(folder: Path, tmp_path: Path, capsys:
         assert (np.abs(picture - color).max(axis=-1) <= 6).sum() > 50
     assert main([*command, "-o", str(tmp_path / "plan.rrd"), "--robot", "jackal", "--cell", "0.05"]) == 0
     assert (tmp_path / "plan.rrd").stat().st_size > 10_000
-    assert "verified along the whole length" in capsys.readouterr().out
+    assert "verified along the whole length for jackal" in capsys.readouterr().out
 
 
 def test_plan_without_a_path_exits_with_3_and_a_bad_request_with_2(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["plan", str(folder), "--start", "0.7,0.6", "--goal", "4.5,1.0", "--json"]) == 3
+    assert main(["plan", str(folder), "--start", "0.7,0.6", "--goal", "4.5,1.0", "--robot", "point", "--json"]) == 3
     assert told(capsys)["reason"] == "goal-in-collision"
     for arguments, complaint in (
         (["--start", "0.7,0.6", "--goal", "99,1"], "outside of the map"),
@@ -79,13 +81,13 @@ def test_plan_without_a_path_exits_with_3_and_a_bad_request_with_2(
         (["--start", "1,1", "--goal", "2,1", "--cell", "0.0001"], "MiB, allowed are"),
         (["--start", "1,1", "--goal", "2,1", "-o", str(tmp_path / "plan.jpg")], "ends in .png or .rrd"),
     ):
-        assert main(["plan", str(folder), *arguments]) == 2
+        assert main(["plan", str(folder), "--robot", "point", *arguments]) == 2
         assert complaint in capsys.readouterr().err
 
 
 def test_objects_without_layer_4_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bare = saved(tmp_path / "bare.map", tracked(7, table(), with_shape=False))
-    assert main(["plan", str(bare), "--start", "0.7,0.6", "--goal", "5.3,3.4"]) == 0
+    assert main(["plan", str(bare), "--start", "0.7,0.6", "--goal", "5.3,3.4", "--robot", "point"]) == 0
     assert "1 objects have no layer 4 of their own, their box is avoided: 7" in capsys.readouterr().out
 
 
@@ -94,9 +96,44 @@ def test_export_writes_what_the_formats_need(
     folder: Path, tmp_path: Path, form: str, made: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / ("room.yaml" if form == "nav2" else "x")
-    assert main(["export", str(folder), "--format", form, "-o", str(out), "--json"]) == 0
+    assert main(["export", str(folder), "--format", form, "--robot", "point", "-o", str(out), "--json"]) == 0
     assert told(capsys)["objects"] == 2
     assert (tmp_path / made).stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (("plan", "--start", "0.7,0.6", "--goal", "5.3,3.4"), "--robot"),
+        (("export", "--format", "nav2"), "--robot"),
+        (("play", "--viewer", "none", "--costmap", "costmap.mcap"), "--costmap-robot"),
+    ],
+)
+def test_no_robot_is_taken_that_nobody_named(
+    folder: Path,
+    demo_log: Path,
+    tmp_path: Path,
+    command: tuple[str, ...],
+    option: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name, *arguments = command
+    assert main([name, str(demo_log if name == "play" else folder), *arguments]) == 2
+    expected = "the robot that is to drive: b2, jackal, point, or a file FILE.toml"
+    assert f"found no {option}, expected {expected}" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_tall_robot_would_hit_is_in_the_grid_of_a_robot_whose_first_posture_is_low() -> None:
+    top = snapshot(tracked(1, boxes(((3.0, 2.0, 0.72), (0.6, 0.4, 0.03)))))
+    low, high = (Posture(name=n, parts=(Part(low_m=0.05, high_m=z),)) for n, z in (("low", 0.3), ("high", 0.8)))
+    cells = [
+        (obstacle_grid(top, Robot(name="tall", postures=postures), cell_m=0.05).is_occupied()).sum()
+        for postures in ((low,), (low, high), (high,))
+    ]
+    assert cells[0] < cells[1] == cells[2]
 
 
 def test_evaluate_navigation_prints_the_table(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.values import open_map_at
+from hickory_stream.cli.values import open_map_at, robot_of_option
 from hickory_stream.errors import InputError
 from hickory_stream.json_text import dumps, dumps_exactly
 
@@ -37,7 +37,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         "-o", "--out", type=Path, metavar="FILE", help="default: MAP with the ending of the format, yaml for nav2"
     )
     export.add_argument(
-        "--robot", default="point", metavar="NAME|FILE", help="nav2: whose height counts; its footprint does not"
+        "--robot", metavar="NAME|FILE", help="nav2: whose heights count; its footprint does not. nav2 needs it"
     )
     export.add_argument(
         "--cell", type=float, default=0.05, metavar="M", help="nav2: the side of a cell, default 0.05 m"
@@ -109,9 +109,8 @@ def _glb(saved: SavedMap) -> bytes:
 def _nav2(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path, bytes]:
     from hickory_stream.navigation.free_space import obstacle_grid
     from hickory_stream.navigation.nav2 import pgm_of, yaml_of
-    from hickory_stream.navigation.robot import load_robot
 
-    grid = obstacle_grid(saved.snapshot, load_robot(options.robot).postures[0], cell_m=options.cell)
+    grid = obstacle_grid(saved.snapshot, robot_of_option(options.robot, "--robot"), cell_m=options.cell)
     picture = out.with_suffix(".pgm")
     if picture == out:
         raise InputError(f"found --out {out}, expected the name of the YAML file; the picture lies beside it")

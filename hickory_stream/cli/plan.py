@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_PATH
-from hickory_stream.cli.values import open_map_at, parse_place
+from hickory_stream.cli.values import open_map_at, parse_place, robot_of_option
 from hickory_stream.errors import InputError
 from hickory_stream.json_text import dumps
 
@@ -41,9 +41,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what says which robot plans, and on what grid."""
-    parser.add_argument(
-        "--robot", default="point", metavar="NAME|FILE", help="point (default), jackal, b2, or a TOML file"
-    )
+    parser.add_argument("--robot", metavar="NAME|FILE", help="which one drives: jackal, b2, point, or a TOML file")
     parser.add_argument("--cell", type=float, default=0.033, metavar="M", help="the side of a cell, default 0.033 m")
     parser.add_argument(
         "--unknown",
@@ -58,13 +56,12 @@ def run(options: argparse.Namespace) -> int:
     import numpy as np
 
     from hickory_stream.navigation.free_space import free_space_of, without_layer_four
-    from hickory_stream.navigation.robot import load_robot
     from hickory_stream.navigation.search import NoPath, SearchConfig, plan
 
     if options.out is not None and options.out.suffix not in (".png", ".rrd"):
         raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
     start, goal = (np.array(parse_place(text, option)) for text, option in _ends(options))
-    robot = load_robot(options.robot)
+    robot = robot_of_option(options.robot, "--robot")
     saved = open_map_at(options.map, options.at)
     space = free_space_of(saved.snapshot, robot, cell_m=options.cell, unknown=options.unknown)
     if options.seed < 0:
@@ -107,7 +104,8 @@ def _as_text(space: FreeSpace, answer: Way | NoPath, boxes: list[int]) -> str:
         notes.append(f"note: {len(boxes)} objects have no layer 4 of their own, their box is avoided: {listed}")
     if isinstance(answer, NoPath):
         return "\n".join([f"no path ({answer.reason.value}): {answer.text}", *notes])
-    lines = [f"{answer.length_m:.2f} m in {len(answer.points) - 1} legs, verified along the whole length"]
+    legs = f"{answer.length_m:.2f} m in {len(answer.points) - 1} legs"
+    lines = [f"{legs}, verified along the whole length for {space.robot.name}"]
     for i, (x, y) in enumerate(answer.points):
         posture = space.robot.postures[int(answer.postures[min(i, len(answer.postures) - 1)])].name
         leg = f"  on, {posture}" if i < len(answer.points) - 1 else "  there"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.keys import HELP, Keys
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.status import STOPPED
-from hickory_stream.cli.values import parse_rate, positive, read_settings
+from hickory_stream.cli.values import parse_rate, positive, read_settings, robot_of_option
 from hickory_stream.errors import InputError
 from hickory_stream.json_text import dumps
 
@@ -59,7 +59,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
         "--costmap", type=Path, metavar="FILE", help="write the growing grid as ROS 2 messages (MCAP) for Nav2"
     )
     play.add_argument(
-        "--costmap-robot", default="point", metavar="NAME|FILE", help="at whose height obstacles count there"
+        "--costmap-robot", metavar="NAME|FILE", help="at whose heights obstacles count there; --costmap needs it"
     )
     play.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
     add_source_options(play)
@@ -130,10 +130,9 @@ def _costmap(options: argparse.Namespace) -> Sink | None:
     """Return the sink of `--costmap`, None without it; raises `InputError`."""
     if options.costmap is None:
         return None
-    from hickory_stream.navigation.robot import load_robot
     from hickory_stream.sinks.costmap_sink import CostmapSink
 
-    return CostmapSink(load_robot(options.costmap_robot).postures[0], path=options.costmap)
+    return CostmapSink(robot_of_option(options.costmap_robot, "--costmap-robot"), path=options.costmap)
 
 
 def make_style(options: argparse.Namespace) -> Style:

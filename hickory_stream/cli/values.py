@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.engine.session import SavedMap
+    from hickory_stream.navigation.robot import Robot
     from hickory_stream.settings import Settings
 
 
@@ -51,6 +52,20 @@ def open_map_at(path: Path, at: str | None) -> SavedMap:
 
     saved = open_map(path)
     return saved if at is None else replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
+
+
+def robot_of_option(name: str | None, option: str) -> Robot:
+    """Return the robot that an option names; there is no default, which would be too low or too slim for another one.
+
+    Raises:
+        ConfigError: it names none, one that nobody knows, or a file that is no robot's.
+    """
+    from hickory_stream.navigation.robot import load_robot, robot_names
+
+    if name is None:
+        known = ", ".join(robot_names())
+        raise ConfigError(f"found no {option}, expected the robot that is to drive: {known}, or a file FILE.toml")
+    return load_robot(name)
 
 
 def parse_rate(text: str) -> float | None:

@@ -51,7 +51,7 @@ class RequestConfig(Ranged):
     min_gain: float = number(1.2, 0, 1e6, "ratio")
     final_gain: float = number(0.8, 0, 1e6, "ratio")
     interval_s: float = number(8.0, 0, 1e9, "s")
-    max_failures: int = number(2, 1, 1000, "failures")
+    max_failures: int = number(2, 0, 1000, "failures")
     job_s: float = number(2.2, 0.001, 86400, "s")
     view_s: float = number(0.18, 0, 86400, "s")
     kilopoint_s: float = number(0.03, 0, 86400, "s")

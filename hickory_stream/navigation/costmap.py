@@ -22,7 +22,7 @@ from hickory_stream.navigation.robot import Part
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.navigation.robot import Posture
+    from hickory_stream.navigation.robot import Robot
     from hickory_stream.records import MapSnapshot
 
 _ROOM_M = 2.0
@@ -45,10 +45,10 @@ class CostmapUpdate:
 
 
 class Costmap:
-    """Follows the snapshots of a run; obstacles at the heights of a posture, without its footprint."""
+    """Follows the snapshots of a run; obstacles at the heights of a robot, in any posture, without its footprint."""
 
-    def __init__(self, posture: Posture, *, cell_m: float, observe_every: int = 5) -> None:
-        self._posture = posture
+    def __init__(self, robot: Robot, *, cell_m: float, observe_every: int = 5) -> None:
+        self._heights_m = robot.heights_m
         self._cell_m = cell_m
         self._observe_every = observe_every
         self._grid: Occupancy | None = None
@@ -89,8 +89,8 @@ class Costmap:
         if self._grid is not None:
             low, high = np.minimum(low, self._grid.frame.origin_m), np.maximum(high, self._grid.frame.high_m)
         frame = frame_around(np.floor(low / _ROOM_M) * _ROOM_M, np.ceil(high / _ROOM_M) * _ROOM_M, self._cell_m)
-        bottom = min(part.low_m - part.ball_m for part in self._posture.parts)
-        part = Part(low_m=floor_m + bottom, high_m=floor_m + self._posture.height_m)
+        bottom, top = self._heights_m
+        part = Part(low_m=floor_m + bottom, high_m=floor_m + top)
         self._grid = Occupancy(frame, [part])
         self._band = Band(low_m=part.low_m, high_m=part.high_m)
         self._floor_m, self._known, self._sent = floor_m, {}, None

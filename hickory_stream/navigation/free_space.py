@@ -20,7 +20,7 @@ from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import MOST_BYTES, Cell, GridFrame, Occupancy, distance_field_m, frame_around
-from hickory_stream.navigation.robot import Part, Posture, Robot, raised, turned
+from hickory_stream.navigation.robot import Part, Robot, raised, turned
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -211,8 +211,10 @@ def free_space_of(
     return space
 
 
-def obstacle_grid(snapshot: MapSnapshot, posture: Posture, *, cell_m: float, most_bytes: int = MOST_BYTES) -> Occupancy:
-    """Return the cells that hold an obstacle at the heights of a posture, without its footprint: for other planners.
+def obstacle_grid(snapshot: MapSnapshot, robot: Robot, *, cell_m: float, most_bytes: int = MOST_BYTES) -> Occupancy:
+    """Return the cells that hold an obstacle at the heights of a robot, without its footprint: for other planners.
+
+    They know nothing of postures: what is in the way in one of them counts.
 
     Raises:
         InputError: the map is empty, or the grid would take too much memory.
@@ -220,7 +222,8 @@ def obstacle_grid(snapshot: MapSnapshot, posture: Posture, *, cell_m: float, mos
     low, high = extent_of(snapshot)
     frame = frame_around(low, high, cell_m, most_bytes=most_bytes)
     floor = floor_of(snapshot)
-    part = Part(low_m=floor + min(part.low_m - part.ball_m for part in posture.parts), high_m=floor + posture.height_m)
+    low_m, high_m = robot.heights_m
+    part = Part(low_m=floor + low_m, high_m=floor + high_m)
     grid = Occupancy(frame, [part])
     for tracked in obstacles_of(snapshot):
         grid.put(tracked.id, layer_four_of(tracked))

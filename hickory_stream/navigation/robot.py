@@ -98,6 +98,12 @@ class Robot(Ranged):
         """How far it reaches from its middle, in the plane."""
         return max(part.reach_m for posture in self.postures for part in posture.parts)
 
+    @property
+    def heights_m(self) -> tuple[float, float]:
+        """From where to where it reaches above the floor, in whichever posture."""
+        parts = [part for posture in self.postures for part in posture.parts]
+        return min(part.low_m - part.ball_m for part in parts), max(part.high_m + part.ball_m for part in parts)
+
     def heading_rad(self, index: int) -> float:
         """Return the middle of a heading's range."""
         return 2 * np.pi * index / self.num_headings

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from hickory_stream.navigation.robot import Posture
+    from hickory_stream.navigation.robot import Robot
     from hickory_stream.records import FrameReport
 
 MAP_TOPIC, UPDATES_TOPIC, FRAME_ID = "/map", "/map_updates", "map"
@@ -35,13 +35,13 @@ class CostmapSink:
 
     def __init__(
         self,
-        posture: Posture,
+        robot: Robot,
         *,
         cell_m: float = 0.05,
         path: Path | None = None,
         publish: Callable[[CostmapUpdate], None] | None = None,
     ) -> None:
-        self._costmap = Costmap(posture, cell_m=cell_m)
+        self._costmap = Costmap(robot, cell_m=cell_m)
         self._publish = publish
         self._file = None if path is None else _Messages(path)
 

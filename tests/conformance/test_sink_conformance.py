@@ -38,7 +38,7 @@ def _rerun_file(folder: MapFolder) -> Sink:
 
 
 def _costmap(folder: MapFolder) -> Sink:
-    return CostmapSink(load_robot("point").postures[0], path=folder.path.parent / "costmap.mcap")
+    return CostmapSink(load_robot("point"), path=folder.path.parent / "costmap.mcap")
 
 
 def _rerun_of_nothing(folder: MapFolder) -> Sink:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 pytestmark = pytest.mark.timeout(120)
-POSTURE = load_robot("point").postures[0]
+ROBOT = load_robot("point")
 
 
 def snapshots() -> list[MapSnapshot]:
@@ -62,11 +62,11 @@ def applied(updates: list[CostmapUpdate]) -> np.ndarray:
 
 
 def test_the_updates_add_up_to_the_grid_of_the_last_snapshot() -> None:
-    costmap = Costmap(POSTURE, cell_m=0.05, observe_every=1)
+    costmap = Costmap(ROBOT, cell_m=0.05, observe_every=1)
     updates = [update for item in snapshots() if (update := costmap.update(item)) is not None]
     assert [update.is_whole for update in updates] == [True, False, False, False, False]
     assert all(update.states.size < updates[0].states.size / 3 for update in updates[1:])
-    final = obstacle_grid(snapshots()[-1], POSTURE, cell_m=0.05)
+    final = obstacle_grid(snapshots()[-1], ROBOT, cell_m=0.05)
     states, whole = applied(updates), updates[0].frame
     row, column = np.round((final.frame.origin_m - whole.origin_m) / 0.05).astype(int)[::-1]
     rows, columns = final.frame.shape
@@ -75,7 +75,7 @@ def test_the_updates_add_up_to_the_grid_of_the_last_snapshot() -> None:
 
 
 def test_a_map_that_grows_beyond_the_grid_is_sent_whole_again() -> None:
-    costmap = Costmap(POSTURE, cell_m=0.05)
+    costmap = Costmap(ROBOT, cell_m=0.05)
     empty = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
     assert costmap.update(empty) is None
     first = costmap.update(snapshot())
@@ -88,7 +88,7 @@ def test_a_map_that_grows_beyond_the_grid_is_sent_whole_again() -> None:
 
 def test_the_file_holds_the_messages_of_nav2_and_the_callable_is_handed_the_same(tmp_path: Path) -> None:
     heard: list[CostmapUpdate] = []
-    sink = CostmapSink(POSTURE, path=tmp_path / "costmap.mcap", publish=heard.append)
+    sink = CostmapSink(ROBOT, path=tmp_path / "costmap.mcap", publish=heard.append)
     sink.show(report(None, 0))
     for i, item in enumerate(snapshots()):
         sink.show(report(item, i))
@@ -113,4 +113,4 @@ def test_the_file_holds_the_messages_of_nav2_and_the_callable_is_handed_the_same
 
 def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot write the costmap"):
-        CostmapSink(POSTURE, path=tmp_path / "no" / "such.mcap")
+        CostmapSink(ROBOT, path=tmp_path / "no" / "such.mcap")
