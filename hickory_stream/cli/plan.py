@@ -121,7 +121,7 @@ def _draw(path: Path, snapshot: Any, space: FreeSpace, answer: Way | NoPath, sta
 
     try:
         if path.suffix == ".rrd":
-            write_plan(path, snapshot, space, answer)
+            write_plan(path, snapshot, space, answer, start=start, goal=goal)
         else:
             picture = render_plan(snapshot, space, answer, start, goal)
             path.write_bytes(cv2.imencode(".png", picture[..., ::-1])[1].tobytes())

@@ -1,4 +1,8 @@
-"""Two maps and their alignment as a Rerun recording: layer 3 of both in one frame, and a line for each pair."""
+"""Two maps and their alignment as a Rerun recording: laid over one another, and one lifted off with a line per pair.
+
+Map a is blue, map b orange, what has no partner is pale. Where the maps lie over one another both are translucent: what
+they share are surfaces in nearly one place, which otherwise fight for the pixels.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,8 @@ import numpy as np
 
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.geometry.palette import color_of_id
-from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import moved
-from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.sinks.rerun_items import new_stream
 
 if TYPE_CHECKING:
@@ -22,57 +25,123 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
 
 _BLUE, _ORANGE = (58, 118, 190), (238, 138, 48)
+_PALE = 0.55
 _GAP = 1.2
+_ALPHA = 140
 
 
 def write_alignment(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> None:
-    """Write an .rrd: map b lies where the alignment puts it, or beside map a where there is none.
+    """Write an .rrd: map b lies where the alignment puts it and above that, or beside map a where there is none.
 
     Raises:
         OSError: the file cannot be written.
     """
     import rerun as rr
 
+    from hickory_stream.sinks.rerun_blueprint import side_by_side
+
     path.open("wb").close()
     stream = new_stream(f"alignment-{path.stem}")
     stream.save(path)
-    a_from_b = answer.a_from_b if isinstance(answer, Alignment) else _beside(map_a, map_b)
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    for name, objects, pose, color in (("a", map_a, np.eye(4), _BLUE), ("b", map_b, a_from_b, _ORANGE)):
-        for object_id, item in zip(objects.ids, _items(objects, pose, color), strict=True):
-            stream.log(f"world/{name}/{object_id}", item, static=True)
     if isinstance(answer, Alignment):
-        place_a = dict(zip(map_a.ids.tolist(), map_a.centroids, strict=True))
-        place_b = dict(zip(map_b.ids.tolist(), apply(a_from_b, map_b.centroids), strict=True))
-        ends = [[place_a[pair.id_a], place_b[pair.id_b]] for pair in answer.pairs]
-        colors = [color_of_id(pair.id_a) for pair in answer.pairs]
-        labels = [f"{pair.id_a} = {pair.id_b}" for pair in answer.pairs]
-        stream.log("world/pairs", rr.LineStrips3D(ends, colors=colors, labels=labels, radii=0.01), static=True)
+        views = _log_joined(stream, map_a, map_b, answer)
+    else:
+        b_from = _beside(map_a, map_b)
+        _log_map(stream, "world/a", map_a, np.eye(4), _BLUE, set(map_a.ids.tolist()), 255)
+        _log_map(stream, "world/b", map_b, b_from, _ORANGE, set(map_b.ids.tolist()), 255)
+        corners = np.concatenate([_corners(map_a, np.eye(4)), _corners(map_b, b_from)])
+        views = {"Not aligned: map a (blue), map b (orange)": (["/**"], corners)}
+    stream.send_blueprint(side_by_side(views), make_active=True, make_default=True)
     stream.disconnect()
 
 
-def _items(objects: ObjectMap, pose: NDArray[np.float64], color: tuple[int, int, int]) -> list[Any]:
+def _log_joined(
+    stream: Any, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment
+) -> dict[str, tuple[list[str], NDArray[np.float64]]]:
+    """Log both maps twice, with the lines between them; return what the two views show."""
+    in_a, in_b = {pair.id_a for pair in answer.pairs}, {pair.id_b for pair in answer.pairs}
+    corners_a, corners_b = _corners(map_a, np.eye(4)), _corners(map_b, answer.a_from_b)
+    both = np.concatenate([corners_a, corners_b])
+    # As high as shows both.
+    lift_m = 0.4 * float(np.ptp(both[:, :2], axis=0).max()) + float(np.ptp(both[:, 2]))
+    lifted = from_rotation_translation(np.eye(3), np.array([0.0, 0.0, lift_m])) @ answer.a_from_b
+    _log_map(stream, "world/joined/a", map_a, np.eye(4), _BLUE, in_a, _ALPHA)
+    _log_map(stream, "world/joined/b", map_b, answer.a_from_b, _ORANGE, in_b, _ALPHA)
+    _log_map(stream, "world/apart/a", map_a, np.eye(4), _BLUE, in_a, 255)
+    _log_map(stream, "world/apart/b", map_b, lifted, _ORANGE, in_b, 255)
+    apart = np.concatenate([corners_a, _corners(map_b, lifted)])
+    _log_pairs(stream, map_a, map_b, answer, lifted, apart)
+    return {
+        "Joined: map a (blue), map b (orange)": (["/world/joined/**"], both),
+        "Pairs: map b lifted off map a": (["/world/apart/**"], apart),
+    }
+
+
+def _log_pairs(
+    stream: Any,
+    map_a: ObjectMap,
+    map_b: ObjectMap,
+    answer: Alignment,
+    lifted: NDArray[np.float64],
+    in_view: NDArray[np.float64],
+) -> None:
+    """Log a line for each pair, and its label above the object of the lifted map."""
     import rerun as rr
 
-    items = []
-    for shape, box in zip(objects.shapes, objects.boxes, strict=True):
+    from hickory_stream.sinks.rerun_eye import SIDE_ASPECT, eye_on
+    from hickory_stream.sinks.rerun_labels import label_item, label_threads
+
+    place_a = dict(zip(map_a.ids.tolist(), map_a.centroids, strict=True))
+    place_b = dict(zip(map_b.ids.tolist(), apply(lifted, map_b.centroids), strict=True))
+    box_b = dict(zip(map_b.ids.tolist(), map_b.boxes, strict=True))
+    colors = [color_of_id(pair.id_a) for pair in answer.pairs]
+    texts = [f"{pair.id_a} = {pair.id_b}" for pair in answer.pairs]
+    ends = [[place_a[pair.id_a], place_b[pair.id_b]] for pair in answer.pairs]
+    stream.log("world/apart/pairs", rr.LineStrips3D(ends, colors=colors, radii=-1.0), static=True)
+    boxes = [apply(lifted, box_b[pair.id_b].corners_world()) for pair in answer.pairs]
+    tops = np.array([[*box.mean(axis=0)[:2], box[:, 2].max()] for box in boxes]).reshape(-1, 3)
+    threads = label_threads(tops, texts, eye_on(in_view, SIDE_ASPECT))
+    for i, pair in enumerate(answer.pairs):
+        item = label_item(f"world/apart/labels/{pair.id_a}", threads[i], texts[i], colors[i])
+        stream.log(item.path, *item.archetypes, static=True)
+
+
+def _log_map(
+    stream: Any,
+    path: str,
+    objects: ObjectMap,
+    frame_from_map: NDArray[np.float64],
+    color: tuple[int, int, int],
+    matched: set[int],
+    alpha: int,
+) -> None:
+    """Log layer 3 of every object, its box where it has none."""
+    import rerun as rr
+
+    from hickory_stream.geometry.rigid import quaternion_from_rotation
+    from hickory_stream.sinks.rerun_meshes import superquadric_mesh
+
+    r, g, b = (round(c + (205 - c) * _PALE) for c in color)
+    for object_id, shape, box in zip(objects.ids.tolist(), objects.shapes, objects.boxes, strict=True):
+        own = color if object_id in matched else (r, g, b)
         if shape is None:
-            corners = apply(pose, box.corners_world())
-            items.append(rr.Points3D(corners, colors=[color] * len(corners), radii=0.02))
-            continue
-        placed = moved(shape, pose)
-        parts = [display_mesh(placed, i) for i in range(len(placed))]
-        starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
-        items.append(
-            rr.Mesh3D(
-                vertex_positions=np.concatenate([vertices for vertices, _ in parts]),
-                triangle_indices=np.concatenate(
-                    [faces + start for (_, faces), start in zip(parts, starts, strict=True)]
-                ),
-                albedo_factor=color,
+            pose = frame_from_map @ box.world_from_box
+            item: Any = rr.Boxes3D(
+                centers=[pose[:3, 3]],
+                half_sizes=[box.half_extents_m],
+                quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(pose[:3, :3]))],
+                colors=own,
+                fill_mode=rr.components.FillMode.MajorWireframe,
             )
-        )
-    return items
+        else:
+            item = superquadric_mesh(moved(shape, frame_from_map), own, alpha=alpha, is_shaded=False)
+        stream.log(f"{path}/{object_id}", item, static=True)
+
+
+def _corners(objects: ObjectMap, frame_from_map: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N, 3) corners of all boxes."""
+    return np.concatenate([np.empty((0, 3)), *(apply(frame_from_map, b.corners_world()) for b in objects.boxes)])
 
 
 def _beside(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import rerun.blueprint as rrb
 
-from hickory_stream.sinks.rerun_eye import MAIN_ASPECT, SIDE_ASPECT, eye_on
+from hickory_stream.sinks.rerun_eye import MAIN_ASPECT, SIDE_ASPECT, WHOLE_ASPECT, eye_on
 from hickory_stream.sinks.rerun_frame import CAMERA, TRAJECTORY
 from hickory_stream.sinks.rerun_items import KEYFRAME
 from hickory_stream.sinks.rerun_labels import LABELS
@@ -64,6 +64,40 @@ def default_blueprint(corners: NDArray[np.float64], *, num_views: int) -> rrb.Bl
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=KEYFRAME, play_state="following"),
         auto_views=False,
+    )
+
+
+def one_map(name: str, corners: NDArray[np.float64], *, timeline: str) -> rrb.Blueprint:
+    """Return the arrangement of a single view of everything, with (N, 3) points in it, on a timeline of its own."""
+    return rrb.Blueprint(
+        _bare_view(name, ["/**"], corners, WHOLE_ASPECT),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=timeline),
+        auto_views=False,
+    )
+
+
+def side_by_side(views: dict[str, tuple[list[str], NDArray[np.float64]]]) -> rrb.Blueprint:
+    """Return the arrangement of still views beside one another: by name, the entities and (N, 3) points in view."""
+    aspect = WHOLE_ASPECT if len(views) == 1 else SIDE_ASPECT
+    return rrb.Blueprint(
+        rrb.Horizontal(*(_bare_view(name, paths, corners, aspect) for name, (paths, corners) in views.items())),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="hidden"),
+        auto_views=False,
+    )
+
+
+def _bare_view(name: str, paths: list[str], corners: NDArray[np.float64], aspect: float) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin="world",
+        name=name,
+        contents=[f"+ {path}" for path in paths],
+        background=BACKGROUND,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=eye_on(corners, aspect).controls() if len(corners) else None,
     )
 
 

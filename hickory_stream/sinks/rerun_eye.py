@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # How much wider than high the views are at least, in a window of usual shape.
-MAIN_ASPECT, SIDE_ASPECT = 1.15, 0.9
+MAIN_ASPECT, SIDE_ASPECT, WHOLE_ASPECT = 1.15, 0.9, 1.6
 # Steep enough that objects do not hide one another.
 ROTATION = looking(np.deg2rad(-126.0), np.deg2rad(42.0))
 # Half the viewer's own angle of view, 55 degrees from top to bottom; less a rim, for labels.

@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import rerun as rr
 
-from hickory_stream.geometry.mesh import read_glb
 from hickory_stream.geometry.palette import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
-from hickory_stream.geometry.superquadric import outward_normals
-from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
+from hickory_stream.sinks.rerun_meshes import placed_mesh, superquadric_mesh
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -113,13 +111,13 @@ class ObjectLayers:
         color = color_of_id(object_id)
         path = self._shapes_folder / shape.mesh_name
         try:
-            meshes = [(MESH_LAYER, _placed_mesh(path, shape.world_from_object))]
+            meshes = [(MESH_LAYER, placed_mesh(path, shape.world_from_object))]
         except (OSError, ValueError) as error:
             # The picture misses one mesh; the map does not.
             logger.warning("object %d: its mesh %s cannot be shown: %s", object_id, path, error)
             meshes = []
-        meshes.append((FITTED_LAYER, _superquadric_mesh(shape.fitted, color)))
-        meshes.append((INFLATED_LAYER, _superquadric_mesh(shape.inflated, color, alpha=_INFLATED_ALPHA)))
+        meshes.append((FITTED_LAYER, superquadric_mesh(shape.fitted, color)))
+        meshes.append((INFLATED_LAYER, superquadric_mesh(shape.inflated, color, alpha=_INFLATED_ALPHA)))
         return [
             LogItem(path=f"{layer}/{object_id}", archetypes=(mesh,), weight=Weight.HEAVY, span=Span.LASTING)
             for layer, mesh in meshes
@@ -138,7 +136,7 @@ def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:
 
 def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:
     """Return the sketch in the place of layer 3, which replaces it when it comes."""
-    mesh = _superquadric_mesh(sketch, color_of_id(object_id), alpha=_SKETCH_ALPHA)
+    mesh = superquadric_mesh(sketch, color_of_id(object_id), alpha=_SKETCH_ALPHA)
     return LogItem(path=f"{FITTED_LAYER}/{object_id}", archetypes=(mesh,), span=Span.LASTING)
 
 
@@ -163,48 +161,6 @@ def _box_items(seen: TrackedObject) -> list[LogItem]:
         LogItem(path=f"{POINTS_LAYER}/{seen.id}/box", archetypes=(box(lines),), span=Span.LASTING),
         LogItem(path=f"{FILLED}/{seen.id}", archetypes=(box(filled),), span=Span.LASTING),
     ]
-
-
-def _placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:
-    """Return a layer-2 mesh in the world; not as the GLB itself, which has no normals and would be drawn flat."""
-    mesh = read_glb(path)
-    vertices = mesh.vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
-    return rr.Mesh3D(
-        vertex_positions=vertices.astype(np.float32),
-        triangle_indices=mesh.faces,
-        vertex_normals=_vertex_normals(vertices, mesh.faces),
-        vertex_colors=mesh.colors,
-    )
-
-
-def _superquadric_mesh(primitives: Superquadrics, color: tuple[int, int, int], alpha: int = 255) -> Any:
-    """Return all primitives of an object as one mesh; neighbours in the list differ in shade."""
-    parts = [display_mesh(primitives, i) for i in range(len(primitives))]
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    vertices = np.concatenate([np.zeros((0, 3), np.float32), *(vertices for vertices, _ in parts)])
-    faces = np.concatenate(
-        [np.zeros((0, 3), np.int32), *(f + start for (_, f), start in zip(parts, starts[:-1], strict=True))]
-    )
-    normals = [outward_normals(primitives, i, vertices) for i, (vertices, _) in enumerate(parts)]
-    shades = [shaded(color, (1.0, 0.72, 1.6)[i % 3]) for i in range(len(parts))]
-    return rr.Mesh3D(
-        vertex_positions=vertices,
-        triangle_indices=faces,
-        vertex_normals=np.concatenate([np.zeros((0, 3)), *normals]).astype(np.float32),
-        vertex_colors=np.repeat(np.array(shades, np.uint8).reshape(-1, 3), np.diff(starts), axis=0),
-        albedo_factor=(255, 255, 255, alpha),
-    )
-
-
-def _vertex_normals(vertices: NDArray[Any], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return (V, 3) unit normals, each the mean of the adjacent faces' weighted by area."""
-    a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
-    per_face = np.cross(b - a, c - a)
-    normals = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(per_face[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
-    )
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.where(lengths > 0, lengths, 1.0), dtype=np.float32)
 
 
 def _same_box(a: TrackedObject, b: TrackedObject) -> bool:
