@@ -62,7 +62,7 @@ def tiles_mesh(rectangles: NDArray[np.float64], z_m: float, color: tuple[int, in
     return rr.Mesh3D(
         vertex_positions=np.column_stack([corners, np.full(len(corners), z_m)]).astype(np.float32),
         triangle_indices=(first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3),
-        vertex_normals=np.tile(np.float32([0, 0, 1]), (len(corners), 1)),
+        vertex_normals=np.tile(np.array([0, 0, 1], dtype=np.float32), (len(corners), 1)),
         albedo_factor=color,
     )
 

@@ -62,7 +62,7 @@ def write_plan(
         # In one shade: the primitives of an object share many planes.
         mesh = superquadric_mesh(layer_four_of(tracked), color_of_id(tracked.id), alpha=_ALPHA, is_shaded=False)
         stream.log(f"world/layer4/{tracked.id}", mesh, static=True)
-    is_blocked = space.blocked().all(axis=(0, 1))
+    is_blocked = np.asarray(space.blocked().all(axis=(0, 1)))
     for name, cells, color in (("free", ~is_blocked, _FREE), ("blocked", is_blocked, _BLOCKED)):
         stream.log(
             f"world/grid/{name}", tiles_mesh(_tiles(space, cells), space.floor_z_m - _GRID_BELOW_M, color), static=True
