@@ -23,10 +23,14 @@ _WIDTH = 30
 
 
 class ProgressPrinter:
-    """Prints progress to standard error; a call costs nothing when it is not yet time to print."""
+    """Prints progress to standard error; a call costs nothing when it is not yet time to print.
 
-    def __init__(self, style: Style, where: Callable[[], str] | None = None) -> None:
+    `part` says which of several runs it is, such as "2 of 5".
+    """
+
+    def __init__(self, style: Style, where: Callable[[], str] | None = None, *, part: str = "") -> None:
         self._style = style
+        self._part = part
         self._where = where
         self._started_s = time.monotonic()
         self._printed_s = 0.0
@@ -53,6 +57,7 @@ class ProgressPrinter:
             sys.stderr.write("\n")
 
     def _text(self, progress: Progress, elapsed_s: float) -> str:
+        part = f"{self._part}, " if self._part else ""
         rate = progress.frames / elapsed_s if elapsed_s > 0 else 0.0
         counts = f"{progress.objects} objects"
         if self._where is not None:
@@ -60,17 +65,18 @@ class ProgressPrinter:
         if progress.open_shapes:
             counts += f", {progress.open_shapes} shapes to come"
         if progress.total is None:
-            return f"{progress.phase}: frame {progress.frames}, {rate:.0f}/s, {counts}"
+            return f"{part}{progress.phase}: frame {progress.frames}, {rate:.0f}/s, {counts}"
         left_s = (progress.total - progress.frames) / rate if rate > 0 else 0.0
         share = progress.frames / max(progress.total, 1)
         bar = ("#" * round(share * _WIDTH)).ljust(_WIDTH, ".") if self._style == "bar" else f"{share:.0%}"
         frames = f"frame {progress.frames}/{progress.total}"
-        return f"{progress.phase}: {bar} {frames}, {rate:.0f}/s, {left_s:.0f} s left, {counts}"
+        return f"{part}{progress.phase}: {bar} {frames}, {rate:.0f}/s, {left_s:.0f} s left, {counts}"
 
     def _json(self, progress: Progress) -> str:
         return dumps(
             {
                 "event": "progress",
+                **({"part": self._part} if self._part else {}),
                 "phase": progress.phase,
                 "frames": progress.frames,
                 "total": progress.total,

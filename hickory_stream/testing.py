@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -354,6 +354,17 @@ class FaultySource:
         """Return that of the other one, and how often each fault was made, as `injected_NAME`."""
         made = {f"injected_{name}": number for name, number in sorted(self._injected.items()) if number}
         return {**self._source.ledger(), **made}
+
+    def account(self) -> Any:
+        """Return where the messages went, where the other source keeps account of them."""
+        account = getattr(self._source, "account", None)
+        return account() if account is not None else None
+
+    def interrupt(self) -> None:
+        """Wake the other source, where it may be waiting."""
+        interrupt = getattr(self._source, "interrupt", None)
+        if interrupt is not None:
+            interrupt()
 
     def close(self) -> None:
         """Close the other one."""

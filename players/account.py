@@ -44,12 +44,16 @@ class TopicAccount:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Account:
-    """The messages of a log by topic and bucket; `is_complete` where the pass went to the end."""
+    """The messages of a log by topic and bucket; `is_complete` where the pass went to the end.
+
+    Of a folder of images what is counted are files.
+    """
 
     topics: tuple[TopicAccount, ...]
     is_complete: bool
-    num_flaws: int
-    explanation: str
+    num_flaws: int = 0
+    explanation: str = ""
+    unit: str = "messages"
 
     def as_dict(self) -> dict[str, Any]:
         """Return it for `ledger.json`."""
@@ -63,6 +67,7 @@ class Account:
             total["difference"] += entry.difference
             rejected.update(entry.rejected)
         return {
+            "unit": self.unit,
             "declared": None
             if any(e.declared is None for e in self.topics)
             else sum(e.declared or 0 for e in self.topics),

@@ -15,6 +15,7 @@ import numpy as np
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from players.folder import FolderSource
 from players.log_opening import open_log, read_opening
 from players.log_source import LogSource
 from players.opening import open_container, open_source
@@ -123,6 +124,7 @@ def _examine_folder(
         source = open_source(list(paths), options)
         progress("reading as play does")
         found.kind, found.streams = source.info.kind, dict(source.info.streams)
+        found.num_bytes = source.num_bytes() if isinstance(source, FolderSource) else 0
         _examine_frames(found, source, {})
     except InputError as error:
         found.refusal = str(error)
@@ -193,7 +195,7 @@ def _examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamSta
         "read_s": round(time.perf_counter() - started_s, 2),
     }
     _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
-    found.ledger = source.account().as_dict() if isinstance(source, LogSource) else {"fates": dict(source.ledger())}
+    found.ledger = source.account().as_dict() if isinstance(source, LogSource | FolderSource) else {}
     _tell_frames(found, dict(source.ledger()))
     if isinstance(source, LogSource):
         setup = source.setup

@@ -67,7 +67,7 @@ def ledger_line(account: dict[str, Any]) -> str:
     """Return the totals of an account in one line."""
     rejected = sum(account["rejected"].values())
     parts = [
-        f"{account['declared']} messages declared" if account["declared"] is not None else "messages",
+        f"{account['declared']} {account['unit']} declared" if account["declared"] is not None else account["unit"],
         f"{account['used']} used",
         f"{account['not_needed']} not needed",
         f"{rejected} rejected" + (f" ({_counts(account['rejected'])})" if rejected else ""),

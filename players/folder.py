@@ -14,6 +14,7 @@ import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.records import Frame, RawFrame, SourceInfo
+from players.account import Account, TopicAccount
 from players.counts import Ledger
 from players.decode import compressed_size, decode_color, decode_depth_png
 from players.identity import files_identity
@@ -117,9 +118,37 @@ class FolderSource:
                 f"{self._info.uri}: the intrinsics are for {camera.width}x{camera.height} pixels; no image is"
             )
 
+        ledger.is_complete = True
+
     def ledger(self) -> Mapping[str, int]:
         """Return the counts of the latest pass: frames, and files that became none."""
         return self._ledger.as_dict()
+
+    def account(self) -> Account:
+        """Return what became of every image file in the latest pass."""
+        counts, content = self._ledger.as_dict(), self._content
+        frames, other_size = counts.get("frames", 0), counts.get("frame_of_other_size", 0)
+        not_played = len(content.frames) - frames - other_size
+        streams, topics = dict(content.streams), []
+        for role, lonely in (("color", "color_without_depth"), ("depth", "depth_without_color")):
+            became_none = {fate: content.fates.get(fate, 0) for fate in (lonely, "no_pose")}
+            rejected = {**became_none, "frame_of_other_size": other_size}
+            topics.append(
+                TopicAccount(
+                    topic=streams.get(role, role),
+                    declared=len(content.frames) + sum(became_none.values()),
+                    used=frames,
+                    not_played=not_played,
+                    rejected={fate: number for fate, number in rejected.items() if number},
+                )
+            )
+        return Account(topics=tuple(topics), is_complete=self._ledger.is_complete, unit="files")
+
+    def num_bytes(self) -> int:
+        """Return the size of everything that is played: images, poses and intrinsics."""
+        content = self._content
+        images = [file for frame in content.frames for file in (frame.color, frame.depth)]
+        return sum(file.stat().st_size for file in {*content.text_files, *images})
 
     def close(self) -> None:
         """Do nothing: no file stays open between frames."""

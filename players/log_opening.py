@@ -30,7 +30,7 @@ from players.log_source import LogSetup, LogSource
 from players.messages import TF
 from players.options import DEFAULT_MAX_POSE_GAP_NS
 from players.pose_file import read_pose_file
-from players.profile import Profile, guess_profile, load_profile
+from players.profile import Profile, guess_profile, load_profile, profiles_with_robots, robots_in
 from players.register import Registration
 from players.rig import PosePlan, PoseStream, RigReader, plan_poses
 from players.sync import default_tolerance_ns
@@ -97,11 +97,32 @@ class Opening:
 def choose_profile(topics: Sequence[Topic], options: SourceOptions) -> tuple[Profile, bool]:
     """Return the profile that was named or that the topics fit (an empty one where none does), and if it is a guess."""
     if options.profile == "none":
-        return Profile(), False
-    if options.profile is not None:
-        return load_profile(options.profile, topics, options.robot), False
-    guessed = guess_profile(topics, options.robot)
-    return guessed or Profile(), guessed is not None
+        profile, is_guessed = Profile(), False
+    elif options.profile is not None:
+        profile, is_guessed = load_profile(options.profile, topics, options.robot), False
+    else:
+        guessed = guess_profile(topics, options.robot)
+        profile, is_guessed = guessed or Profile(), guessed is not None
+    if options.robot is not None:
+        _check_robot(options.robot, profile, topics)
+    return profile, is_guessed
+
+
+def _check_robot(robot: str, profile: Profile, topics: Sequence[Topic]) -> None:
+    """Refuse a robot that nothing in the log could be of: it would change nothing, or nothing to the good.
+
+    Raises:
+        CalibrationError: the profile has no robots, or the log has no topic of this one.
+    """
+    if not profile.has_robots:
+        kind = f"the profile {profile.name}" if profile.name else "this kind of log"
+        raise CalibrationError(
+            f"found --robot {robot}, but {kind} knows no robots; leave it out, or name a profile that does "
+            f"(--profile {' or '.join(profiles_with_robots())})"
+        )
+    if not {name for names in profile.topics.values() for name in names} & {topic.name for topic in topics}:
+        found = ", ".join(robots_in(topics, profile)) or "none"
+        raise CalibrationError(f"found --robot {robot}, of which the log has no topics; robots in it: {found}")
 
 
 def open_log(log: Log, options: SourceOptions) -> LogSource:

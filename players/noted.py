@@ -54,13 +54,17 @@ def open_noted(
     Raises:
         RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs.
         CalibrationError: intrinsics or extrinsics are missing or contradict the images.
-        InputError: the faults cannot be.
+        InputError: the faults cannot be, or the log is over before the start.
     """
     known = {field.name for field in fields(SourceOptions)}
     options = {name: value for name, value in note.get("options", {}).items() if name in known}
     if options.get("pose_file") is not None:
         options["pose_file"] = Path(options["pose_file"])
     source: Source = open_source(note["uris"], SourceOptions(**options))
+    if note.get("start_s", 0.0) > 0:
+        # Most logs do not say where they end. Reading on to the start is cheap beside mapping, and a start beyond the
+        # end is refused before a map is begun.
+        next(PlayedSource(source, PlaybackClock(), start_s=note["start_s"]).frames(), None)
     if note.get("faults") is not None:
         source = FaultySource(source, parse_faults(note["faults"]), note.get("fault_seed", 0))
     start_s, end_s = note.get("start_s", 0.0), note.get("end_s")

@@ -39,6 +39,10 @@ def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions |
     if len(paths) == 1 and paths[0].is_dir():
         source = _open_folder(paths[0], options)
         if source is not None:
+            if options.robot is not None:
+                raise RecordingError(
+                    f"found --robot {options.robot}, but a folder of images is of no robot; leave it out"
+                )
             return source
     from players.log_opening import open_log
 

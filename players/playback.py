@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
+from hickory_stream.errors import InputError
 from hickory_stream.mapping.keyframes import Keyframe, KeyframeConfig, is_keyframe
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ class PlaybackClock:
 
     def describe(self) -> str:
         """Return where playback is, for the progress bar."""
-        seconds = (self.position_ns - (self.first_ns or self.position_ns)) / 1e9
+        seconds = 0.0 if self.first_ns is None else (self.position_ns - self.first_ns) / 1e9
         state = "paused" if self._is_paused else "max" if self._rate is None else f"{self._rate:g}x"
         return f"at {seconds:.1f} s, {state}"
 
@@ -158,6 +159,9 @@ class PlayedSource:
         """Yield the frames when they are due; the first after a seek back says so, and the stamps begin again earlier.
 
         A jump of the odometry in what is skipped comes with the next frame.
+
+        Raises:
+            InputError: the log is over before the start.
         """
         self._num_skipped = 0
         index, last, goes_back = 0, None, False
@@ -167,8 +171,10 @@ class PlayedSource:
         while is_playing:
             is_playing = False
             first_ns: int | None = None
+            end_ns = 0
             for frame in self._source.frames():
                 first_ns = frame.stamp_ns if first_ns is None else first_ns
+                end_ns = max(end_ns, frame.stamp_ns)
                 if target_ns is None and self._start_s > 0:
                     target_ns = first_ns + round(self._start_s * 1e9)
                 if self._end_s is not None and frame.stamp_ns > first_ns + self._end_s * 1e9:
@@ -200,6 +206,10 @@ class PlayedSource:
                     goes_back=goes_back,
                 )
                 index, goes_back, jump = index + 1, False, None
+            if index == 0 and first_ns is not None and self._start_s > (length_s := (end_ns - first_ns) / 1e9):
+                raise InputError(
+                    f"found --start {self._start_s:g}, but the log is only {length_s:.1f} s long; begin earlier"
+                )
 
     def ledger(self) -> Mapping[str, int]:
         """Return that of the other one, the frames that were skipped over, and how often somebody sought."""

@@ -78,9 +78,10 @@ class PoseColumns:
 class Profile(Ranged):
     """What is known of a kind of log.
 
-    For folders: `color` are the intrinsics of a colour camera that is not the depth camera; `color_from_depth_m` the
-    translation between the two, in metres: P_color = P_depth + color_from_depth_m. For logs: `topics` by role (the
-    first that is there is taken), `rig`, tolerances in ns. `parameters` are what `{robot}` and the like stand for.
+    For folders: `color` are the intrinsics of a colour camera that is not the depth camera; `depth` those that the
+    depth camera of such data usually has, for an image without a folder; `color_from_depth_m` the translation between
+    the two, in metres: P_color = P_depth + color_from_depth_m. For logs: `topics` by role (the first that is there is
+    taken), `rig`, tolerances in ns. `parameters` are what `{robot}` and the like stand for.
     """
 
     name: str = ""
@@ -90,6 +91,7 @@ class Profile(Ranged):
     frame_rate_hz: int = number(30, 1, 1000, "Hz")
     extrinsics_units_per_m: float = number(1.0, 1e-3, 1e9, "1/m")
     color: Intrinsics | None = None
+    depth: Intrinsics | None = None
     color_from_depth_m: tuple[float, float, float] = number((0.0, 0.0, 0.0), -100, 100, "m")
     topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     rig: RigLinks | None = None
@@ -98,6 +100,12 @@ class Profile(Ranged):
     jump_limits: JumpLimits = field(default_factory=JumpLimits)
     pose_file: PoseColumns | None = None
     parameters: Mapping[str, str] = field(default_factory=dict)
+    patterns: tuple[str, ...] = ()
+
+    @property
+    def has_robots(self) -> bool:
+        """Whether its topics are named by a robot."""
+        return _name_robots(self.patterns)
 
 
 def load_profile(name_or_path: str, topics: Sequence[Topic] = (), robot: str | None = None) -> Profile:
@@ -130,6 +138,18 @@ def profile_names() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in _FOLDER.glob("*.toml")))
 
 
+def profiles_with_robots() -> tuple[str, ...]:
+    """Return the names of those profiles of the players whose topics are named by a robot."""
+    tables = {name: tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8")) for name in profile_names()}
+    return tuple(name for name, table in tables.items() if _name_robots(table.get("match", {}).get("topics", ())))
+
+
+def robots_in(topics: Sequence[Topic], profile: Profile) -> tuple[str, ...]:
+    """Return the robots whose topics, as a profile names them, are there."""
+    hits = [re.fullmatch(pattern, topic.name) for pattern in profile.patterns for topic in topics]
+    return tuple(sorted({hit["robot"] for hit in hits if hit is not None and "robot" in hit.groupdict()}))
+
+
 def guess_profile(topics: Sequence[Topic], robot: str | None = None) -> Profile | None:
     """Return the profile whose topics are all there, the most demanding of several; None where none fits."""
     found = []
@@ -138,6 +158,10 @@ def guess_profile(topics: Sequence[Topic], robot: str | None = None) -> Profile 
         if _match(table, topics) is not None:
             found.append((len(table["match"]["topics"]), name))
     return load_profile(max(found)[1], topics, robot) if found else None
+
+
+def _name_robots(patterns: Sequence[str]) -> bool:
+    return any("(?P<robot>" in pattern for pattern in patterns)
 
 
 def _match(table: Mapping[str, Any], topics: Sequence[Topic]) -> dict[str, str] | None:
@@ -158,8 +182,8 @@ def _match(table: Mapping[str, Any], topics: Sequence[Topic]) -> dict[str, str] 
 
 def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Profile:
     """Return the profile of a TOML table; keys that are no field raise TypeError."""
-    table.pop("match", None)
-    color = table.pop("color", None)
+    patterns = tuple(table.pop("match", {}).get("topics", ()))
+    color, depth = table.pop("color", None), table.pop("depth", None)
     time = table.pop("time", {})
     rig, robots = table.pop("rig", None), table.pop("robots", {})
     topics = {role: _filled(table.get("streams", {}).get(role, ()), parameters) for role in _ROLES}
@@ -172,6 +196,7 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
         **table,
         name=name,
         color=Intrinsics(**color) if color else None,
+        depth=Intrinsics(**depth) if depth else None,
         color_from_depth_m=(x, y, z),
         topics={role: names for role, names in topics.items() if names},
         rig=_rig(rig, robots, parameters) if rig else None,
@@ -180,6 +205,7 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
         jump_limits=JumpLimits(**{f.name: float(time.pop(f.name)) for f in fields(JumpLimits) if f.name in time}),
         pose_file=PoseColumns(**{**columns, "columns": tuple(columns["columns"])}) if columns else None,
         parameters=parameters,
+        patterns=patterns,
     )
     if time:
         raise TypeError(f"time: unknown {', '.join(sorted(time))}")

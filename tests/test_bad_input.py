@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,10 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.engine.session import create_map_folder, open_map
+from hickory_stream.errors import CalibrationError
+from players.containers import Topic
+from players.log_opening import choose_profile
+from players.options import SourceOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -229,6 +234,11 @@ def test_a_picture_that_cannot_be_written_is_refused(log: Path, tmp_path: Path, 
         (["--sync-tolerance", "-5"], ("found --sync-tolerance -5", "milliseconds")),
         (["--viewer", "tv"], ("'tv'", "auto, none, spawn, web")),
         (["--viewer", "connect=http://here"], ("http://here", "rerun+http://HOST:PORT/proxy")),
+        (["--viewer", "connect=nobody.invalid"], ("no host 'nobody.invalid'", "connect=rerun+http://127.0.0.1:9876")),
+        (["--robot", "foo"], ("found --robot foo", "knows no robots", "kimera_multi")),
+        (["--metrics-port", "99999"], ("found --metrics-port 99999", "1 to 65535")),
+        (["--metrics-port", "-1"], ("found --metrics-port -1",)),
+        (["--start", "100"], ("found --start 100", "the log is only 0.2 s long")),
         (["--depth-topic", "/nose"], ("/nose", "--depth-topic", scenes.PNG_DEPTH)),
         (["--set", "mapper.keyframes.min_intervall_s=1"], ("did you mean mapper.keyframes.min_interval_s?",)),
         (["--set", "mapper.run.workers=two"], ("mapper.run.workers is 'two'", "expected int")),
@@ -242,6 +252,37 @@ def test_a_bad_option_is_refused_before_anything_is_written(
 ) -> None:
     refusal(run("play", log, "--out", tmp_path / "map", *options), *told)
     assert not (tmp_path / "map").exists()
+
+
+def test_a_metrics_port_that_is_taken_is_refused_and_the_map_that_is_there_stays(
+    log: Path, tmp_path: Path, run: Callable[..., Ended]
+) -> None:
+    create_map_folder(tmp_path / "map", config={}, source={"uri": "of before"}).close()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        options = ("--overwrite", "--metrics-port", port)
+        ended = run("play", log, "--out", tmp_path / "map", "--viewer", "none", *options)
+    refusal(ended, f"127.0.0.1:{port}", "choose another --metrics-port")
+    assert open_map(tmp_path / "map").manifest.source == {"uri": "of before"}
+
+
+def test_a_robot_that_the_log_does_not_have_is_refused_with_those_that_it_has() -> None:
+    names = ("color/image_raw", "color/camera_info", "depth/image_rect_raw")
+    topics = [
+        Topic(
+            name=f"/hathor/forward/{name}",
+            type_name="sensor_msgs/msg/Image",
+            num_messages=None,
+            wire="ros1",
+            definition_format="none",
+            definition="",
+        )
+        for name in names
+    ]
+    with pytest.raises(CalibrationError, match="no topics; robots in it: hathor"):
+        choose_profile(topics, SourceOptions(robot="thoth"))
+    profile, is_guessed = choose_profile(topics, SourceOptions(robot="hathor"))
+    assert (profile.name, is_guessed) == ("kimera_multi", True)
 
 
 @pytest.mark.parametrize("layers", ["5", "0,1", "", "one", "1,x", "1.5"])

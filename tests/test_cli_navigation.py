@@ -85,6 +85,33 @@ def test_plan_without_a_path_exits_with_3_and_a_bad_request_with_2(
         assert complaint in capsys.readouterr().err
 
 
+def test_coordinates_may_be_negative(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for start in ("-1,-1", "-1.5,2", "-.5,1", "-inf,0"):
+        assert main(["plan", str(folder), "--start", start, "--goal", "5.3,3.4", "--robot", "point"]) == 2
+        told = capsys.readouterr().err
+        assert "outside of the map" in told or "two finite numbers" in told
+
+
+def test_what_is_in_the_way_of_start_or_goal_is_named_with_its_distance(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The crate reaches from x = 4.1 to 4.9 m; the wall at x = 3 m has a door from y = 1.5 m on.
+    for goal, blockers in (
+        ("4.5,1.0", [{"object": 2, "distance_m": 0.0}]),
+        ("4.0,1.0", [{"object": 2, "distance_m": 0.1}]),
+        ("3.15,1.0", [{"object": None, "distance_m": 0.1}]),
+    ):
+        command = ["plan", str(folder), "--start", "0.7,0.6", "--goal", goal, "--robot", "point"]
+        assert main([*command, "--json"]) == 3
+        told_blockers = told(capsys)["blockers"]
+        assert [blocker["object"] for blocker in told_blockers] == [blocker["object"] for blocker in blockers]
+        apart_m = [blocker["distance_m"] for blocker in told_blockers]
+        assert apart_m == pytest.approx([blocker["distance_m"] for blocker in blockers], abs=0.01)
+    assert main(["plan", str(folder), "--start", "4.0,1.0", "--goal", "0.7,0.6", "--robot", "point"]) == 3
+    assert "start-in-collision" in (text := capsys.readouterr().out)
+    assert "object 2, 0.10 m away" in text
+
+
 def test_objects_without_layer_4_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bare = saved(tmp_path / "bare.map", tracked(7, table(), with_shape=False))
     assert main(["plan", str(bare), "--start", "0.7,0.6", "--goal", "5.3,3.4", "--robot", "point"]) == 0

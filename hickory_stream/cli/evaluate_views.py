@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +13,11 @@ from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterator, Sequence
 
     from hickory_stream.cli.parser import Commands
     from hickory_stream.engine.session import MapFolder
+    from hickory_stream.mapping.views import Strategy
     from hickory_stream.ports import Sink
     from hickory_stream.progress import Style
 
@@ -57,22 +60,28 @@ def run(options: argparse.Namespace) -> int:
 
     evaluations: dict[str, list[Any]] = {}
     with tempfile.TemporaryDirectory() as temporary:
-        for strategy in STRATEGIES:
-            for i, (log, truth) in enumerate(zip(options.source, truths, strict=True)):
-                if not options.json:
-                    sys.stderr.write(f"{strategy} on {log}\n")
-                out = (options.out or Path(temporary)) / f"{i}-{strategy}"
-                source = open_source(log)
-                printer = ProgressPrinter(style)
-                try:
-                    found = evaluate_strategy(source, truth, settings.mapper, strategy, out, sinks, printer)
-                finally:
-                    printer.close()
-                    source.close()
-                evaluations.setdefault(strategy, []).append(found)
+        for part, strategy, i, log in planned_runs(STRATEGIES, options.source):
+            if not options.json:
+                sys.stderr.write(f"{part}: {strategy} on {log}\n")
+            out = (options.out or Path(temporary)) / f"{i}-{strategy}"
+            source = open_source(log)
+            printer = ProgressPrinter(style, part=part)
+            try:
+                found = evaluate_strategy(source, truths[i], settings.mapper, strategy, out, sinks, printer)
+            finally:
+                printer.close()
+                source.close()
+            evaluations.setdefault(strategy, []).append(found)
     scores = compare(evaluations)
     if options.json:
         print(dumps({"event": "finished", "strategies": [dataclasses.asdict(score) for score in scores]}))
     else:
         print(format_comparison(scores))
     return 0
+
+
+def planned_runs(strategies: Sequence[Strategy], logs: Sequence[str]) -> Iterator[tuple[str, Strategy, int, str]]:
+    """Yield every run of the comparison: which of how many it is, the strategy, and the log with its index."""
+    total = len(strategies) * len(logs)
+    for n, (strategy, (i, log)) in enumerate(product(strategies, enumerate(logs))):
+        yield f"{n + 1} of {total}", strategy, i, log

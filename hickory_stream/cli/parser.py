@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from hickory_stream import __version__
 from hickory_stream.cli import (
@@ -56,9 +57,17 @@ _COMMANDS = (
 )
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that takes `-1,2` for a value, as it does `-1`: no option begins with a digit."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
+
+
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser; the namespace it makes holds `run`, the function of the chosen command."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="hickory-stream",
         description="Streaming object mapper: posed RGB-D in, a map of objects with four layers out.",
     )

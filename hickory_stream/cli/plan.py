@@ -28,7 +28,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     )
     plan.set_defaults(run=run)
     plan.add_argument("map", type=Path, metavar="MAP")
-    plan.add_argument("--start", required=True, metavar="X,Y", help="metres in the map; --start=-1,2 if it is negative")
+    plan.add_argument("--start", required=True, metavar="X,Y", help="metres in the map, e.g. -1,0.5")
     plan.add_argument("--goal", required=True, metavar="X,Y")
     add_robot_arguments(plan)
     plan.add_argument("--planner", choices=PLANNERS, default="rrt-connect")
@@ -84,7 +84,8 @@ def _as_json(space: FreeSpace, answer: Way | NoPath, boxes: list[int]) -> dict[s
 
     told: dict[str, Any] = {"robot": space.robot.name, "objects_by_box": boxes, "cell_m": space.frame.cell_m}
     if isinstance(answer, NoPath):
-        return told | {"found": False, "reason": answer.reason.value, "text": answer.text}
+        blockers = [{"object": b.object_id, "distance_m": round(b.distance_m, 4)} for b in answer.blockers]
+        return told | {"found": False, "reason": answer.reason.value, "text": answer.text, "blockers": blockers}
     return told | {
         "found": True,
         "length_m": answer.length_m,

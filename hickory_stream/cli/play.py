@@ -69,12 +69,13 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
-    from hickory_stream.sinks.rerun_viewer import parse_viewer
+    from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
     from players import note_of, open_noted
     from players.playback import PlaybackClock
 
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
+    check_viewer(viewer)
     rate = parse_rate(options.rate)
     if options.live and rate is None:
         rate = 1.0
@@ -98,10 +99,13 @@ def run(options: argparse.Namespace) -> int:
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
-        made = make_sinks(folder, settings, viewer, options.rrd, options.metrics_port)
-        return made if costmap is None else [*made, (costmap, False)]
+        made = make_sinks(folder, settings, viewer, options.rrd)
+        handed_over = [(sink, False) for sink in beside]
+        beside.clear()
+        return [*made, *handed_over]
 
-    costmap = _costmap(options)
+    # What cannot be had is refused before a map that is there is replaced.
+    beside = _sinks_beside(options, settings)
     printer = ProgressPrinter(style, clock.describe)
     keys = Keys(clock)
     if style == "bar" and sys.stdin.isatty():
@@ -123,16 +127,27 @@ def run(options: argparse.Namespace) -> int:
     finally:
         printer.close()
         source.close()
+        for sink in beside:
+            sink.close()
     return finish(options, out, played)
 
 
-def _costmap(options: argparse.Namespace) -> Sink | None:
-    """Return the sink of `--costmap`, None without it; raises `InputError`."""
-    if options.costmap is None:
-        return None
-    from hickory_stream.sinks.costmap_sink import CostmapSink
+def _sinks_beside(options: argparse.Namespace, settings: Settings) -> list[Sink]:
+    """Return the sinks of `--metrics-port` and `--costmap`; raises `InputError`."""
+    made: list[Sink] = []
+    if options.metrics_port is not None:
+        from hickory_stream.sinks.metrics_sink import MetricsSink
 
-    return CostmapSink(robot_of_option(options.costmap_robot, "--costmap-robot"), path=options.costmap)
+        metrics = MetricsSink(options.metrics_port, settings.rerun.bind)
+        url = f"http://{settings.rerun.bind}:{metrics.port}/metrics"
+        told = json.dumps({"event": "metrics", "url": url}) if options.json else f"metrics: {url}"
+        sys.stderr.write(f"{told}\n")
+        made.append(metrics)
+    if options.costmap is not None:
+        from hickory_stream.sinks.costmap_sink import CostmapSink
+
+        made.append(CostmapSink(robot_of_option(options.costmap_robot, "--costmap-robot"), path=options.costmap))
+    return made
 
 
 def make_style(options: argparse.Namespace) -> Style:
@@ -165,7 +180,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
 
 
 def _print_ledger(out: Path) -> None:
-    """Print what became of the messages of a log; folders of images have none."""
+    """Print what became of the messages of a log, or of the files of a folder."""
     from players.doctor_text import ledger_table
 
     messages = json.loads((out / "ledger.json").read_text(encoding="utf-8")).get("messages")
@@ -173,9 +188,7 @@ def _print_ledger(out: Path) -> None:
         print(ledger_table(messages))
 
 
-def make_sinks(
-    folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None, metrics_port: int | None = None
-) -> list[tuple[Sink, bool]]:
+def make_sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None) -> list[tuple[Sink, bool]]:
     """Return the sinks of a playback, each with whether the run must stop when it fails."""
     from hickory_stream.sinks.disk_sink import DiskSink
     from hickory_stream.sinks.rerun_sink import RerunSink
@@ -187,8 +200,4 @@ def make_sinks(
         if shown.web_url:
             sys.stderr.write(f"viewer: {shown.web_url}\n")
         made.append((shown, False))
-    if metrics_port is not None:
-        from hickory_stream.sinks.metrics_sink import MetricsSink
-
-        made.append((MetricsSink(metrics_port, settings.rerun.bind), False))
     return made

@@ -35,11 +35,12 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.engine.play import play
     from hickory_stream.engine.resume import check_interrupted, save_live, was_sought
     from hickory_stream.progress import ProgressPrinter
-    from hickory_stream.sinks.rerun_viewer import parse_viewer
+    from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
     from players import open_noted
 
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
+    check_viewer(viewer)
     manifest = check_interrupted(options.map)
     is_live = manifest.run.get("mode") == "live"
     if is_live or was_sought(options.map):

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hickory_stream.cli.parser import Commands
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.records import Frame
+    from players.profile import Profile
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
@@ -32,7 +33,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     segment.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="in pixels; default: a camera of 60 degrees")
     segment.add_argument(
         "--profile",
-        help="unit of depth, colour camera and registration of a kind of source; --intrinsics are then those of depth",
+        help="unit of depth, cameras and registration of a kind of source; --intrinsics are then those of depth",
     )
     segment.add_argument("--depth-units", type=float, default=None, metavar="N", help="per metre; default 1000")
     segment.add_argument(
@@ -93,15 +94,11 @@ def _frame(options: argparse.Namespace) -> Frame:
     given = _camera(options.intrinsics, width, height) if options.intrinsics is not None else None
     camera = given or _camera_of_60_degrees(width, height)
     if profile is not None and profile.color is not None:
-        if options.intrinsics is None:
-            raise CalibrationError(
-                f"profile {profile.name}: its colour camera is not its depth camera; give that one's --intrinsics"
-            )
         camera = profile.color.camera((width, height))
         color_from_depth = np.eye(4)
         color_from_depth[:3, 3] = profile.color_from_depth_m
         registration = Registration(
-            depth_camera=_camera(options.intrinsics, depth.shape[1], depth.shape[0]),
+            depth_camera=_depth_camera(options, profile, depth.shape[1], depth.shape[0]),
             color_camera=camera,
             color_from_depth=color_from_depth,
         )
@@ -119,6 +116,29 @@ def _frame(options: argparse.Namespace) -> Frame:
         camera=camera,
         world_from_camera=_upright(np.array(_numbers(options.down, 3, "--down", "X,Y,Z"))),
     )
+
+
+def _depth_camera(options: argparse.Namespace, profile: Profile, width: int, height: int) -> Camera:
+    """Return the depth camera: as told, as the folder of the image has it, or as the profile does."""
+    from players.folder_layouts import INTRINSICS
+    from players.folder_text import read_intrinsics
+
+    if options.intrinsics is not None:
+        return _camera(options.intrinsics, width, height)
+    beside = options.depth.parent / INTRINSICS
+    # Without a way between the cameras, depth is registered to colour and has its camera.
+    own = profile.depth or (profile.color if not any(profile.color_from_depth_m) else None)
+    intrinsics = read_intrinsics(beside) if beside.is_file() else own
+    if intrinsics is None:
+        raise CalibrationError(
+            f"profile {profile.name}: its colour camera is not its depth camera; give that one's --intrinsics"
+        )
+    if not (intrinsics.cx < width and intrinsics.cy < height):
+        raise CalibrationError(
+            f"profile {profile.name}: its depth camera is not one of {width} x {height} pixels; give that one's "
+            "--intrinsics"
+        )
+    return intrinsics.camera((width, height))
 
 
 def _camera(text: str, width: int, height: int) -> Camera:

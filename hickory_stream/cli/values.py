@@ -102,7 +102,7 @@ def parse_place(text: str, option: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError as error:
-        raise InputError(f"found {option} {text}, expected X,Y in metres, e.g. {option}=1.5,-2") from error
+        raise InputError(f"found {option} {text}, expected X,Y in metres, e.g. {option} 1.5,-2") from error
     if not (abs(x) < float("inf") and abs(y) < float("inf")):
         raise InputError(f"found {option} {text}, expected two finite numbers")
     return x, y

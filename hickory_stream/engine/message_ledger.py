@@ -27,11 +27,12 @@ def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
     if kept is None:
         return {}
     account: dict[str, Any] = kept.as_dict()
-    read = frames.get("read", 0)
-    if read != source.ledger().get("frames", 0):
+    counts = source.ledger()
+    found, dropped, doubled = (counts.get(name, 0) for name in ("frames", "injected_drop", "injected_duplicate"))
+    if frames.get("read", 0) != found - dropped + doubled:
         return account
     torn = frames.get("frames_undecodable", 0)
-    skipped = _IMAGES_PER_FRAME * max(0, read - frames.get("keyframes", 0) - torn)
+    skipped = _IMAGES_PER_FRAME * max(0, found - frames.get("keyframes", 0) - torn)
     account["not_keyframe"] = skipped
     account["not_needed"] += skipped
     account["unreadable"] += _IMAGES_PER_FRAME * torn

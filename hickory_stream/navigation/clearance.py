@@ -104,9 +104,10 @@ class ClearanceScene:
         """How many superquadrics are in the scene."""
         return sum(len(rows) for rows in self._rows_of.values())
 
-    def rows(self) -> NDArray[np.float64]:
-        """Return (N, ROW) the numbers of all primitives, as the kernels take them, by object."""
-        return np.asarray(self._rows[[row for key in sorted(self._rows_of) for row in self._rows_of[key]]])
+    def rows(self, object_id: int | None = None) -> NDArray[np.float64]:
+        """Return (N, ROW) the numbers of all primitives, or of an object's, as the kernels take them, by object."""
+        keys = sorted(self._rows_of) if object_id is None else [object_id]
+        return np.asarray(self._rows[[row for key in keys for row in self._rows_of[key]]])
 
     def observe(self, space: ObservedSpace | None, world_from_space: NDArray[np.float64] | None = None) -> None:
         """Let points outside the free space that was seen be UNKNOWN, and points in seen structure HIT_SEEN."""

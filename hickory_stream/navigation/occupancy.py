@@ -154,6 +154,21 @@ class Occupancy:
         unknown = np.where(self._unknown > 0, np.int8(Cell.UNKNOWN), np.int8(Cell.FREE))
         return np.where(self.is_occupied(), np.int8(Cell.OCCUPIED), unknown)
 
+    def objects_at(self, row: int, column: int) -> list[int]:
+        """Return the ids of the objects that a body in this cell would meet."""
+        found = []
+        for object_id, outlines in sorted(self._outlines.items()):
+            counts = np.zeros(self.frame.shape, np.int32)
+            for corners, starts in outlines:
+                stamp(counts, corners, starts, self.frame.origin_m, self.frame.cell_m, 1)
+            if counts[row, column]:
+                found.append(object_id)
+        return found
+
+    def is_wall_at(self, row: int, column: int) -> bool:
+        """Return whether a body in this cell would meet structure."""
+        return bool(self._walls[row, column])
+
     def _replace(self, object_id: int, outlines: list[tuple[NDArray[np.float64], NDArray[np.int64]]]) -> None:
         self.remove(object_id)
         for corners, starts in outlines:

@@ -16,6 +16,7 @@ import numpy as np
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.navigation import tree_kernels
+from hickory_stream.navigation.blockers import blockers_at
 from hickory_stream.navigation.cell_route import route_over_cells
 from hickory_stream.navigation.occupancy import Cell
 from hickory_stream.navigation.verify import is_verified
@@ -24,11 +25,13 @@ from hickory_stream.ranges import Ranged, check_ranges, number
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.navigation.blockers import Blocker
     from hickory_stream.navigation.free_space import FreeSpace
 
 Planner = Literal["rrt", "rrt-connect", "rrt-star"]
 PLANNERS: tuple[str, ...] = get_args(Planner)
 _FIRST_SAMPLES = 1500
+_MOST_NAMED = 5
 _SPACING_CELLS = 8.0
 _MOST_PLACES = 70
 _ROUNDS = 12
@@ -74,11 +77,12 @@ class NoPathReason(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoPath:
-    """No path was found: an expected outcome."""
+    """No path was found: an expected outcome. `blockers` is what start or goal is in collision with, nearest first."""
 
     reason: NoPathReason
     text: str
     num_iterations: int = 0
+    blockers: tuple[Blocker, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -205,7 +209,11 @@ def _in_the_way(space: FreeSpace, name: str, row: int, column: int, place: NDArr
     at = f"the {name} ({place[0]:g}, {place[1]:g})"
     if states == {int(Cell.OCCUPIED)}:
         reason = NoPathReason.START_IN_COLLISION if name == "start" else NoPathReason.GOAL_IN_COLLISION
-        return NoPath(reason=reason, text=f"{at} is in collision, in every posture and heading")
+        blockers = blockers_at(space, place)
+        with_what = "; ".join(blocker.text for blocker in blockers[:_MOST_NAMED])
+        more = f"; and {len(blockers) - _MOST_NAMED} more" if len(blockers) > _MOST_NAMED else ""
+        text = f"{at} is in collision, in every posture and heading, with {with_what}{more}"
+        return NoPath(reason=reason, text=text, blockers=blockers)
     reason = NoPathReason.START_UNKNOWN if name == "start" else NoPathReason.GOAL_UNKNOWN
     return NoPath(reason=reason, text=f"{at} reaches into space that was never seen; --unknown free would allow it")
 

@@ -7,7 +7,11 @@ and to any callable, such as the publisher of a node; no ROS is needed to make t
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import errno
+import logging
+import os
+from contextlib import suppress
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, cast
 
 import numpy as np
 
@@ -21,6 +25,8 @@ if TYPE_CHECKING:
     from hickory_stream.navigation.robot import Robot
     from hickory_stream.records import FrameReport
 
+logger = logging.getLogger(__name__)
+
 MAP_TOPIC, UPDATES_TOPIC, FRAME_ID = "/map", "/map_updates", "map"
 _MAP_TYPE, _UPDATE_TYPE = "nav_msgs/msg/OccupancyGrid", "map_msgs/msg/OccupancyGridUpdate"
 _HEADER = "std_msgs/Header header\n"
@@ -30,7 +36,11 @@ _UPDATE_DEFINITION = _HEADER + "int32 x\nint32 y\nuint32 width\nuint32 height\ni
 class CostmapSink:
     """Follows the snapshots, and hands what changed to `publish` and to a file.
 
-    `show` raises OSError when the disk refuses.
+    The file may be a named pipe: until somebody reads it nothing is written, and a reader that comes gets a whole grid
+    first; nobody waits for one. `show` raises OSError when the disk refuses.
+
+    Raises:
+        InputError: the file cannot be written.
     """
 
     def __init__(
@@ -41,42 +51,102 @@ class CostmapSink:
         path: Path | None = None,
         publish: Callable[[CostmapUpdate], None] | None = None,
     ) -> None:
+        self._robot, self._cell_m = robot, cell_m
         self._costmap = Costmap(robot, cell_m=cell_m)
         self._publish = publish
-        self._file = None if path is None else _Messages(path)
+        self._pipe = path if path is not None and path.is_fifo() else None
+        self._file = _Messages(_opened(path)) if path is not None and self._pipe is None else None
+        if self._pipe is not None:
+            self._connect(self._pipe)
+            if self._file is None:
+                logger.warning("the costmap waits for a reader of the pipe %s; mapping goes on meanwhile", path)
 
     def show(self, report: FrameReport) -> None:
         """Send what changed with the report's snapshot."""
         if report.snapshot is None:
             return
+        if self._pipe is not None and self._file is None:
+            self._connect(self._pipe)
         update = self._costmap.update(report.snapshot)
         if update is None:
             return
         if self._publish is not None:
             self._publish(update)
         if self._file is not None:
-            self._file.write(update)
+            self._write(self._file, update)
 
     def close(self) -> None:
         """Finish the file."""
         if self._file is not None:
-            self._file.close()
+            with suppress(BrokenPipeError):
+                self._file.close()
+
+    def _connect(self, pipe: Path) -> None:
+        """Open a pipe if somebody reads it."""
+        stream = _opened_pipe(pipe)
+        if stream is not None:
+            self._file = _Messages(stream)
+            # This reader knows nothing: the next update is a whole grid.
+            self._costmap = Costmap(self._robot, cell_m=self._cell_m)
+
+    def _write(self, file: _Messages, update: CostmapUpdate) -> None:
+        try:
+            file.write(update)
+        except BrokenPipeError:
+            if self._pipe is None:
+                raise
+            logger.warning("the reader of the pipe %s is gone; the costmap waits for another one", self._pipe)
+            with suppress(BrokenPipeError):
+                file.abandon()
+            self._file = None
+
+
+def _opened(path: Path) -> BinaryIO:
+    try:
+        return path.open("wb")
+    except OSError as error:
+        raise InputError(f"cannot write the costmap {path}: {error.strerror}") from error
+
+
+def _opened_pipe(path: Path) -> BinaryIO | None:
+    """Return the stream into a named pipe, None where nobody reads it: to open it would wait for a reader."""
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
+    except OSError as error:
+        if error.errno == errno.ENXIO:
+            return None
+        raise InputError(f"cannot write the costmap {path}: {error.strerror}") from error
+    os.set_blocking(descriptor, True)
+    return os.fdopen(descriptor, "wb")
+
+
+class _Counted:
+    """A stream that knows how much was written: the writer of MCAP asks, and a pipe cannot tell."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._written = 0
+        self.flush, self.close = stream.flush, stream.close
+
+    def write(self, data: bytes) -> int:
+        self._written += len(data)
+        return self._stream.write(data)
+
+    def tell(self) -> int:
+        return self._written
 
 
 class _Messages:
     """An MCAP file of ROS 2 messages, written through at every message: a reader may follow it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, stream: BinaryIO) -> None:
         from mcap.writer import CompressionType, Writer
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
         self._store.register(get_types_from_msg(_UPDATE_DEFINITION, _UPDATE_TYPE))
-        try:
-            self._stream = path.open("wb")
-        except OSError as error:
-            raise InputError(f"cannot write the costmap {path}: {error.strerror}") from error
-        self._writer = Writer(self._stream, use_chunking=False, compression=CompressionType.NONE)
+        self._stream = _Counted(stream)
+        self._writer = Writer(cast("IO[bytes]", self._stream), use_chunking=False, compression=CompressionType.NONE)
         self._writer.start(profile="ros2", library="hickory_stream")
         self._channels = {topic: self._channel(topic, name) for topic, name in _TOPICS}
 
@@ -88,6 +158,9 @@ class _Messages:
 
     def close(self) -> None:
         self._writer.finish()
+        self._stream.close()
+
+    def abandon(self) -> None:
         self._stream.close()
 
     def _channel(self, topic: str, name: str) -> int:

@@ -9,6 +9,7 @@ from hickory_stream.errors import InputError
 if TYPE_CHECKING:
     from hickory_stream.records import FrameReport
 
+_MOST = 65535
 _FAMILIES = {
     "time": ("hickory_stage_seconds", "Seconds that the last keyframe took, by stage", "stage"),
     "queue": ("hickory_queue_length", "Items that wait, by queue", "queue"),
@@ -25,6 +26,8 @@ class MetricsSink:
     """
 
     def __init__(self, port: int, bind: str = "127.0.0.1") -> None:
+        if not 0 <= port <= _MOST:
+            raise InputError(f"found --metrics-port {port}, expected 1 to {_MOST}, or 0 for any that is free")
         # Imported here: a run that nobody measures does without.
         from prometheus_client import CollectorRegistry, Counter, Gauge, start_http_server
 

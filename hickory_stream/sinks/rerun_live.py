@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import socket
 import threading
+import time
 from collections import Counter, deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _POLL_S = 0.2
+_PATIENCE_S = 2.0
 
 logger = logging.getLogger(__name__)
 
@@ -118,6 +120,7 @@ class LiveFeed:
         self._blueprint = blueprint
         self._queue = LiveQueue(capacity)
         self._ending = threading.Event()
+        self._was_told = False
         self._thread = threading.Thread(target=self._run, name="rerun-live", daemon=True)
         self._thread.start()
 
@@ -141,14 +144,23 @@ class LiveFeed:
             rr.unregister_shutdown()
 
     def _run(self) -> None:
+        begun_s = time.monotonic()
         while not self._ending.is_set():
             if not _somebody_listens(self._url):
                 self._ending.wait(_POLL_S)
+                if self._ending.is_set() or time.monotonic() - begun_s > _PATIENCE_S:
+                    self._tell_once()
                 continue
+            self._was_told = True
             try:
                 self._feed()
             except RuntimeError as error:  # what the SDK raises for a viewer that is lost
                 logger.warning("the viewer at %s was lost (%s); waiting for it to come back", self._url, error)
+
+    def _tell_once(self) -> None:
+        if not self._was_told:
+            logger.warning("nobody answers at %s: nothing is shown until a viewer listens there", self._url)
+            self._was_told = True
 
     def _feed(self) -> None:
         stream = new_stream(self._recording_id)

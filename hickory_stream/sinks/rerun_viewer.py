@@ -19,6 +19,10 @@ from urllib.parse import quote, urlsplit
 from hickory_stream.errors import ViewerError
 
 _CHOICES = "auto, none, spawn, web, or connect=URL such as connect=rerun+http://127.0.0.1:9876/proxy"
+_NO_SCREEN = (
+    "--viewer spawn needs a screen, and neither DISPLAY nor WAYLAND_DISPLAY is set; "
+    "use --viewer web to look from a browser, or --rrd FILE to look later"
+)
 _SCHEMES = ("rerun", "rerun+http", "rerun+https")
 _GRPC_PORT, _WEB_PORT = 9876, 9090
 
@@ -63,6 +67,28 @@ def parse_viewer(text: str) -> ViewerChoice:
     if text.startswith("connect="):
         return ViewerChoice(kind=ViewerKind.CONNECT, url=_viewer_url(text.removeprefix("connect=")))
     raise ViewerError(f"viewer {text!r} is none of these: {_CHOICES}")
+
+
+def check_viewer(choice: ViewerChoice) -> None:
+    """Refuse what surely cannot be shown, before anything is played.
+
+    A viewer that does not listen yet is none of it: it is shown the run as soon as it does.
+
+    Raises:
+        ViewerError: there is no screen for a window, or no host of that name.
+    """
+    if choice.kind is ViewerKind.SPAWN and not has_screen():
+        raise ViewerError(_NO_SCREEN)
+    if choice.url is None:
+        return
+    host, port = host_and_port(choice.url)
+    try:
+        socket.getaddrinfo(host, port)
+    except (OSError, UnicodeError) as error:
+        raise ViewerError(
+            f"found --viewer connect={choice.url}: there is no host {host!r} (or no way to look it up); "
+            f"expected {_CHOICES}"
+        ) from error
 
 
 def has_screen() -> bool:
@@ -146,10 +172,7 @@ def _viewer_url(text: str) -> str:
 
 def _start_window(bind: str, server_memory_limit: str) -> Viewer:
     if not has_screen():
-        raise ViewerError(
-            "--viewer spawn needs a screen, and neither DISPLAY nor WAYLAND_DISPLAY is set; "
-            "use --viewer web to look from a browser, or --rrd FILE to look later"
-        )
+        raise ViewerError(_NO_SCREEN)
     port = free_port(_GRPC_PORT, bind)
     process = _start(bind, port, server_memory_limit, ["--hide-welcome-screen", "--expect-data-soon"])
     return Viewer(url=f"rerun+http://{_reachable(bind)}:{port}/proxy", process=process)

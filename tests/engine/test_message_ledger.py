@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import player_scenes as scenes
 
 from hickory_stream.engine.message_ledger import message_ledger
-from hickory_stream.testing import SceneSource
+from hickory_stream.testing import Faults, FaultySource, SceneSource
 from players import open_source
 from players.first_frames import FirstFrames
 
@@ -38,6 +38,16 @@ def test_what_was_not_played_is_told_apart(tmp_path: Path) -> None:
     assert account["not_played"] > 0
     assert not account["is_complete"]
     assert account["used"] + account["not_played"] == len(LOG)
+
+
+def test_a_log_that_is_played_with_faults_has_its_ledger_too(tmp_path: Path) -> None:
+    log = open_source(scenes.write_mcap(tmp_path / "log.mcap", M, LOG))
+    source = FaultySource(log, Faults(drop=0.5), seed=3)
+    read = len(list(source.frames()))
+    assert 0 < read < len(TRUTH)
+    account = message_ledger(source, {"read": read, "keyframes": 1})
+    assert account["not_keyframe"] == 2 * (len(TRUTH) - 1)
+    assert account["used"] + account["not_needed"] == account["declared"] == len(LOG)
 
 
 def test_a_source_without_an_account_has_none() -> None:

@@ -99,6 +99,10 @@ def test_a_folder_of_images_is_examined_too(tmp_path: Path) -> None:
     found = _examined(scenes.write_tum(tmp_path / "tum", FRAMES))
     assert found.status == SOUND
     assert found.frames["frames"] == len(FRAMES)
+    files = [*(tmp_path / "tum").rglob("*.png"), *(tmp_path / "tum").rglob("*.jpg"), *(tmp_path / "tum").glob("*.txt")]
+    assert 0.9 * sum(file.stat().st_size for file in files) < found.num_bytes
+    assert found.ledger["declared"] == found.ledger["used"] == 2 * len(FRAMES)
+    assert f"ledger: {2 * len(FRAMES)} files declared" in diagnosis_text(found)
 
 
 def test_text_and_page_hold_the_verdict_and_escape_names(tmp_path: Path) -> None:

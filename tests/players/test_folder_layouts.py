@@ -96,6 +96,11 @@ def test_files_without_partners_and_poses_that_are_none_are_counted(seven: Path)
     assert len(list(source.frames())) == len(TRUTH) - 3
     fates = {"color_without_depth": 1, "depth_without_color": 1, "no_pose": 1}
     assert source.ledger() == {"frames": len(TRUTH) - 3, **fates}
+    account = source.account().as_dict()
+    assert account["declared"] == 2 * len(TRUTH) - 2
+    assert account["used"] == 2 * (len(TRUTH) - 3)
+    assert account["rejected"] == {"color_without_depth": 1, "depth_without_color": 1, "no_pose": 2}
+    assert (account["difference"], account["not_played"], account["is_complete"]) == (0, 0, True)
 
 
 def test_a_7_scenes_folder_without_intrinsics_is_refused(seven: Path) -> None:

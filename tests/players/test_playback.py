@@ -7,6 +7,7 @@ import threading
 import pytest
 
 from hickory_stream.cli.keys import press
+from hickory_stream.errors import InputError
 from hickory_stream.testing import PERIOD_NS, START_NS, SceneSource
 from players.playback import PlaybackClock, PlayedSource
 
@@ -30,6 +31,20 @@ def test_at_a_rate_frames_are_due_by_their_stamps() -> None:
 
 def test_without_a_rate_frames_are_due_at_once() -> None:
     assert PlaybackClock(None).due_in_s(START_NS, is_keyframe=False) == 0.0
+
+
+def test_where_playback_is_counts_from_the_first_frame_though_its_stamp_is_zero() -> None:
+    clock = PlaybackClock(None)
+    assert clock.describe() == "at 0.0 s, max"
+    for stamp_ns in (0, 2_500_000_000):
+        clock.wait(stamp_ns)
+    assert clock.describe() == "at 2.5 s, max"
+
+
+def test_a_start_after_the_end_says_how_long_the_log_is() -> None:
+    source = PlayedSource(SceneSource(4), PlaybackClock(), start_s=60.0)
+    with pytest.raises(InputError, match=r"--start 60, but the log is only \d+\.\d s long"):
+        next(source.frames())
 
 
 def test_a_change_of_rate_counts_from_where_it_was_made() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -109,6 +111,35 @@ def test_the_file_holds_the_messages_of_nav2_and_the_callable_is_handed_the_same
             assert [decoded.info.origin.position.x, decoded.info.origin.position.y] == update.frame.origin_m.tolist()
         else:
             assert (decoded.x, decoded.y) == (update.column, update.row)
+
+
+def test_a_pipe_without_a_reader_holds_nobody_up_and_its_reader_gets_a_whole_grid_first(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    sink = CostmapSink(ROBOT, path=pipe)
+    assert "waits for a reader" in caplog.text
+    sink.show(report(snapshots()[0], 0))
+    with os.fdopen(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), "rb") as reader:
+        for i, item in enumerate(snapshots()[1:]):
+            sink.show(report(item, i + 1))
+        sink.close()
+        data = reader.read()
+    topics = [channel.topic for _, channel, _ in make_reader(io.BytesIO(data)).iter_messages()]
+    assert topics == [MAP_TOPIC] + [UPDATES_TOPIC] * 3
+
+
+def test_a_reader_of_the_pipe_that_goes_is_waited_for_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    first = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    sink = CostmapSink(ROBOT, path=pipe)
+    os.close(first)
+    for i, item in enumerate(snapshots()):
+        sink.show(report(item, i))
+    sink.close()
+    assert "is gone" in caplog.text
 
 
 def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None:

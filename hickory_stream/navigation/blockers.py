@@ -1,0 +1,71 @@
+"""What a robot would stand in: the objects and the structure that make a cell of its grid occupied, and how near."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from hickory_stream.navigation.outline import outlines_of_hulls, outlines_of_rows
+from hickory_stream.navigation.robot import Part
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.navigation.free_space import FreeSpace
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Blocker:
+    """An object, or the observed structure (`object_id` None), that a robot at a place would meet.
+
+    `distance_m`: in the plane, from the place to what of it is at the robot's heights; 0 within.
+    """
+
+    object_id: int | None
+    distance_m: float
+
+    @property
+    def text(self) -> str:
+        """It, in words."""
+        name = "a wall" if self.object_id is None else f"object {self.object_id}"
+        return f"{name}, {self.distance_m:.2f} m away" if self.distance_m > 0 else f"{name}, which is there"
+
+
+def blockers_at(space: FreeSpace, place: NDArray[np.float64]) -> tuple[Blocker, ...]:
+    """Return what a robot at (2,) meets in any posture and heading, the nearest first."""
+    ((row, column),) = space.frame.cells_of(place[None]).tolist()
+    layers = [layer for headings in space.layers for layer in headings]
+    ids = sorted({object_id for layer in layers for object_id in layer.objects_at(row, column)})
+    parts = [part for headings in space.parts for parts in headings for part in parts]
+    # A body without width, as high as the robot: its outlines are the obstacles' own.
+    slim = Part(
+        low_m=min(part.low_m - part.ball_m for part in parts), high_m=max(part.high_m + part.ball_m for part in parts)
+    )
+    found = [Blocker(object_id=i, distance_m=_distance_m(place, *_outlines(space, i, slim))) for i in ids]
+    if any(layer.is_wall_at(row, column) for layer in layers):
+        apart_m = _distance_m(place, *outlines_of_hulls(space.walls, slim))
+        found.append(Blocker(object_id=None, distance_m=apart_m))
+    return tuple(sorted(found, key=lambda blocker: blocker.distance_m))
+
+
+def _outlines(space: FreeSpace, object_id: int, part: Part) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    if object_id in space.hulls:
+        return outlines_of_hulls(space.hulls[object_id], part)
+    return outlines_of_rows(space.scene.rows(object_id), part)
+
+
+def _distance_m(place: NDArray[np.float64], corners: NDArray[np.float64], starts: NDArray[np.int64]) -> float:
+    """Return how far a place is from the nearest of some convex outlines, 0 within one."""
+    import cv2
+    import numpy as np
+
+    here = (0.0, 0.0)
+    inside_m = [
+        # Relative to the place: single precision is enough there.
+        cv2.pointPolygonTest((corners[first:last] - place).astype(np.float32)[:, None], here, measureDist=True)
+        for first, last in pairwise(starts.tolist())
+        if last > first
+    ]
+    return max(0.0, -max(inside_m, default=-np.inf))
