@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.confined import plain_name, whole_number
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.superquadric import check_bodies
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -248,6 +250,9 @@ class View:
     observation_index: int = 0
 
     def __post_init__(self) -> None:
+        # They become the names of files.
+        whole_number(self.frame_index, "frame")
+        whole_number(self.observation_index, "observation")
         freeze(self, "world_from_camera", np.float64, (4, 4))
         if self.feature is not None:
             freeze(self, "feature", np.float32, (None,))
@@ -298,6 +303,9 @@ class ObjectShape:
     containment: Containment
 
     def __post_init__(self) -> None:
+        plain_name(self.mesh_name, ".glb")
+        check_bodies(self.fitted)
+        check_bodies(self.inflated)
         freeze(self, "world_from_object", np.float64, (4, 4))
         freeze(self, "seen_share", np.float64, (len(self.fitted),))
 
@@ -334,6 +342,8 @@ class TrackedObject:
         return self.shape.fitted if self.shape is not None and len(self.shape.fitted) else self.sketch
 
     def __post_init__(self) -> None:
+        # It becomes a part of files' names.
+        whole_number(self.id, "object")
         freeze(self, "points_world", np.float32, (None, 3))
         freeze(self, "colors", np.uint8, (len(self.points_world), 3))
         if self.feature is not None:
@@ -370,6 +380,7 @@ class Submap:
     observed_space: ObservedSpace
 
     def __post_init__(self) -> None:
+        whole_number(self.id, "submap")
         freeze(self, "world_from_submap", np.float64, (4, 4))
 
 

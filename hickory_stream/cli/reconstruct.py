@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
         inputs, config = read_job(folder)
     except HickoryError:
         raise
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{folder} is no readable job: {error}") from error
     built = build_shape(inputs, make_reconstructor(config.reconstructor, config), config)
     try:

@@ -11,6 +11,7 @@ import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from hickory_stream.confined import open_new
 from hickory_stream.errors import MapFolderError
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
     """
     partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
     try:
-        with partial.open("wb") as file:
+        with os.fdopen(open_new(partial), "wb") as file:
             file.write(data)
             file.flush()
             if sync:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.confined import plain_name, read_within
 from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import Camera
@@ -24,10 +25,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MAX_MM = 65535
+# A view is a part of an image of a camera.
+_MOST_PIXELS = 1 << 26
 
 
 def crop_files(views: Path, name: str) -> tuple[Path, Path, Path]:
-    """Return the paths of a view's colour, depth and description in the folder `views`."""
+    """Return the paths of a view's colour, depth and description in the folder `views`; a name is a plain one."""
+    plain_name(name)
     return views / f"{name}.color.png", views / f"{name}.depth.png", views / f"{name}.json"
 
 
@@ -59,10 +63,10 @@ def read_crop(views: Path, name: str) -> Crop:
         MapFolderError: a file is missing or damaged.
     """
     color_file, depth_file, description_file = crop_files(views, name)
-    bgra = _read_png(color_file)
-    depth = _read_png(depth_file)
+    bgra = _read_png(color_file, np.dtype(np.uint8), 3)
+    depth = _read_png(depth_file, np.dtype(np.uint16), 2)
     try:
-        description = json.loads(description_file.read_bytes())
+        description = json.loads(read_within(views, description_file.name))
         return Crop(
             rgb=bgra[..., 2::-1],
             depth_m=np.where(depth == 0, np.float32(np.nan), depth.astype(np.float32) / np.float32(1000)),
@@ -70,7 +74,7 @@ def read_crop(views: Path, name: str) -> Crop:
             camera=Camera(**description["camera"]),
             world_from_camera=description["world_from_camera"],
         )
-    except (OSError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (OSError, KeyError, TypeError, ValueError, IndexError, RecursionError) as error:
         raise MapFolderError(f"view {name} in {views} is damaged: {error}; play the log again") from error
 
 
@@ -80,14 +84,25 @@ def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     return np.where((millimetres > 0) & (millimetres <= _MAX_MM), millimetres, 0).astype(np.uint16)
 
 
-def _read_png(path: Path) -> NDArray[Any]:
+def _read_png(path: Path, dtype: np.dtype[Any], num_dimensions: int) -> NDArray[Any]:
     """Return the image of a file as it was stored."""
     import cv2
 
     try:
-        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
-    except (OSError, cv2.error) as error:
+        data = read_within(path.parent, path.name)
+        width, height = _png_size(data)
+        if width * height > _MOST_PIXELS:
+            raise ValueError(f"{width} x {height} pixels, which no view has")
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except (OSError, ValueError, cv2.error) as error:
         raise MapFolderError(f"cannot read {path}: {error}; play the log again") from error
-    if image is None:
-        raise MapFolderError(f"{path} is no complete PNG image; play the log again")
+    if image is None or image.dtype != dtype or image.ndim != num_dimensions:
+        raise MapFolderError(f"{path} is no complete PNG image of a view; play the log again")
     return np.asarray(image)
+
+
+def _png_size(data: bytes) -> tuple[int, int]:
+    """Return width and height that a PNG claims, before memory is taken for them."""
+    if len(data) < 24 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
+        raise ValueError("it is no PNG")
+    return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")

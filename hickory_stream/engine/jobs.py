@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.config import from_dict
-from hickory_stream.engine.atomic import disk_errors
+from hickory_stream.confined import plain_name, read_within
+from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop
-from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics
-from hickory_stream.engine.session import GLB_ERRORS
+from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics, npy_array
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
-from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
+from hickory_stream.geometry.mesh import glb_bytes, mesh_of_glb, sha256_of
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import BuiltShape, NoShape, ShapeInputs
 from hickory_stream.records import Containment, ObjectShape
@@ -83,12 +83,16 @@ def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeCon
 
 
 def read_job(folder: Path) -> tuple[ShapeInputs, ShapeConfig]:
-    """Return what `write_job` wrote."""
-    job = json.loads((folder / JOB).read_text())
+    """Return what `write_job` wrote.
+
+    Raises:
+        OSError, ValueError, KeyError, TypeError, RecursionError, HickoryError: it is damaged, or none.
+    """
+    job = json.loads(read_within(folder, JOB))
     inputs = ShapeInputs(
-        crops=tuple(read_crop(folder, name) for name in job["views"]),
-        points_world=np.load(folder / "points.npy", allow_pickle=False),
-        colors=np.load(folder / "colors.npy", allow_pickle=False),
+        crops=tuple(read_crop(folder, plain_name(name)) for name in job["views"]),
+        points_world=npy_array(read_within(folder, "points.npy"), "<f4"),
+        colors=npy_array(read_within(folder, "colors.npy"), "|u1"),
         box=OrientedBox(world_from_box=job["world_from_box"], half_extents_m=job["half_extents_m"]),
         support_z_m=job["support_z_m"],
     )
@@ -100,7 +104,7 @@ def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) 
     if isinstance(built, NoShape):
         result: dict[str, Any] = {"reason": built.reason}
     else:
-        write_glb(built.reconstruction.mesh, folder / MESH)
+        write_atomically(folder / MESH, glb_bytes(built.reconstruction.mesh), sync=False)
         result = {
             "reconstructor": reconstructor,
             "world_from_object": built.reconstruction.world_from_object.tolist(),
@@ -110,9 +114,7 @@ def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) 
             "containment": dataclasses.asdict(built.containment),
             "timings_s": dict(built.timings_s),
         }
-    partial = folder / (RESULT + ".partial")
-    partial.write_text(dumps_exactly(result))
-    partial.replace(folder / RESULT)
+    write_atomically(folder / RESULT, dumps_exactly(result).encode(), sync=False)
 
 
 def is_complete(folder: Path) -> bool:
@@ -132,11 +134,11 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
         WorkerError: the worker left no readable answer.
     """
     try:
-        result = json.loads((folder / RESULT).read_text())
+        result = json.loads(read_within(folder, RESULT))
         if "reason" in result:
             return ShapeAnswer(shape=None, reason=result["reason"], timings_s={})
         # The hash is of what was written, read back: the map's digest then holds for the file.
-        mesh_sha256 = sha256_of(read_glb(folder / MESH))
+        mesh_sha256 = sha256_of(mesh_of_glb(read_within(folder, MESH)))
         name = f"{object_id:06d}-{ticket:06d}.glb"
         (shapes / name).unlink(missing_ok=True)
         _link(folder / MESH, shapes / name)
@@ -151,7 +153,7 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
             seen_share=result["seen_share"],
             containment=Containment(**result["containment"]),
         )
-    except GLB_ERRORS as error:
+    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         raise WorkerError(f"job {ticket}: no readable answer in {folder}: {error}") from error
     return ShapeAnswer(shape=shape, reason="", timings_s=result["timings_s"])
 

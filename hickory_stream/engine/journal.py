@@ -28,6 +28,7 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
+from hickory_stream.confined import OutsideError, open_new, open_within
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
 from hickory_stream.engine.checkpoints import Packer, unpacked
 from hickory_stream.engine.record_codec import decode, encode, encode_array
@@ -63,7 +64,20 @@ _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
 _NO_LIMIT = 1 << 60
 _CACHED_CHUNKS = 64
-_DAMAGE = (McapError, zstandard.ZstdError, ValueError, KeyError, IndexError, struct.error, EOFError, MemoryError)
+# A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
+_MOST_CHUNK_BYTES = 1 << 29
+_DAMAGE = (
+    McapError,
+    zstandard.ZstdError,
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    struct.error,
+    EOFError,
+    OverflowError,
+    MemoryError,
+)
 
 
 # ---- writing --------------------------------------------------------------------------------------------------------
@@ -88,7 +102,7 @@ class JournalWriter:
         self._synced_s = time.monotonic()
         partial = folder / f".{JOURNAL}{PARTIAL_SUFFIX}"
         with disk_errors(self._path):
-            self._file = partial.open("wb")
+            self._file = os.fdopen(open_new(partial), "wb")
             try:
                 self._writer = Writer(self._file, chunk_size=_NO_LIMIT, compression=CompressionType.ZSTD)
                 self._writer.start(profile=_PROFILE, library="hickory-stream")
@@ -227,7 +241,7 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         self.path = folder / JOURNAL
         try:
-            with self.path.open("rb") as file:
+            with open_within(folder, JOURNAL) as file:
                 empty = os.fstat(file.fileno()).st_size == 0
                 self._data: Any = b"" if empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except FileNotFoundError as error:
@@ -236,6 +250,8 @@ class Journal:
             ) from error
         except OSError as error:
             raise MapFolderError(f"cannot read {self.path}: {error.strerror or error}") from error
+        except OutsideError as error:
+            raise MapFolderError(f"{error}; a map's journal lies in its folder") from error
         self._places = _scan(self._data, self.path)
         self._steps = [i for i, place in enumerate(self._places) if place.is_step]
         self._cache: OrderedDict[int, list[Message]] = OrderedDict()
@@ -349,6 +365,7 @@ class Journal:
         place = self._places[chunk]
         try:
             record = Chunk.read(ReadDataStream(BytesIO(self._data[place.start : place.end])))
+            _check_unpacked_size(record)
             messages = [m for m in breakup_chunk(record, validate_crc=True) if isinstance(m, Message)]
         except _DAMAGE as error:
             raise MapFolderError(
@@ -358,6 +375,19 @@ class Journal:
         if len(self._cache) > _CACHED_CHUNKS:
             self._cache.popitem(last=False)
         return messages
+
+
+def _check_unpacked_size(chunk: Chunk) -> None:
+    """Refuse a chunk that would unpack to something else than it says, or to more than there can be.
+
+    Raises:
+        ValueError: it is none of ours.
+    """
+    if chunk.compression != "zstd":
+        raise ValueError(f"a chunk is packed by {chunk.compression or 'nothing'!r}, expected zstd")
+    found = zstandard.frame_content_size(chunk.data)
+    if found != chunk.uncompressed_size or found > _MOST_CHUNK_BYTES:
+        raise ValueError(f"a chunk unpacks to {found} bytes, says {chunk.uncompressed_size}")
 
 
 def _scan(data: Any, path: Path) -> list[_Place]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream import __version__
+from hickory_stream.confined import OutsideError, read_within
 from hickory_stream.errors import MapFolderError
 from hickory_stream.json_text import dumps
 
@@ -17,6 +18,15 @@ if TYPE_CHECKING:
 FORMAT_VERSION = 1
 MANIFEST = "manifest.json"
 _KIND = "hickory-stream map"
+_ENTRIES: dict[str, Any] = {
+    "config": dict,
+    "source": dict,
+    "software_version": str,
+    "finished_cleanly": bool,
+    "digest": (str, type(None)),
+}
+# Not in maps from before them.
+_LATER_ENTRIES: dict[str, Any] = {"run": dict, "is_reproducible": bool, "extractor": str}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,58 +76,66 @@ def read_manifest(folder: Path) -> Manifest:
         raise MapFolderError(f"there is no map folder {folder}; `hickory-stream play LOG --out {folder}` makes one")
     if not (folder / MANIFEST).is_file():
         raise MapFolderError(f"{folder} is no map folder: it holds no {MANIFEST}; name a folder that `play` wrote")
-    entry = read_json(folder / MANIFEST)
+    entry = read_json(folder, MANIFEST)
     if entry.get("kind") != _KIND:
         raise MapFolderError(f"{folder} is no map folder: its {MANIFEST} is another program's; name one of `play`'s")
     _check_format(folder, entry.get("format"))
-    try:
-        return Manifest(
-            config=entry["config"],
-            source=entry["source"],
-            software_version=entry["software_version"],
-            finished_cleanly=entry["finished_cleanly"],
-            digest=entry["digest"],
-            run=entry.get("run", {}),
-            is_reproducible=entry.get("is_reproducible", True),
-            extractor=str(entry.get("extractor", "")),
-        )
-    except KeyError as error:
-        raise MapFolderError(f"{folder / MANIFEST} is damaged: it has no {error}; play the log again") from error
+    for name, kinds in {**_ENTRIES, **_LATER_ENTRIES}.items():
+        if name not in entry and name in _LATER_ENTRIES:
+            continue
+        if name not in entry:
+            raise MapFolderError(f"{folder / MANIFEST} is damaged: it has no {name!r}; play the log again")
+        if not isinstance(entry[name], kinds):
+            raise MapFolderError(
+                f"{folder / MANIFEST} is damaged: its {name!r} is of {type(entry[name]).__name__}; play the log again"
+            )
+    return Manifest(
+        config=entry["config"],
+        source=entry["source"],
+        software_version=entry["software_version"],
+        finished_cleanly=entry["finished_cleanly"],
+        digest=entry["digest"],
+        run=entry.get("run", {}),
+        is_reproducible=entry.get("is_reproducible", True),
+        extractor=entry.get("extractor", ""),
+    )
 
 
 def is_map_folder(folder: Path) -> bool:
     """Return whether a folder is a map folder, of whatever format."""
     try:
-        return read_json(folder / MANIFEST).get("kind") == _KIND
+        return read_json(folder, MANIFEST).get("kind") == _KIND
     except MapFolderError:
         return False
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(folder: Path, name: str) -> dict[str, Any]:
     """Return the JSON object in a file of a map folder.
 
     Raises:
         MapFolderError: the file is missing or holds something else.
     """
     try:
-        entry = json.loads(read_file(path))
-    except ValueError as error:
-        raise MapFolderError(f"{path} is damaged: {error}; play the log again") from error
+        entry = json.loads(read_file(folder, name))
+    except (ValueError, RecursionError) as error:
+        raise MapFolderError(f"{folder / name} is damaged: {error}; play the log again") from error
     if not isinstance(entry, dict):
-        raise MapFolderError(f"{path} is damaged: it holds no JSON object; play the log again")
+        raise MapFolderError(f"{folder / name} is damaged: it holds no JSON object; play the log again")
     return entry
 
 
-def read_file(path: Path) -> bytes:
+def read_file(folder: Path, name: str) -> bytes:
     """Return the content of a file of a map folder.
 
     Raises:
-        MapFolderError: it cannot be read.
+        MapFolderError: it cannot be read, or lies elsewhere.
     """
     try:
-        return path.read_bytes()
+        return read_within(folder, name)
     except OSError as error:
-        raise MapFolderError(f"cannot read {path}: {error.strerror or error}; play the log again") from error
+        raise MapFolderError(f"cannot read {folder / name}: {error.strerror or error}; play the log again") from error
+    except OutsideError as error:
+        raise MapFolderError(f"{error}; a map lies in its folder, play the log again") from error
 
 
 def pretty_json(data: Any) -> bytes:

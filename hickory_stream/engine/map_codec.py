@@ -2,6 +2,8 @@
 
 The name of a binary file carries the hash of its content: a document can only refer to files that are complete, and a
 file that exists never needs to be written again. Float32 arrays without a file of their own (features) are base64.
+
+What is read may come from anybody: every name is checked before it is followed, every number before it is believed.
 """
 
 from __future__ import annotations
@@ -9,13 +11,17 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
+import itertools
 import math
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.confined import plain_name, whole_number
 from hickory_stream.geometry.boxes import OrientedBox
-from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.geometry.rigid import is_rigid
+from hickory_stream.geometry.superquadric import Superquadrics, check_bodies
 from hickory_stream.records import (
     Containment,
     MapSnapshot,
@@ -35,6 +41,12 @@ if TYPE_CHECKING:
 POINTS, SPACE = "points", "space"
 Json = dict[str, Any]
 
+_MOST_PIXELS = 1 << 20
+_NPY_HEADER = re.compile(
+    rb"\x93NUMPY\x01\x00..\{'descr': '(?P<descr>[<|][a-z]\d)', 'fortran_order': False, "
+    rb"'shape': \((?P<shape>\d{1,15},(?: \d{1,15})?)\), \} *\n",
+    re.DOTALL,
+)
 _PLY_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _PLY_HEADER = (
     "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
@@ -59,19 +71,28 @@ def decode_snapshot(document: Json, read: Callable[[str], bytes]) -> MapSnapshot
     """Return the snapshot of a document; `read` gives the content of a file by its path in the map folder.
 
     Raises:
-        KeyError, TypeError, ValueError: the document or a file is damaged.
+        KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError: the document or a file is damaged.
     """
-    return MapSnapshot(
-        revision=document["revision"],
-        stamp_ns=document["stamp_ns"],
+    snapshot = MapSnapshot(
+        revision=whole_number(document["revision"], "revision"),
+        stamp_ns=_stamp(document["stamp_ns"]),
         submaps=tuple(_decode_submap(entry, read) for entry in document["submaps"]),
         objects=tuple(_decode_object(entry, read) for entry in document["objects"]),
     )
+    _check_ids("submap", [submap.id for submap in snapshot.submaps])
+    _check_ids("object", [tracked.id for tracked in snapshot.objects])
+    return snapshot
 
 
 def has_named_content(name: str, data: bytes) -> bool:
     """Return whether a file's content is the one that its name promises."""
     return name.rpartition(".")[0].endswith(f"-{_short_hash(data)}")
+
+
+def _check_ids(what: str, ids: list[int]) -> None:
+    """Refuse ids that are not in ascending order, or come up twice."""
+    if any(a >= b for a, b in itertools.pairwise(ids)):
+        raise ValueError(f"the ids of {what}s are not in ascending order: {ids[:10]}")
 
 
 # ---- the records ----------------------------------------------------------------------------------------------------
@@ -91,12 +112,14 @@ def _encode_submap(submap: Submap, files: dict[str, bytes]) -> Json:
 
 def _decode_submap(entry: Json, read: Callable[[str], bytes]) -> Submap:
     space = ObservedSpace(
-        voxel_m=entry["voxel_m"],
-        free=npy_array(read(entry["free"])),
-        structure=npy_array(read(entry["structure"])),
-        floor_z_m=_maybe_float(entry["floor_z_m"]),
+        voxel_m=_finite(entry["voxel_m"]),
+        free=npy_array(read(_file_of(entry["free"], SPACE, ".npy"))),
+        structure=npy_array(read(_file_of(entry["structure"], SPACE, ".npy"))),
+        floor_z_m=None if entry["floor_z_m"] is None else _finite(entry["floor_z_m"]),
     )
-    return Submap(id=entry["id"], world_from_submap=_array(entry["world_from_submap"]), observed_space=space)
+    if not space.voxel_m > 0:
+        raise ValueError(f"voxels of {space.voxel_m} m")
+    return Submap(id=entry["id"], world_from_submap=_pose(entry["world_from_submap"]), observed_space=space)
 
 
 def _encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
@@ -125,25 +148,26 @@ def _encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
 
 
 def _decode_object(entry: Json, read: Callable[[str], bytes]) -> TrackedObject:
-    points_world, colors = ply_arrays(read(entry["points"]))
+    points_world, colors = ply_arrays(read(_file_of(entry["points"], POINTS, ".ply")))
     views = tuple(_decode_view(view) for view in entry["views"])
     return TrackedObject(
         id=entry["id"],
         phase=Phase(entry["phase"]),
-        submap_id=entry["submap_id"],
-        sightings=entry["sightings"],
-        first_seen_ns=entry["first_seen_ns"],
-        last_seen_ns=entry["last_seen_ns"],
+        submap_id=whole_number(entry["submap_id"], "submap"),
+        sightings=whole_number(entry["sightings"], "sightings"),
+        first_seen_ns=_stamp(entry["first_seen_ns"]),
+        last_seen_ns=_stamp(entry["last_seen_ns"]),
         points_world=points_world,
         colors=colors,
         box=OrientedBox(
-            world_from_box=_array(entry["box"]["world_from_box"]), half_extents_m=_array(entry["box"]["half_extents_m"])
+            world_from_box=_pose(entry["box"]["world_from_box"]),
+            half_extents_m=_finite_array(entry["box"]["half_extents_m"]),
         ),
         feature=_float32s(entry["feature"]),
         views=views,
-        best_view=None if entry["best_view"] is None else views[entry["best_view"]],
+        best_view=None if entry["best_view"] is None else views[whole_number(entry["best_view"], "best view")],
         shape=None if entry["shape"] is None else _decode_shape(entry["shape"]),
-        merged_ids=tuple(entry["merged_ids"]),
+        merged_ids=tuple(whole_number(i, "merged id") for i in entry["merged_ids"]),
         # Maps from before sketches have none.
         sketch=None if entry.get("sketch") is None else decode_superquadrics(entry["sketch"]),
     )
@@ -169,20 +193,20 @@ def _encode_view(view: View) -> Json:
 
 
 def _decode_view(entry: Json) -> View:
-    x0, y0, x1, y1 = entry["box_px"]
+    x0, y0, x1, y1 = (whole_number(edge, "a pixel", -_MOST_PIXELS) for edge in entry["box_px"])
     return View(
-        object_id=entry["object_id"],
+        object_id=whole_number(entry["object_id"], "object"),
         frame_index=entry["frame_index"],
-        stamp_ns=entry["stamp_ns"],
+        stamp_ns=_stamp(entry["stamp_ns"]),
         box_px=(x0, y0, x1, y1),
-        world_from_camera=_array(entry["world_from_camera"]),
+        world_from_camera=_pose(entry["world_from_camera"]),
         r_area=float(entry["r_area"]),
         r_depth=float(entry["r_depth"]),
         box_volume_m3=float(entry["box_volume_m3"]),
         score=_maybe_float(entry["score"]),
         variance=_maybe_float(entry["variance"]),
         feature=_float32s(entry["feature"]),
-        is_cut=entry["is_cut"],
+        is_cut=_flag(entry["is_cut"]),
         observation_index=entry["observation_index"],
     )
 
@@ -212,21 +236,21 @@ def _encode_shape(shape: ObjectShape) -> Json:
 def _decode_shape(entry: Json) -> ObjectShape:
     checked = entry["containment"]
     return ObjectShape(
-        revision=entry["revision"],
-        reconstructor=entry["reconstructor"],
+        revision=whole_number(entry["revision"], "revision"),
+        reconstructor=_text_of(entry["reconstructor"]),
         mesh_name=entry["mesh_name"],
-        mesh_sha256=entry["mesh_sha256"],
-        world_from_object=_array(entry["world_from_object"]),
+        mesh_sha256=_text_of(entry["mesh_sha256"]),
+        world_from_object=_pose(entry["world_from_object"]),
         fitted=decode_superquadrics(entry["fitted"]),
         inflated=decode_superquadrics(entry["inflated"]),
-        seen_share=_array(entry["seen_share"]),
+        seen_share=_finite_array(entry["seen_share"]),
         containment=Containment(
-            num_checked=checked["num_checked"],
-            num_outside=checked["num_outside"],
+            num_checked=whole_number(checked["num_checked"], "a number of pieces"),
+            num_outside=whole_number(checked["num_outside"], "a number of pieces"),
             max_g=float(checked["max_g"]),
             # Maps from before the certificate were checked by sampling only.
-            is_certified=checked.get("is_certified", False),
-            is_fallback=checked.get("is_fallback", False),
+            is_certified=_flag(checked.get("is_certified", False)),
+            is_fallback=_flag(checked.get("is_fallback", False)),
             margin_m=float(checked.get("margin_m", 0.0)),
             shell_m=float(checked.get("shell_m", 0.0)),
         ),
@@ -249,11 +273,13 @@ def decode_superquadrics(entry: Json) -> Superquadrics:
         KeyError, TypeError, ValueError: it is damaged.
     """
     count = len(entry["exponents"])
-    return Superquadrics(
+    bodies = Superquadrics(
         exponents=_array(entry["exponents"]).reshape(count, 2),
         semi_axes_m=_array(entry["semi_axes_m"]).reshape(count, 3),
         world_from_local=_array(entry["world_from_local"]).reshape(count, 4, 4),
     )
+    check_bodies(bodies)
+    return bodies
 
 
 # ---- numbers and arrays ---------------------------------------------------------------------------------------------
@@ -278,6 +304,46 @@ def _array(values: Any) -> NDArray[np.float64]:
     return np.asarray(values, dtype=np.float64)
 
 
+def _finite_array(values: Any) -> NDArray[np.float64]:
+    array = _array(values)
+    if not np.isfinite(array).all():
+        raise ValueError(f"found {values}, expected finite numbers")
+    return array
+
+
+def _finite(value: Any) -> float:
+    """Return a number of the map; a text, which `float` takes as well, is none here."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"found {value!r}, expected a finite number")
+    return float(value)
+
+
+def _pose(values: Any) -> NDArray[np.float64]:
+    pose = _array(values)
+    if not is_rigid(pose):
+        raise ValueError(f"found {values}, expected a rigid (4, 4) transform")
+    return pose
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"found {value!r}, expected true or false")
+    return value
+
+
+def _text_of(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"found {value!r}, expected a text")
+    return value
+
+
+def _stamp(value: Any) -> int:
+    """Return a stamp, ns: an integer beyond what others are."""
+    if isinstance(value, bool) or not isinstance(value, int) or abs(value) >= 2**63:
+        raise ValueError(f"found the stamp {str(value)[:40]!r}, expected nanoseconds")
+    return value
+
+
 def _text(array: NDArray[np.float32] | None) -> str | None:
     return None if array is None else base64.b64encode(array.astype("<f4").tobytes()).decode()
 
@@ -287,6 +353,12 @@ def _float32s(text: str | None) -> NDArray[np.float32] | None:
 
 
 # ---- files ----------------------------------------------------------------------------------------------------------
+
+
+def _file_of(name: Any, folder: str, suffix: str) -> str:
+    """Return the path of a file that the document names, which lies in `folder`; raises OutsideError."""
+    inside = name.removeprefix(f"{folder}/") if isinstance(name, str) else name
+    return f"{folder}/{plain_name(inside, suffix)}"
 
 
 def _add_file(files: dict[str, bytes], stem: str, suffix: str, data: bytes) -> str:
@@ -318,6 +390,8 @@ def ply_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     if header + end != _PLY_HEADER.format(count=count).encode() or len(body) != count * _PLY_VERTEX.itemsize:
         raise ValueError("not a point file of this map format")
     vertices = np.frombuffer(body, dtype=_PLY_VERTEX)
+    if not np.isfinite(vertices["xyz"]).all():
+        raise ValueError("a point that is not finite")
     return vertices["xyz"].astype(np.float32), vertices["rgb"].astype(np.uint8)
 
 
@@ -328,11 +402,20 @@ def npy_bytes(keys: NDArray[np.int64]) -> bytes:
     return buffer.getvalue()
 
 
-def npy_array(data: bytes) -> NDArray[np.int64]:
-    """Return the (N,) keys of a .npy file.
+def npy_array(data: bytes, descr: str = "<i8") -> NDArray[Any]:
+    """Return the (N,) or (N, n) array of a .npy file, by default the (N,) keys of voxels.
+
+    What the header claims must be there: `numpy.load` would take the memory first.
 
     Raises:
-        ValueError: it is no such file.
+        ValueError: it is no such file, of numbers of another kind, or shorter or longer than it says.
     """
-    keys = np.load(io.BytesIO(data), allow_pickle=False)
-    return np.asarray(keys, dtype=np.int64)
+    header = _NPY_HEADER.match(data)
+    if header is None or header["descr"].decode() != descr:
+        raise ValueError(f"not an array of {descr} as `numpy.save` writes it")
+    shape = [int(length) for length in header["shape"].split(b",") if length.strip()]
+    dtype = np.dtype(descr)
+    if not 1 <= len(shape) <= 2 or math.prod(shape) * dtype.itemsize != len(data) - header.end():
+        raise ValueError(f"an array of shape {shape} in {len(data) - header.end()} bytes")
+    array = np.frombuffer(data, dtype, offset=header.end()).reshape(shape)
+    return array.astype(dtype.newbyteorder("="))

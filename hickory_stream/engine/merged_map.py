@@ -6,7 +6,6 @@ object the maps and ids that it was.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from dataclasses import replace
@@ -14,9 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.config import from_dict
+from hickory_stream.confined import OutsideError, path_within
 from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop
+from hickory_stream.engine.manifest import read_json
 from hickory_stream.engine.session import create_map_folder
+from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import NoShape, ShapeInputs
@@ -128,10 +130,12 @@ def _copy_views(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: 
         old_name = replace(view, frame_index=view.frame_index - merged.first_frames[origin]).name
         color, depth, description = crop_files(inputs[origin].views, old_name)
         new_color, new_depth, new_description = crop_files(folder.views, view.name)
+        _copied(inputs[origin].folder, f"views/{color.name}", new_color)
+        _copied(inputs[origin].folder, f"views/{depth.name}", new_depth)
+        told = read_json(inputs[origin].views, description.name) | {
+            "world_from_camera": view.world_from_camera.tolist()
+        }
         with disk_errors(folder.path):
-            _copied(color, new_color)
-            _copied(depth, new_depth)
-            told = json.loads(description.read_text()) | {"world_from_camera": view.world_from_camera.tolist()}
             write_atomically(new_description, dumps_exactly(told).encode(), sync=False)
 
 
@@ -141,8 +145,7 @@ def _with_mesh(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: S
         return item
     origin = next(i for i, old in merged.provenance[item.id] if _has_mesh(inputs[i], old, item.shape))
     name = f"{item.id:06d}-{item.shape.revision:06d}.glb"
-    with disk_errors(folder.path):
-        _copied(inputs[origin].mesh_path(item.shape), folder.shapes / name)
+    _copied(inputs[origin].folder, f"shapes/{item.shape.mesh_name}", folder.shapes / name)
     return replace(item, shape=replace(item.shape, mesh_name=name))
 
 
@@ -185,10 +188,15 @@ def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config:
     return replace(one.item, shape=shape)
 
 
-def _copied(source: Path, target: Path) -> None:
-    """Make `target` the same file: a hard link where the disk can, since neither is ever changed in place."""
-    target.unlink(missing_ok=True)
+def _copied(folder: Path, name: str, target: Path) -> None:
+    """Make `target` the same file as one of a map: a hard link where the disk can, as neither is changed in place."""
     try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
+        source = path_within(folder, name)
+    except OutsideError as error:
+        raise MapFolderError(f"{error}: a map lies in its folder") from error
+    with disk_errors(target):
+        target.unlink(missing_ok=True)
+        try:
+            os.link(source, target)
+        except OSError:
+            shutil.copyfile(source, target)

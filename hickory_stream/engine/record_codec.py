@@ -1,13 +1,15 @@
 """Any record of the mapper as CBOR (RFC 8949), and back, exactly: what the journal is made of.
 
 A record is a map of its fields under a tag with its name; only records of our own packages are ever made from it, by
-their constructors. Arrays are stored so that they compress: keys of voxels as differences, numbers byte by byte.
+their constructors, and only where every field holds what it is declared to hold (`field_types`): who wrote the bytes is
+not known. Arrays are stored so that they compress: keys of voxels as differences, numbers byte by byte.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import importlib
+import math
 import pkgutil
 from enum import Enum
 from functools import cache
@@ -15,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import cbor2
 import numpy as np
+
+from hickory_stream.engine.field_types import checked_record, field_checks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,6 +29,19 @@ if TYPE_CHECKING:
 _RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
 _PART_BYTES = 1024
 _PLAIN, _BITS, _DIFFERENCES, _PLANES = range(4)
+_MOST_DIMENSIONS = 8
+_INT64 = np.iinfo(np.int64)
+_DAMAGE = (
+    cbor2.CBORError,
+    TypeError,
+    ValueError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    MemoryError,
+)
 
 
 class PartStore(Protocol):
@@ -51,8 +68,10 @@ def decode(data: bytes, part: Callable[[int, int], NDArray[Any]] | None = None) 
         ValueError: the bytes are damaged, or hold a record that this version does not know.
     """
     try:
-        return _value(cbor2.loads(data), part)
-    except (cbor2.CBORDecodeError, TypeError, KeyError, IndexError) as error:
+        # Every item takes a byte at least, unless items are shared, which ours never are: a few bytes that unfold
+        # to more have been made for that.
+        return _Reader(part, most_items=len(data)).value(cbor2.loads(data))
+    except _DAMAGE as error:
         raise ValueError(f"no record of this version: {error!r}") from error
 
 
@@ -117,36 +136,73 @@ def _planes(array: NDArray[Any]) -> bytes:
 # ---- reading --------------------------------------------------------------------------------------------------------
 
 
-def _value(item: Any, part: Callable[[int, int], NDArray[Any]] | None) -> Any:
-    if isinstance(item, list | tuple):
-        return tuple(_value(entry, part) for entry in item)
-    if not isinstance(item, cbor2.CBORTag):
-        return item
-    content = item.value
-    if item.tag == _RECORD:
-        name, fields = content
-        return _records()[name](**{key: _value(entry, part) for key, entry in fields.items()})
-    if item.tag == _ARRAY:
-        return _array(*content)
-    if item.tag == _PART:
-        if part is None:
-            raise ValueError("the record refers to parts of another one")
-        return part(*content)
-    if item.tag == _MAP:
-        return {_value(key, part): _value(entry, part) for key, entry in content}
-    if item.tag == _SET:
-        return {_value(entry, part) for entry in content}
-    if item.tag == _ENUM:
-        name, text = content
-        return _records()[name](text)
-    raise ValueError(f"unknown tag {item.tag}")
+class _Reader:
+    """Makes values of what CBOR gives; `most_items` are made before it is given up."""
+
+    def __init__(self, part: Callable[[int, int], NDArray[Any]] | None, most_items: int) -> None:
+        self._part = part
+        self._left = most_items
+
+    def value(self, item: Any) -> Any:
+        """Return a value; raises one of `_DAMAGE` where it is none."""
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError("more items than bytes")
+        if isinstance(item, list | tuple):
+            return tuple(self.value(entry) for entry in item)
+        if item is None or type(item) in (bool, float, str, bytes):
+            return item
+        if type(item) is int:
+            if not _INT64.min <= item <= _INT64.max:
+                raise ValueError(f"a number of {item.bit_length()} bits")
+            return item
+        if not isinstance(item, cbor2.CBORTag):
+            raise ValueError(f"a journal holds no {type(item).__name__}")
+        return self._tagged(item.tag, item.value)
+
+    def _tagged(self, tag: int, content: Any) -> Any:
+        if tag == _RECORD:
+            name, fields = content
+            kind = _record_of(name)
+            return checked_record(kind, {key: self.value(entry) for key, entry in fields.items()}, _checks(kind))
+        if tag == _ARRAY:
+            return _array(*content)
+        if tag == _PART:
+            if self._part is None:
+                raise ValueError("the record refers to parts of another one")
+            return self._part(*content)
+        if tag == _MAP:
+            return {self.value(key): self.value(entry) for key, entry in content}
+        if tag == _SET:
+            return {self.value(entry) for entry in content}
+        if tag == _ENUM:
+            name, text = content
+            return _record_of(name)(text)
+        raise ValueError(f"unknown tag {tag}")
+
+
+def _record_of(name: object) -> Any:
+    kind = _records().get(name) if isinstance(name, str) else None
+    if kind is None:
+        raise ValueError(f"there is no record {name!r}")
+    return kind
+
+
+@cache
+def _checks(kind: type) -> dict[str, Callable[[Any], bool]]:
+    return field_checks(kind, _records())
 
 
 def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArray[Any]:
     dtype = np.dtype(dtype_name)
-    if dtype.hasobject:
+    if dtype.kind not in "biuf" or dtype.itemsize > 8:
         raise ValueError(f"a journal holds no arrays of {dtype}")
-    count = int(np.prod(shape, dtype=np.int64))
+    if len(shape) > _MOST_DIMENSIONS or not all(type(length) is int and 0 <= length <= _INT64.max for length in shape):
+        raise ValueError(f"an array of shape {shape}")
+    count = math.prod(shape)
+    # What a shape claims must be there: memory is taken for it.
+    if len(data) != (-(-count // 8) if method == _BITS else count * dtype.itemsize):
+        raise ValueError(f"an array of shape {shape} in {len(data)} bytes")
     if method == _BITS:
         array = np.unpackbits(np.frombuffer(data, np.uint8), count=count).astype(bool)
     elif method == _PLAIN:

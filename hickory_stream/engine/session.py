@@ -20,12 +20,12 @@ as of its last complete save. No pickle is written or read.
 from __future__ import annotations
 
 import shutil
-import struct
 from collections import deque
 from dataclasses import dataclass, replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
+from hickory_stream.confined import OutsideError, read_within, refuse_links
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync, write_atomically
 from hickory_stream.engine.crops import crop_files
 from hickory_stream.engine.digest import map_digest
@@ -43,7 +43,7 @@ from hickory_stream.engine.manifest import (
 )
 from hickory_stream.engine.map_codec import POINTS, SPACE, decode_snapshot, encode_snapshot, has_named_content
 from hickory_stream.errors import MapFolderError
-from hickory_stream.geometry.mesh import read_glb, sha256_of
+from hickory_stream.geometry.mesh import mesh_of_glb, sha256_of
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.records import MapSnapshot
 
@@ -59,18 +59,6 @@ _OBJECTS, _LEDGER, _TIMINGS = "objects.json", "ledger.json", "timings.json"
 _FILES = (_OBJECTS, _LEDGER, _TIMINGS, JOURNAL)
 _FOLDERS = (POINTS, SPACE, "views", "shapes", "jobs", "failed")
 _EMPTY = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
-# What the GLB reader was seen to raise for files with bytes missing or changed.
-GLB_ERRORS = (
-    OSError,
-    ValueError,
-    KeyError,
-    IndexError,
-    TypeError,
-    AttributeError,
-    AssertionError,
-    NotImplementedError,
-    struct.error,
-)
 
 
 def create_map_folder(
@@ -123,6 +111,7 @@ def reopen_map_folder(path: Path) -> MapFolder:
         MapFolderError: no map is there, its format is another, or another process writes it.
     """
     manifest = read_manifest(path)
+    _check_links(path)
     with disk_errors(path):
         lock = FolderLock(path)
         try:
@@ -176,6 +165,10 @@ class MapFolder:
         """
         document, files = encode_snapshot(snapshot)
         with self._lock, disk_errors(self.path):
+            if self.manifest.digest is not None:
+                # That of the run that is continued: killed from here on, the folder has another map.
+                self.manifest = replace(self.manifest, digest=None, finished_cleanly=False)
+                write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
             self._write_missing(files)
             self._sync_referenced(snapshot)
             write_atomically(self.path / _OBJECTS, dumps_exactly(document).encode())
@@ -325,8 +318,8 @@ class SavedMap:
         """
         path = self.mesh_path(shape)
         try:
-            mesh = read_glb(path)
-        except GLB_ERRORS as error:
+            mesh = mesh_of_glb(read_within(self.folder, f"shapes/{shape.mesh_name}"))
+        except (OSError, ValueError) as error:
             raise MapFolderError(f"cannot read the mesh {path}: {error}; play the log again") from error
         if sha256_of(mesh) != shape.mesh_sha256:
             raise MapFolderError(f"{path} is not the mesh that the map was saved with; play the log again")
@@ -340,6 +333,7 @@ def open_map(path: Path) -> SavedMap:
         MapFolderError: no map is there, its format is another, or a file is missing or damaged.
     """
     manifest = read_manifest(path)
+    _check_links(path)
     if (path / _OBJECTS).exists() or manifest.finished_cleanly:
         snapshot = _read_snapshot(path)
     else:
@@ -348,26 +342,34 @@ def open_map(path: Path) -> SavedMap:
         folder=path,
         manifest=manifest,
         snapshot=snapshot,
-        ledger=read_json(path / _LEDGER) if (path / _LEDGER).exists() else {},
-        timings=read_json(path / _TIMINGS) if (path / _TIMINGS).exists() else {},
+        ledger=read_json(path, _LEDGER) if (path / _LEDGER).exists() else {},
+        timings=read_json(path, _TIMINGS) if (path / _TIMINGS).exists() else {},
     )
+
+
+def _check_links(path: Path) -> None:
+    """Refuse a map of which a part lies elsewhere: it would be read there, and by `resume` written there."""
+    try:
+        refuse_links(path, (*_FOLDERS, *_FILES, MANIFEST, LOCK))
+    except OutsideError as error:
+        raise MapFolderError(f"{error}: a map lies in its folder") from error
 
 
 # ---- reading --------------------------------------------------------------------------------------------------------
 
 
 def _read_snapshot(path: Path) -> MapSnapshot:
-    document = read_json(path / _OBJECTS)
+    document = read_json(path, _OBJECTS)
 
     def read(name: str) -> bytes:
-        data = read_file(path / name)
+        data = read_file(path, name)
         if not has_named_content(name, data):
             raise MapFolderError(f"{path / name} is damaged: its content is not what its name says; play the log again")
         return data
 
     try:
         snapshot = decode_snapshot(document, read)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise MapFolderError(f"{path / _OBJECTS} is damaged: {error!r}; play the log again") from error
     for tracked in snapshot.objects:
         if tracked.shape and not (path / "shapes" / tracked.shape.mesh_name).is_file():

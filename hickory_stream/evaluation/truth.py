@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.confined import OutsideError, path_within, read_within
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.geometry.mesh import Mesh, read_glb
+from hickory_stream.geometry.mesh import Mesh, mesh_of_glb
 from hickory_stream.geometry.rigid import is_rigid
 
 if TYPE_CHECKING:
@@ -77,20 +78,20 @@ def load_truth(folder: Path) -> Truth:
     """
     path = folder / TRUTH_FILE
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = json.loads(read_within(folder, TRUTH_FILE))
     except FileNotFoundError as error:
         raise RecordingError(
             f"{folder} is no truth folder: it has no {TRUTH_FILE}. Name the folder that tools/make_recording wrote "
             "beside the log (NAME.truth)"
         ) from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RecordingError(f"{path} cannot be read as JSON: {error}. Make the recording again") from error
     found = record.get("format") if isinstance(record, dict) else None
     if found != FORMAT:
         raise RecordingError(f"{path} has format {found!r}; expected {FORMAT}. Make the recording again")
     try:
         return _truth_of(folder, record)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise RecordingError(f"{path} is damaged ({error!r}). Make the recording again") from error
 
 
@@ -100,7 +101,7 @@ def mesh_of(truth: Truth, item: TruthObject) -> Mesh:
     Raises:
         RecordingError: the file is missing or holds no mesh.
     """
-    return _mesh_at(truth.folder / item.mesh)
+    return _mesh_at(truth.folder, item.mesh)
 
 
 def structure_meshes(truth: Truth) -> tuple[Mesh, ...]:
@@ -109,7 +110,7 @@ def structure_meshes(truth: Truth) -> tuple[Mesh, ...]:
     Raises:
         RecordingError: a file is missing or holds no mesh.
     """
-    return tuple(_mesh_at(truth.folder / path) for path in truth.structure)
+    return tuple(_mesh_at(truth.folder, path) for path in truth.structure)
 
 
 def instances_of(truth: Truth, frame: TruthFrame) -> NDArray[np.uint16]:
@@ -120,7 +121,10 @@ def instances_of(truth: Truth, frame: TruthFrame) -> NDArray[np.uint16]:
     """
     import cv2
 
-    path = truth.folder / frame.instances
+    try:
+        path = path_within(truth.folder, frame.instances)
+    except OutsideError as error:
+        raise RecordingError(f"{error}. Make the recording again") from error
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
     size = (truth.camera.height, truth.camera.width)
     if image is None or image.dtype != np.uint16 or image.shape != size:
@@ -201,8 +205,8 @@ def _pose(rows: Any) -> NDArray[np.float64]:
     return a_from_b
 
 
-def _mesh_at(path: Path) -> Mesh:
+def _mesh_at(folder: Path, name: str) -> Mesh:
     try:
-        return read_glb(path)
+        return mesh_of_glb(read_within(folder, name))
     except (OSError, ValueError) as error:
-        raise RecordingError(f"{path} cannot be read as a mesh: {error}. Make the recording again") from error
+        raise RecordingError(f"{folder / name} cannot be read as a mesh: {error}. Make the recording again") from error

@@ -10,6 +10,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+MOST_SIDE_PX = 1 << 15
+"""More than any camera has; memory is taken for what a calibration claims."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Camera:
@@ -23,8 +26,8 @@ class Camera:
     cy: float
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"camera of {self.width} x {self.height} pixels")
+        if not (1 <= self.width <= MOST_SIDE_PX and 1 <= self.height <= MOST_SIDE_PX):
+            raise ValueError(f"camera of {self.width} x {self.height} pixels; expected 1 to {MOST_SIDE_PX} on a side")
         if not (self.fx > 0 and self.fy > 0 and np.isfinite([self.fx, self.fy, self.cx, self.cy]).all()):
             raise ValueError(f"focal lengths must be positive and finite, found fx {self.fx}, fy {self.fy}")
 

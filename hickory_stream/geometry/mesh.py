@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.glb import glb_arrays
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -75,6 +76,11 @@ def sample_surface(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[ND
 
 def write_glb(mesh: Mesh, path: Path) -> None:
     """Write a GLB with vertex colours and the `_SEEN` attribute; equal meshes give equal bytes."""
+    path.write_bytes(glb_bytes(mesh))
+
+
+def glb_bytes(mesh: Mesh) -> bytes:
+    """Return what `write_glb` writes."""
     import trimesh
 
     shown = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -82,29 +88,35 @@ def write_glb(mesh: Mesh, path: Path) -> None:
         mesh=shown, vertex_colors=np.column_stack([mesh.colors, np.full(len(mesh.colors), 255, dtype=np.uint8)])
     )
     shown.vertex_attributes["_SEEN"] = mesh.is_seen.astype(np.float32)
-    path.write_bytes(shown.export(file_type="glb"))
+    data: bytes = shown.export(file_type="glb")
+    return data
 
 
 def read_glb(path: Path) -> Mesh:
-    """Return the mesh of a GLB file; a file without `_SEEN` counts as seen everywhere, one without colours is grey.
+    """Return the mesh of a GLB file as `write_glb` writes it.
+
+    A file without `_SEEN` counts as seen everywhere, one without colours is grey.
 
     Raises:
-        ValueError: the file holds no triangles.
+        OSError: the file cannot be read.
+        ValueError: it is no GLB of one mesh of triangles, or its vertices are not finite.
     """
-    import trimesh
+    return mesh_of_glb(path.read_bytes())
 
-    loaded: Any = trimesh.load(path, force="mesh", process=False)
-    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
-        raise ValueError(f"{path} holds no triangles")
-    count = len(loaded.vertices)
-    colors = np.full((count, 3), 180, dtype=np.uint8)
-    if loaded.visual.kind == "vertex":
-        colors = np.asarray(loaded.visual.vertex_colors)[:, :3]
-    seen = loaded.vertex_attributes.get("_SEEN")
+
+def mesh_of_glb(data: bytes) -> Mesh:
+    """Return the mesh in the content of a GLB file; raises ValueError as `read_glb`."""
+    arrays = glb_arrays(data)
+    vertices, colors, seen = arrays["POSITION"], arrays.get("COLOR_0"), arrays.get("_SEEN")
+    if vertices.dtype != np.float32 or vertices.ndim != 2 or not np.isfinite(vertices).all():
+        raise ValueError("its vertices are no finite float32 numbers")
+    if colors is not None and (colors.dtype != np.uint8 or colors.ndim != 2 or colors.shape[1] < 3):
+        raise ValueError("its colours are no bytes")
+    count = len(vertices)
     return Mesh(
-        vertices=loaded.vertices,
-        faces=loaded.faces,
-        colors=colors,
+        vertices=vertices,
+        faces=arrays["indices"],
+        colors=np.full((count, 3), 180, dtype=np.uint8) if colors is None else colors[:, :3],
         is_seen=np.ones(count, dtype=bool) if seen is None else np.asarray(seen).reshape(-1) > 0.5,
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import beta
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.rigid import apply, invert, is_rigid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 MIN_EXPONENT = 0.1
 MAX_EXPONENT = 2.0
 
+_EXPONENT_SLACK = 1e-9
+# Transforms that were multiplied a few times.
+_POSE_TOLERANCE = 1e-6
 _TINY = 1e-300
 _MAX_LOG = 700.0
 
@@ -47,6 +50,21 @@ class Superquadrics:
 
     def __len__(self) -> int:
         return len(self.exponents)
+
+
+def check_bodies(primitives: Superquadrics) -> None:
+    """Refuse what no superquadrics of a map are; the checks of collisions take them at their word.
+
+    Raises:
+        ValueError: a number is not finite, an exponent outside of 0.1..2, a semi-axis not positive, a pose not rigid.
+    """
+    exponents, axes = primitives.exponents, primitives.semi_axes_m
+    if not ((exponents >= MIN_EXPONENT - _EXPONENT_SLACK) & (exponents <= MAX_EXPONENT + _EXPONENT_SLACK)).all():
+        raise ValueError(f"exponents of superquadrics outside of {MIN_EXPONENT} to {MAX_EXPONENT}")
+    if not (np.isfinite(axes) & (axes > 0)).all():
+        raise ValueError("semi-axes of superquadrics that are not positive and finite")
+    if not all(is_rigid(pose, tolerance=_POSE_TOLERANCE) for pose in primitives.world_from_local):
+        raise ValueError("superquadrics whose poses are not rigid")
 
 
 def log_implicit_value(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from hickory_stream.confined import plain_name
 from hickory_stream.geometry.rigid import invert, quaternion_from_rotation
 from hickory_stream.geometry.superquadric import moved, support
 from hickory_stream.geometry.superquadric_surface import display_mesh
@@ -31,12 +32,21 @@ _WALL_RGBA = "0.84 0.86 0.89 1"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SimulatedObject:
-    """One object: its mesh in its own frame (None: it has none), its place, its layer 4 in the world."""
+    """One object: its mesh in its own frame (None: it has none), its place, its layer 4 in the world.
+
+    The name becomes that of files.
+
+    Raises:
+        ValueError: it is no plain name.
+    """
 
     name: str
     mesh: Mesh | None
     world_from_object: NDArray[np.float64]
     inflated: Superquadrics
+
+    def __post_init__(self) -> None:
+        plain_name(self.name)
 
 
 def mjcf_files(

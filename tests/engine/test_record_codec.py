@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
+import cbor2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +17,7 @@ from hickory_stream.records import Phase
 from tests.engine.snapshot_fixtures import make_snapshot
 
 DTYPES = st.sampled_from(["<f4", "<f8", "<i8", "|u1", "|b1", "<i4", "<u2"])
-SCALARS = st.none() | st.booleans() | st.integers(-(2**63), 2**63) | st.floats() | st.text() | st.binary()
+SCALARS = st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text() | st.binary()
 
 
 @given(
@@ -74,3 +76,43 @@ def test_bytes_that_are_no_record_are_refused_or_plain(data: bytes) -> None:
         decode(data)
     except ValueError:
         pass
+
+
+# ---- bytes that somebody made ----------------------------------------------------------------------------------------
+
+
+def tagged(tag: int, content: object) -> bytes:
+    return cbor2.dumps(cbor2.CBORTag(tag, content))
+
+
+HOSTILE = {
+    "more_zeros_than_memory": tagged(39_101, ["|b1", [10**12], 1, b""]),
+    "more_numbers_than_bytes": tagged(39_101, ["<f8", [10**9], 0, b"\0" * 8]),
+    "negative_shape": tagged(39_101, ["<f8", [-1, 1], 0, b"\0" * 8]),
+    "objects": tagged(39_101, ["|O", [1], 0, b"\0" * 8]),
+    "pickled": tagged(39_101, ["|V1000000000", [1], 0, b""]),
+    "a_pattern": cbor2.dumps(re.compile("(a+)+$")),
+    "a_record_of_nothing": tagged(39_100, ["Path", {}]),
+    "a_field_that_there_is_not": tagged(39_100, ["OpenJob", {"ticket": 1, "object_id": 1, "due_ns": 1, "more": 1}]),
+    "a_text_for_a_ticket": tagged(39_100, ["OpenJob", {"ticket": "../../x", "object_id": 1, "due_ns": 1}]),
+    "a_flag_for_a_ticket": tagged(39_100, ["OpenJob", {"ticket": True, "object_id": 1, "due_ns": 1}]),
+    "a_ticket_of_many_digits": tagged(39_100, ["OpenJob", {"ticket": 10**40, "object_id": 1, "due_ns": 1}]),
+    "too_deep": b"\x81" * 5000 + b"\x00",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_was_made_to_do_harm_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        decode(HOSTILE[name])
+
+
+@pytest.mark.timeout(10)
+def test_a_few_bytes_that_unfold_to_billions_of_items_are_refused() -> None:
+    item: list[object] = []
+    for _ in range(40):
+        item = [item, item]
+    data = cbor2.dumps(item, value_sharing=True)
+    assert len(data) < 1000
+    with pytest.raises(ValueError, match="more items than bytes"):
+        decode(data)

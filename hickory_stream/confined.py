@@ -1,0 +1,127 @@
+"""Names, numbers and paths that others wrote: what a map, a log, a job or a truth folder may name, and what not.
+
+A folder that came from somebody else may name only plain files within itself. Whatever is read or written under a name
+that a file gives goes through here; the rest of the code then never joins a foreign text to a path.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, BinaryIO
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+_PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]*(?:\.[A-Za-z0-9_-]+)*")
+_LONGEST_NAME = 200
+# Numbers that JSON, CBOR and an int64 all hold exactly.
+_LARGEST = 2**53
+_FOLLOW_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+
+
+class OutsideError(ValueError):
+    """A name that is none, or that leads out of its folder."""
+
+
+def plain_name(text: object, suffix: str = "") -> str:
+    """Return a file's name as it is: letters, digits, `_`, `-` and single points between them, ending in `suffix`.
+
+    Raises:
+        OutsideError: it is anything else.
+    """
+    if (
+        not isinstance(text, str)
+        or len(text) > _LONGEST_NAME
+        or not text.endswith(suffix)
+        or not _PLAIN.fullmatch(text)
+    ):
+        wanted = f"a plain file name{f' ending in {suffix}' if suffix else ''}"
+        raise OutsideError(f"found the name {_shown(text)}, expected {wanted}")
+    return text
+
+
+def whole_number(value: object, what: str, low: int = 0) -> int:
+    """Return an integer of at least `low`, e.g. an id.
+
+    Raises:
+        OutsideError: it is none (a bool, a text and a float are none), or too large.
+    """
+    # NumPy's integers have an index, too; a bool has one by accident.
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise OutsideError(f"found {what} {_shown(value)}, expected a whole number")
+    number = int(value.__index__())
+    if not low <= number <= _LARGEST:
+        raise OutsideError(f"found {what} {_shown(number)}, expected a whole number of at least {low}")
+    return number
+
+
+def path_within(root: Path, name: object) -> Path:
+    """Return the path of `name`, e.g. `meshes/3.glb`, under a folder; links are followed, and must not lead out.
+
+    Raises:
+        OutsideError: the name is no relative path, or leads out of the folder.
+    """
+    is_relative = isinstance(name, str) and name and not re.search(r"[\\:\0]", name)
+    if not isinstance(name, str) or not is_relative or name.startswith("/") or ".." in PurePosixPath(name).parts:
+        raise OutsideError(f"found the path {_shown(name)}, expected one within {root}")
+    path = root / name
+    try:
+        leads_out = not path.resolve().is_relative_to(root.resolve())
+    except (OSError, RuntimeError) as error:
+        raise OutsideError(f"{path} cannot be followed: {error}") from error
+    if leads_out:
+        raise OutsideError(f"{path} is a link that leads out of {root}")
+    return path
+
+
+def open_within(root: Path, name: object) -> BinaryIO:
+    """Return a regular file under a folder, open to be read.
+
+    Raises:
+        OutsideError: the name leads out of the folder, or is that of a pipe, a device or a folder.
+        OSError: there is no such file, or it cannot be read.
+    """
+    path = path_within(root, name)
+    # A pipe without a writer would be waited for.
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OutsideError(f"{path} is no regular file")
+    return os.fdopen(descriptor, "rb")
+
+
+def read_within(root: Path, name: object) -> bytes:
+    """Return the content of a regular file under a folder; raises as `open_within`."""
+    with open_within(root, name) as file:
+        return file.read()
+
+
+def open_new(path: Path) -> int:
+    """Return the descriptor of a new, empty file to write; what was there, a link above all, is removed, not followed.
+
+    Raises:
+        OSError: the disk refused.
+    """
+    path.unlink(missing_ok=True)
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FOLLOW_NO_LINK | getattr(os, "O_BINARY", 0)
+    return os.open(path, flags, 0o666)
+
+
+def refuse_links(root: Path, names: Iterable[str]) -> None:
+    """Refuse a folder of which one of these entries is a link: what it holds, or would hold, lies elsewhere.
+
+    Raises:
+        OutsideError: naming it.
+    """
+    for name in names:
+        if (root / name).is_symlink():
+            raise OutsideError(f"{root / name} is a link; replace it by what it points to")
+
+
+def _shown(value: object) -> str:
+    text = repr(value) if not isinstance(value, int) or abs(value) < 10**30 else "of many digits"
+    return text if len(text) <= 80 else f"{text[:77]}..."
