@@ -6,15 +6,21 @@ a mesh, eleven float64 for a superquadric (two exponents, three semi-axes, six o
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, replace
+from math import hypot
+from typing import TYPE_CHECKING, Any, Literal
 
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.evaluation.place import Place, place_of
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from hickory_stream.engine.session import SavedMap
     from hickory_stream.records import Containment, TrackedObject
+
+SortBy = Literal["id", "distance", "volume", "height", "sightings"]
 
 LAYERS = (1, 2, 3, 4)
 LAYER_NAMES = ("points", "mesh", "superquadrics", "inflated")
@@ -24,13 +30,16 @@ _PRIMITIVE_BYTES = 11 * 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectSummary:
-    """One object; `size_m` the sides of its box, `layer_bytes` per layer 1 to 4, 0 for a layer that it lacks.
+    """One object; `size_m` the sides of the box of layer 1, `layer_bytes` per layer 1 to 4, 0 for one that it lacks.
 
-    `is_sketched`: instead of layers 2 to 4 it has one superquadric from its points alone.
+    `place` is where its best layer is. `is_sketched`: instead of layers 2 to 4 it has one superquadric from its points
+    alone.
     """
 
     id: int
     phase: Phase
+    submap_id: int
+    place: Place
     sightings: int
     size_m: tuple[float, float, float]
     num_points: int
@@ -58,6 +67,7 @@ class LayerSummary:
 class MapSummary:
     """A map; `digest` is of its objects as they are, `num_checked` and `num_outside` sum up the containment.
 
+    `num_objects` are in the map, `num_shaped` of them with layer 4; `objects` are those that were asked for.
     `num_certified` objects have a layer 4 that provably contains them; `num_fallbacks` of these are boxes instead.
     """
 
@@ -70,6 +80,8 @@ class MapSummary:
     num_outside: int
     num_certified: int
     num_fallbacks: int
+    num_objects: int
+    num_shaped: int
 
 
 def summarize(saved: SavedMap) -> MapSummary:
@@ -86,7 +98,43 @@ def summarize(saved: SavedMap) -> MapSummary:
         num_outside=sum(check.num_outside for check in checks),
         num_certified=sum(check.is_certified for check in checks),
         num_fallbacks=sum(check.is_fallback for check in checks),
+        num_objects=len(objects),
+        num_shaped=sum(row.containment is not None for row in objects),
     )
+
+
+def chosen(
+    summary: MapSummary,
+    *,
+    sort: SortBy = "id",
+    near: tuple[float, float] = (0.0, 0.0),
+    within_m: float | None = None,
+    min_size_m: float = 0.0,
+) -> MapSummary:
+    """Return the summary with the objects that are asked for, in the order asked for; its totals stay the map's.
+
+    Args:
+        summary: of the whole map.
+        sort: by id or nearest first; largest, tallest and most often seen first. Ties by id.
+        near: x and y in the map, metres: distances are measured from here, in the plane, to the centres.
+        within_m: farther objects are left out.
+        min_size_m: objects whose longest side is shorter are left out.
+    """
+
+    def distance_m(row: ObjectSummary) -> float:
+        return hypot(row.place.center_m[0] - near[0], row.place.center_m[1] - near[1])
+
+    keys: dict[SortBy, Callable[[ObjectSummary], float]] = {
+        "id": lambda row: row.id,
+        "distance": distance_m,
+        "volume": lambda row: -row.place.volume_m3,
+        "height": lambda row: -row.place.size_m[2],
+        "sightings": lambda row: -row.sightings,
+    }
+    kept = [row for row in summary.objects if max(row.place.size_m) >= min_size_m]
+    if within_m is not None:
+        kept = [row for row in kept if distance_m(row) <= within_m]
+    return replace(summary, objects=tuple(sorted(kept, key=lambda row: (keys[sort](row), row.id))))
 
 
 def as_json(summary: MapSummary) -> dict[str, Any]:
@@ -95,10 +143,12 @@ def as_json(summary: MapSummary) -> dict[str, Any]:
 
 
 def format_table(summary: MapSummary) -> str:
-    """Return the summary as text for people: one line an object, then one a layer."""
+    """Return the summary as text for people: where each object is, what each holds, and what each layer takes."""
     return "\n".join(
         [
             f"{summary.source}: {_count_objects(summary)}, {_ending(summary)}",
+            "",
+            *_columns([_PLACE_HEADER, *(_place_row(row) for row in summary.objects)]),
             "",
             *_columns([_OBJECT_HEADER, *(_object_row(row) for row in summary.objects)]),
             "",
@@ -122,6 +172,8 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject) -> ObjectSummary:
     return ObjectSummary(
         id=tracked.id,
         phase=tracked.phase,
+        submap_id=tracked.submap_id,
+        place=place_of(tracked, saved.mesh(shape) if shape else None),
         sightings=tracked.sightings,
         size_m=(width, depth, height),
         num_points=len(tracked.points_world),
@@ -148,16 +200,15 @@ def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer:
 
 # ---- text -----------------------------------------------------------------------------------------------------------
 
-_OBJECT_HEADER = ("id", "phase", "sightings", "size m", "layers", "points", "views", *LAYER_NAMES, "outside")
+_PLACE_HEADER = ("id", "phase", "submap", "x m", "y m", "z m", "yaw deg", "size m", "of layer", "litres", "color")
+_OBJECT_HEADER = ("id", "sightings", "layers", "points", "views", *LAYER_NAMES, "outside")
 _LAYER_HEADER = ("layer", "", "objects", "storage", "mean", "time", "mean")
 
 
 def _object_row(row: ObjectSummary) -> tuple[str, ...]:
     return (
         str(row.id),
-        row.phase,
         str(row.sightings),
-        " x ".join(f"{side:.2f}" for side in row.size_m),
         "".join(str(layer) if layer in row.layers else "-" for layer in LAYERS),
         str(row.num_points),
         str(row.num_views),
@@ -165,6 +216,21 @@ def _object_row(row: ObjectSummary) -> tuple[str, ...]:
         f"{row.num_superquadrics} ({_bytes(row.layer_bytes[2])})" if row.layer_bytes[2] else _sketch_cell(row),
         f"{row.num_inflated} ({_bytes(row.layer_bytes[3])})" if row.layer_bytes[3] else "-",
         _share(row.containment.num_outside, row.containment.num_checked) if row.containment else "-",
+    )
+
+
+def _place_row(row: ObjectSummary) -> tuple[str, ...]:
+    place = row.place
+    return (
+        str(row.id),
+        row.phase,
+        str(row.submap_id),
+        *(f"{part:.2f}" for part in place.center_m),
+        f"{place.yaw_deg:.0f}",
+        " x ".join(f"{side:.2f}" for side in place.size_m),
+        str(place.layer),
+        f"{1000 * place.volume_m3:.1f}",
+        place.color,
     )
 
 
@@ -188,7 +254,7 @@ def _layer_row(row: LayerSummary) -> tuple[str, ...]:
 def _columns(rows: list[tuple[str, ...]]) -> list[str]:
     """Return the rows as lines, every column as wide as its widest cell; text to the left, numbers to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    is_text = [row_i in ("phase", "layers", "") for row_i in rows[0]]
+    is_text = [row_i in ("phase", "layers", "color", "") for row_i in rows[0]]
     return [
         "  ".join(
             cell.ljust(width) if text else cell.rjust(width)
@@ -210,6 +276,8 @@ def _share(part: int, whole: int) -> str:
 
 
 def _count_objects(summary: MapSummary) -> str:
+    if len(summary.objects) < summary.num_objects:
+        return f"{len(summary.objects)} of {summary.num_objects} objects"
     counts = [(phase, sum(row.phase == phase for row in summary.objects)) for phase in Phase]
     return f"{len(summary.objects)} objects ({', '.join(f'{n} {phase}' for phase, n in counts if n) or 'none'})"
 
@@ -222,7 +290,6 @@ def _containment_line(summary: MapSummary) -> str:
     if not summary.num_checked:
         return "layer 4: nothing checked"
     share = _share(summary.num_checked - summary.num_outside, summary.num_checked)
-    shaped = sum(row.containment is not None for row in summary.objects)
-    certified = f"{summary.num_certified} of {shaped} objects certified"
+    certified = f"{summary.num_certified} of {summary.num_shaped} objects certified"
     boxes = f", {summary.num_fallbacks} as boxes" if summary.num_fallbacks else ""
     return f"layer 4: {certified}{boxes}; {share} of {summary.num_checked} pieces checked are inside"

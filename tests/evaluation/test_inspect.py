@@ -1,15 +1,19 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
+from hickory_stream.cli import main
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.session import create_map_folder, open_map
-from hickory_stream.evaluation.inspect import MapSummary, as_json, format_table, summarize
-from tests.engine.snapshot_fixtures import make_snapshot
+from hickory_stream.evaluation.inspect import MapSummary, as_json, chosen, format_table, summarize
+from hickory_stream.evaluation.place import place_of
+from tests.engine.snapshot_fixtures import box_mesh, make_snapshot
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,3 +88,70 @@ def test_an_empty_map_has_a_table(tmp_path: Path) -> None:
     create_map_folder(tmp_path / "m", config={}, source={})
     table = format_table(summarize(open_map(tmp_path / "m")))
     assert "0 objects (none), not finished" in table
+
+
+def test_where_an_object_is_comes_from_its_best_layer(map_path: Path, summary: MapSummary) -> None:
+    saved = open_map(map_path)
+    for row, tracked in zip(summary.objects, saved.snapshot.objects, strict=True):
+        assert row.submap_id == tracked.submap_id
+        assert row.place.layer == (1 if tracked.shape is None else 2)
+        reached = tracked.points_world
+        if tracked.shape is not None:
+            mesh, pose = saved.mesh(tracked.shape), tracked.shape.world_from_object
+            reached = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
+        yaw = np.radians(row.place.yaw_deg)
+        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+        local = (reached - np.array(row.place.center_m)) @ turn
+        assert np.abs(local).max(axis=0) * 2 == pytest.approx(row.place.size_m, abs=0.002)
+        assert 0 <= row.place.yaw_deg < 180
+        assert re.fullmatch("#[0-9a-f]{6}", row.place.color)
+
+
+def test_the_volume_of_a_mesh_is_what_it_encloses_and_the_color_the_most_frequent() -> None:
+    box = box_mesh((0.4, 0.2, 0.1), (10, 200, 30))
+    tracked = make_snapshot().objects[0]
+    assert tracked.shape is not None
+    colors = np.full((len(tracked.points_world), 3), (200, 100, 0), dtype=np.uint8)
+    colors[: len(colors) // 3] = (0, 0, 255)
+    place = place_of(replace(tracked, colors=colors), box)
+    assert place.volume_m3 == pytest.approx(0.4 * 0.2 * 0.1, rel=1e-5)
+    assert sorted(place.size_m) == pytest.approx([0.1, 0.2, 0.4], abs=1e-3)
+    assert place.color == "#c86400"
+
+
+def test_objects_are_sorted_and_filtered_and_the_totals_stay(summary: MapSummary) -> None:
+    by_volume = chosen(summary, sort="volume").objects
+    assert [row.place.volume_m3 for row in by_volume] == sorted((r.place.volume_m3 for r in by_volume), reverse=True)
+    last = summary.objects[-1]
+    x, y, _ = last.place.center_m
+    assert chosen(summary, sort="distance", near=(x, y)).objects[0] == last
+    near = chosen(summary, near=(x, y), within_m=0.001)
+    assert near.objects == (last,)
+    assert (near.num_objects, near.layers, near.digest) == (3, summary.layers, summary.digest)
+    longest = max(max(row.place.size_m) for row in summary.objects)
+    assert len(chosen(summary, min_size_m=longest).objects) == 1
+    assert chosen(summary, min_size_m=longest + 1).objects == ()
+    assert "1 of 3 objects, finished cleanly" in format_table(near)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--near", "1"], "expected X,Y in metres"),
+        (["--near", "1,2,x"], "expected X,Y,R in metres"),
+        (["--near", "1,2,-1"], "expected X,Y,R in metres"),
+        (["--near", "1,2,nan"], "expected X,Y,R in metres"),
+        (["--min-size", "nan"], "expected metres, 0 or more"),
+    ],
+)
+def test_a_place_or_a_size_that_is_none_is_refused(
+    map_path: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["inspect", str(map_path), *arguments]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_the_command_sorts_and_filters(map_path: Path, summary: MapSummary, capsys: pytest.CaptureFixture[str]) -> None:
+    x, y, _ = summary.objects[1].place.center_m
+    assert main(["inspect", str(map_path), "--json", f"--near={x},{y},0.01", "--sort", "volume"]) == 0
+    assert [row["id"] for row in json.loads(capsys.readouterr().out)["objects"]] == [summary.objects[1].id]
