@@ -47,6 +47,7 @@ class Mapper:
         out: the map folder to make; None makes one that is removed on leaving.
         overwrite: replace a map that is in `out`.
         segmenter, extractor: other perception than the configured one.
+        core: another core than one made from the configuration; it must be new.
         workers: other shape workers than child processes of this machine.
 
     Entering makes the shape workers available; leaving ends them, and a run whose loop was left before its end: as
@@ -67,6 +68,7 @@ class Mapper:
         overwrite: bool = False,
         segmenter: Segmenter | None = None,
         extractor: FeatureExtractor | None = None,
+        core: MapperCore | None = None,
         workers: ShapeWorkers | None = None,
     ) -> None:
         self.config = config or MapperConfig()
@@ -74,6 +76,7 @@ class Mapper:
         self._overwrite = overwrite
         self._segmenter = segmenter or make_segmenter(self.config.perception)
         self._extractor = extractor or make_extractor(self.config.perception)
+        self._core = core or MapperCore(self.config.mapping)
         self._workers = workers or make_workers(self.config)
         self._resumes = False
         self._temporary: Path | None = None
@@ -200,7 +203,7 @@ class Mapper:
                 run = self._run = Run(
                     config=self.config,
                     mode=mode,
-                    core=continued.core if continued is not None else MapperCore(self.config.mapping),
+                    core=continued.core if continued is not None else self._core,
                     segmenter=self._segmenter,
                     extractor=self._extractor,
                     folder=folder,

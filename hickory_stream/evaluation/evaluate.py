@@ -41,9 +41,9 @@ _LOOSE_ADD_S, _STRICT_ADD_S = 0.1, 0.05
 class ObjectEvaluation:
     """What became of one true object that counts.
 
-    `map_id` is its match at IoU 0.25 and `track_ids` all objects that lie mostly on it. Surface figures are those of
-    the match's layer 2: F1 0 and ADD-S None without one. `contained` is the share of its seen samples in the match's
-    layer 4, None without one.
+    `map_id` is its match at IoU 0.25, `strict_map_id` that at 0.5, and `track_ids` all objects that lie mostly on it.
+    Surface figures are those of the match's layer 2: F1 0 and ADD-S None without one. `contained` is the share of its
+    `num_seen` seen samples in the match's layer 4, None without one.
     """
 
     truth_id: int
@@ -52,11 +52,13 @@ class ObjectEvaluation:
     seen_fraction: float
     map_id: int | None
     iou: float
+    strict_map_id: int | None
     track_ids: tuple[int, ...]
     f1_1cm: float
     f1_5pct: float
     add_s_m: float | None
     contained: float | None
+    num_seen: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -85,6 +87,7 @@ class Evaluation:
     median_diameter_m: float
     objects: tuple[ObjectEvaluation, ...]
     stray_ids: tuple[int, ...]
+    ignored_ids: tuple[int, ...]
 
 
 def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
@@ -161,11 +164,13 @@ def _object_row(
         seen_fraction=row.seen_fraction,
         map_id=row.map_id,
         iou=row.iou,
+        strict_map_id=row.strict_map_id,
         track_ids=row.track_ids,
         f1_1cm=score.f1_1cm if score is not None else 0.0,
         f1_5pct=score.f1_5pct if score is not None else 0.0,
         add_s_m=score.add_s_m if score is not None else None,
         contained=contained,
+        num_seen=int(seen.sum()),
     )
 
 
@@ -200,6 +205,7 @@ def _summary(
         median_diameter_m=float(np.median([row.diameter_m for row in rows])),
         objects=rows,
         stray_ids=detection.stray_ids,
+        ignored_ids=detection.ignored_ids,
     )
 
 

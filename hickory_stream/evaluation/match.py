@@ -50,8 +50,8 @@ class BoxMatch:
 class TruthScore:
     """What became of one true object.
 
-    `map_id` and `iou` of its match at IoU 0.25, None and 0 where it has none; `track_ids` are all objects that lie
-    mostly on it; `counts` is False where too little of it was seen.
+    `map_id` and `iou` of its match at IoU 0.25, None and 0 where it has none; `strict_map_id` of that at 0.5;
+    `track_ids` are all objects that lie mostly on it; `counts` is False where too little of it was seen.
     """
 
     truth_id: int
@@ -60,6 +60,7 @@ class TruthScore:
     counts: bool
     map_id: int | None
     iou: float
+    strict_map_id: int | None
     track_ids: tuple[int, ...]
 
 
@@ -69,7 +70,8 @@ class Score:
 
     Recall is the share of the `num_truth` counting true objects that are matched, precision that of the `num_objects`
     objects, less those of ignored truth. `tracks_per_object`: the mean number of objects on a true object that has any.
-    `stray_ids` are the objects that lie on no true object.
+    `stray_ids` are the objects that lie on no true object, `ignored_ids` those of ignored truth: where they are not
+    matched they count neither for nor against precision.
     """
 
     num_truth: int
@@ -81,6 +83,7 @@ class Score:
     tracks_per_object: float
     truth: tuple[TruthScore, ...]
     stray_ids: tuple[int, ...]
+    ignored_ids: tuple[int, ...]
 
 
 def match_boxes(
@@ -112,7 +115,7 @@ def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -
     objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
     true_surfaces = {item.id: _true_surface(truth, item) for item in truth.objects}
     true_boxes = {i: gravity_aligned_box(surface.vertices, _MIN_HALF_EXTENT_M) for i, surface in true_surfaces.items()}
-    boxes = [_box_of(tracked, meshes) for tracked in objects]
+    boxes = [best_box(tracked, meshes) for tracked in objects]
     owners = _owners(objects, Scene(list(true_surfaces.values())))
 
     counting_boxes = [true_boxes[item.id] for item in counting]
@@ -122,7 +125,10 @@ def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -
     aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
     aside |= {match.map_index for match in match_boxes([true_boxes[item.id] for item in ignored], boxes)}
     of_truth = {counting[match.truth_index].id: match for match in loose}
-    rows = tuple(_truth_score(item, of_truth.get(item.id), objects, owners) for item in truth.objects)
+    of_strict = {counting[match.truth_index].id: match for match in strict}
+    rows = tuple(
+        _truth_score(item, of_truth.get(item.id), of_strict.get(item.id), objects, owners) for item in truth.objects
+    )
     tracks = [len(row.track_ids) for row in rows if row.counts and row.track_ids]
     return Score(
         num_truth=len(counting),
@@ -134,6 +140,7 @@ def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -
         tracks_per_object=sum(tracks) / len(tracks) if tracks else 0.0,
         truth=rows,
         stray_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner is None),
+        ignored_ids=tuple(objects[i].id for i in sorted(aside)),
     )
 
 
@@ -146,18 +153,19 @@ def meshes_of(saved: SavedMap) -> dict[int, Mesh]:
     return {tracked.id: saved.mesh(tracked.shape) for tracked in saved.snapshot.objects if tracked.shape}
 
 
+def best_box(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> OrientedBox:
+    """Return the gravity-aligned box of layer 2 of an object, that of layer 1 where it has none."""
+    if tracked.shape is None or tracked.id not in meshes:
+        return tracked.box
+    vertices = apply(tracked.shape.world_from_object, meshes[tracked.id].vertices)
+    return gravity_aligned_box(vertices, _MIN_HALF_EXTENT_M)
+
+
 def _true_surface(truth: Truth, item: TruthObject) -> Surface:
     """Return the mesh of a true object in the world."""
     mesh = mesh_of(truth, item)
     vertices = apply(item.world_from_object, mesh.vertices)
     return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=item.id)
-
-
-def _box_of(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> OrientedBox:
-    if tracked.shape is None or tracked.id not in meshes:
-        return tracked.box
-    vertices = apply(tracked.shape.world_from_object, meshes[tracked.id].vertices)
-    return gravity_aligned_box(vertices, _MIN_HALF_EXTENT_M)
 
 
 def _owners(objects: Sequence[TrackedObject], true_scene: Scene) -> list[int | None]:
@@ -175,7 +183,11 @@ def _owner(points_world: NDArray[np.float32], true_scene: Scene) -> int | None:
 
 
 def _truth_score(
-    item: TruthObject, match: BoxMatch | None, objects: Sequence[TrackedObject], owners: Sequence[int | None]
+    item: TruthObject,
+    match: BoxMatch | None,
+    strict: BoxMatch | None,
+    objects: Sequence[TrackedObject],
+    owners: Sequence[int | None],
 ) -> TruthScore:
     return TruthScore(
         truth_id=item.id,
@@ -184,6 +196,7 @@ def _truth_score(
         counts=item.seen_fraction >= MIN_SEEN,
         map_id=None if match is None else objects[match.map_index].id,
         iou=0.0 if match is None else match.iou,
+        strict_map_id=None if strict is None else objects[strict.map_index].id,
         track_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner == item.id),
     )
 

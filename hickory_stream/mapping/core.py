@@ -88,11 +88,13 @@ from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from hickory_stream.records import MaskFeature, Observation, ObservedSpace, TrackedObject
+
+    Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -116,7 +118,7 @@ _FLOATS = "it would float but for this one"
 # Of the tracks that an observation overlaps, the ones with the best IoU: what it barely touches it does not swallow.
 _MOST_DOUBTED = 4
 # Given, or made anew from the rest.
-_NOT_STATE = frozenset({"_config", "_shown", "_shown_submaps"})
+_NOT_STATE = frozenset({"_config", "_associator", "_shown", "_shown_submaps"})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -129,10 +131,16 @@ class _Pending:
 
 
 class MapperCore:
-    """Holds the map; only `handle` changes it."""
+    """Holds the map; only `handle` changes it.
 
-    def __init__(self, config: MappingConfig) -> None:
+    `associator` says which observation of a keyframe is which track, one match per observation in their order, and it
+    has the last word: all points of an observation are its track's, and no two tracks are made one. None: by boxes and
+    points, as configured; so does a core that goes on from a state.
+    """
+
+    def __init__(self, config: MappingConfig, associator: Associator | None = None) -> None:
         self._config = config
+        self._associator = associator
         self._tracks: dict[int, Track] = {}
         self._votes = VoteBook()
         self._parts: Parts = {}
@@ -311,7 +319,7 @@ class MapperCore:
             Decision(kind="reject", object_id=None, text=f"mask {r.box_px}: {r.reason}") for r in event.rejected
         ]
 
-        matches = associate(event.observations, self._tracks, self._config.track.voxel_m, self._config.associate)
+        matches = self._associated(event)
         self._doubt(event, matches)
         clouds = [self._cloud_of(event.observations[match.observation_index]) for match in matches]
         placed = [self._place(event, match, seen) for match, seen in zip(matches, clouds, strict=True)]
@@ -362,6 +370,11 @@ class MapperCore:
         if self._stamp_ns is not None:
             self._clock_ns += max(0, stamp_ns - self._stamp_ns)
         self._stamp_ns = stamp_ns
+
+    def _associated(self, event: FrameObserved) -> list[Match]:
+        if self._associator is not None:
+            return self._associator(event, self._tracks)
+        return associate(event.observations, self._tracks, self._config.track.voxel_m, self._config.associate)
 
     def _cloud_of(self, observation: Observation) -> Cloud:
         return cloud_of(observation.points_world, observation.colors, self._config.track.voxel_m)
@@ -494,7 +507,9 @@ class MapperCore:
             self._tracks[track_id] = replace(self._tracks[track_id], doubts=0)
 
     def _neighbors(self, track: Track, observation: Observation) -> list[Track]:
-        """Return the other confirmed tracks whose boxes reach into an observation's."""
+        """Return the other confirmed tracks whose boxes reach into an observation's, and may have points of it."""
+        if self._associator is not None:
+            return []
         ordered = [self._tracks[i] for i in sorted(self._tracks)]
         near = touching(bounds_of(observation.points_world), ordered)
         return [other for other in near if other.id != track.id and other.sightings >= 2]
@@ -517,6 +532,8 @@ class MapperCore:
         self._votes = self._votes.plus(sorted(apart), apart=1).plus(sorted(together - apart), together=1)
 
     def _merge_tracks(self, changed: set[int]) -> list[Effect]:
+        if self._associator is not None:
+            return []
         effects: list[Effect] = []
         while (pair := find_pair(self._tracks, changed, self._votes, self._config.merge)) is not None:
             kept_id, gone_id, reason = pair
@@ -573,6 +590,8 @@ class MapperCore:
 
     def _stem_of(self, track: Track) -> Track | None:
         """Return what a track is a piece of that would float without it, None where it stands or hangs by itself."""
+        if self._associator is not None:
+            return None
         others = (o for o in self._tracks.values() if o.phase is not Phase.TENTATIVE and self._is_judged(o))
         return stem_of(track, others, self._submaps.space, self._config.floating)
 

@@ -77,15 +77,18 @@ class GeometricSegmenter:
 
     def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
-        config = self._config
         pieces = self.fragments(frame, prior, prepared)
-        surface, structure = pieces.surface, pieces.scenery.structure
-        labels = join_fragments(surface, pieces.labels, pieces.supports, pieces.scenery, self._trees, config.join)
-        labels, rejected = _usable(surface, labels, config)
-        size = (frame.camera.width, frame.camera.height)
+        join = self._config.join
+        labels = join_fragments(pieces.surface, pieces.labels, pieces.supports, pieces.scenery, self._trees, join)
+        return self.segmentation(frame, pieces, labels)
+
+    def segmentation(self, frame: Frame, pieces: Fragments, labels: NDArray[np.int32]) -> Segmentation:
+        """Return what is said of a frame whose fragments were joined into the masks `labels` (h, w), 0 = none."""
+        labels, rejected = _usable(pieces.surface, labels, self._config)
+        size, factor = (frame.camera.width, frame.camera.height), pieces.surface.factor
         return Segmentation(
-            instances=enlarged(labels, surface.factor, size),
-            structure=enlarged_mask(structure, surface.factor, size),
+            instances=enlarged(labels, factor, size),
+            structure=enlarged_mask(pieces.scenery.structure, factor, size),
             floor_z_m=pieces.scenery.floor_z_m,
             rejected=rejected,
         )

@@ -10,14 +10,22 @@ import sys
 from pathlib import Path
 
 import tools.benchmarks
+from hickory_stream.errors import HickoryError
+from tools.benchmarks.baseline import baseline_file, check, set_baseline
 from tools.benchmarks.figures import Options, print_table, write_json
 
 _HELPERS = {
     "__main__",
     "apartment_maps",
+    "baseline",
     "coarse_runs",
     "figures",
     "first_layer",
+    "foreign_figures",
+    "foreign_logs",
+    "foreign_parts",
+    "foreign_runs",
+    "intervals",
     "labelled_clouds",
     "live_scene",
     "mask_scores",
@@ -45,19 +53,32 @@ def main() -> int:
     )
     parser.add_argument("--meshes", type=Path, metavar="DIR", help="shapes: measure on the meshes of a folder instead")
     parser.add_argument("--clouds", type=Path, metavar="DIR", help="perception: labelled clouds, *.pcd, of a folder")
+    parser.add_argument(
+        "--worlds", type=Path, metavar="DIR", help="foreign: rooms by others; $HICKORY_WORLDS, else ../shared/worlds"
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="exit with 1 where a figure fell back behind the committed baseline"
+    )
+    parser.add_argument(
+        "--set-baseline", metavar="ABOUT", help="write what was measured into the committed baseline, and what it is"
+    )
     parser.add_argument("--render", type=Path, metavar="DIR", help="shapes: write a picture of each object")
     parser.add_argument(
         "--state",
         type=Path,
         default=Path("out/bench"),
         metavar="DIR",
-        help="engine, damage: where repetitions are kept",
+        help="engine, damage, foreign: where what was measured is kept",
     )
     parser.add_argument(
-        "--only", nargs="+", default=[], metavar="PART", help="engine: digests, kills, stops, live, soak"
+        "--only",
+        nargs="+",
+        default=[],
+        metavar="PART",
+        help="engine: digests, kills, stops, live, soak; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen, clouds, own",
     )
-    parser.add_argument("--minutes", type=float, default=math.inf, help="engine, damage: begin nothing after this time")
-    parser.add_argument("--fresh", action="store_true", help="engine, damage: forget the repetitions that are kept")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="what goes on later: begin nothing after this")
+    parser.add_argument("--fresh", action="store_true", help="what goes on later: forget what is kept")
     arguments = parser.parse_args()
     module = importlib.import_module(f"tools.benchmarks.{arguments.name}")
     if arguments.quick:
@@ -73,12 +94,24 @@ def main() -> int:
         only=tuple(arguments.only),
         minutes=arguments.minutes,
         fresh=arguments.fresh,
+        worlds=arguments.worlds,
     )
-    figures = module.measure(options)
+    path = baseline_file(arguments.name)
+    if arguments.check and not path.is_file():
+        print(f"tools/bench {arguments.name} has no baseline: {path} is not there", file=sys.stderr)
+        return 2
+    try:
+        figures = module.measure(options)
+    except HickoryError as error:
+        print(f"tools/bench {arguments.name}: {error}", file=sys.stderr)
+        return 2
     print_table(figures)
     if arguments.json is not None:
         write_json(figures, arguments.json)
-    return 0
+    if arguments.set_baseline is not None:
+        set_baseline(path, figures, arguments.set_baseline)
+    is_partial = arguments.quick or bool(arguments.only)
+    return check(path, figures, is_partial=is_partial) if arguments.check else 0
 
 
 if __name__ == "__main__":

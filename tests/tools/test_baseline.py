@@ -1,0 +1,111 @@
+"""Committed baselines: what falls back is a regression, and what a whole run leaves out is one, too."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tools.benchmarks.__main__ import main
+from tools.benchmarks.baseline import FOLDER, baseline_file, check, compare, read_baseline, set_baseline
+from tools.benchmarks.figures import Figure, print_table, write_json
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Literal
+
+
+def figure(name: str, value: float | str, better: Literal["higher", "lower", "same"] = "higher") -> Figure:
+    return Figure(name=name, value=value, unit="", better=better)
+
+
+def entry(value: float | str | None, better: str = "higher", goal: float | None = None) -> dict[str, Any]:
+    return {"value": value, "goal": goal, "tolerance": 0.05, "better": better, "unit": ""}
+
+
+@pytest.mark.parametrize(
+    ("before", "better", "value", "is_regression"),
+    [
+        (0.6, "higher", 0.56, False),
+        (0.6, "higher", 0.54, True),
+        (0.6, "higher", 0.9, False),
+        (80.0, "lower", 80.04, False),
+        (80.0, "lower", 80.1, True),
+        ("geometric", "same", "other", False),
+        (None, "higher", 0.0, False),
+    ],
+)
+def test_a_figure_may_fall_back_by_its_tolerance(
+    before: float | str | None, better: Literal["higher", "lower", "same"], value: float | str, *, is_regression: bool
+) -> None:
+    found = compare([figure("a", value, better)], {"figures": {"a": entry(before, better)}})
+    assert bool(found.regressions) is is_regression
+
+
+def test_goals_are_told_apart_from_what_was_before() -> None:
+    baseline = {"figures": {"a": entry(0.6, goal=0.7), "b": entry(9.0, "lower", goal=8.0)}}
+    found = compare([figure("a", 0.69), figure("b", 8.0, "lower")], baseline)
+    assert (found.regressions, found.goals_open) == ((), ("a is 0.69, goal 0.7",))
+    assert found.goals_met == ("b is 8, goal 8",)
+
+
+def test_a_whole_run_must_have_every_figure_and_a_part_of_it_need_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "some.json"
+    file.write_text(json.dumps({"about": "", "figures": {"a": entry(0.6), "b": entry(0.6), "c": entry(None)}}))
+    assert check(file, [figure("a", 0.6)], is_partial=True) == 0
+    assert check(file, [figure("a", 0.6)], is_partial=False) == 1
+    assert "not measured:\n  b\n" in capsys.readouterr().out
+    assert check(file, [figure("a", 0.6), figure("b", 0.5)], is_partial=True) == 1
+
+
+def test_a_baseline_is_set_without_its_goals_and_what_was_not_measured(tmp_path: Path) -> None:
+    file = tmp_path / "some.json"
+    file.write_text(json.dumps({"about": "", "figures": {"a": entry(0.6, goal=0.7), "b": entry(0.5)}}))
+    set_baseline(file, [figure("a", 0.65)], "after a change")
+    found = read_baseline(file)
+    assert found["about"] == "after a change"
+    assert (found["figures"]["a"]["value"], found["figures"]["a"]["goal"]) == (0.65, 0.7)
+    assert found["figures"]["b"]["value"] == 0.5
+
+
+def test_a_name_without_a_baseline_cannot_be_checked(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["bench", "main", "--check"])
+    assert main() == 2
+    assert "has no baseline" in capsys.readouterr().err
+
+
+def test_every_committed_baseline_can_be_read_and_has_a_benchmark() -> None:
+    files = sorted(FOLDER.glob("*.json"))
+    assert baseline_file("foreign") in files
+    for file in files:
+        assert (FOLDER.parent / f"{file.stem}.py").is_file()
+        read_baseline(file)
+
+
+def test_what_is_said_of_a_figure_is_in_the_table_and_in_the_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = Figure(
+        name="a",
+        value=0.5,
+        unit="",
+        better="higher",
+        of="1 of 2 things",
+        left_out="3 that were hidden",
+        interval=(0.1, 0.9),
+        interval_by="Wilson",
+        role="reported",
+    )
+    print_table([told, figure("segmenter", "geometric", "same")])
+    line, second = capsys.readouterr().out.splitlines()
+    assert "[0.100, 0.900] Wilson; 1 of 2 things; reported; left out: 3 that were hidden" in line
+    assert "geometric" in second
+    write_json([told, figure("b", 1.0)], tmp_path / "f.json")
+    first, plain = json.loads((tmp_path / "f.json").read_text())
+    assert (first["interval"], first["role"]) == ([0.1, 0.9], "reported")
+    assert plain == {"name": "b", "value": 1.0, "unit": "", "better": "higher"}

@@ -1,0 +1,194 @@
+"""The gate: what is chosen, what is kept, and that its figures say what they are of."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from hickory_stream.errors import InputError, RecordingError
+from tools.benchmarks.foreign import own_seeds
+from tools.benchmarks.foreign_figures import figures_of, of_map
+from tools.benchmarks.foreign_logs import worlds_folder
+from tools.benchmarks.foreign_parts import OWN, WORLDS, Part, Store, all_parts, chosen_parts
+from tools.benchmarks.intervals import bootstrap, wilson
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.evaluation.ladder import Rung
+    from tools.benchmarks.figures import Figure
+
+
+def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[float] | None = None) -> dict[str, Any]:
+    """What a map has: which true objects are found, and (right, ignored) of its objects."""
+    return {
+        "truth": [
+            {
+                "id": i,
+                "size_m": (sizes or [1.0] * len(found))[i],
+                "found_25": is_found,
+                "found_50": False,
+                "f1_5pct": 0.8 * is_found,
+                "adds_10": is_found,
+                "contained": 0.9 if is_found else None,
+                "num_seen": 10,
+                "tracks": int(is_found),
+            }
+            for i, is_found in enumerate(found)
+        ],
+        "objects": [
+            {"id": i, "size_m": 1.0, "right_25": right, "right_50": False, "ignored": ignored}
+            for i, (right, ignored) in enumerate(objects)
+        ],
+        "little_seen": 5,
+    }
+
+
+def by_name(figures: list[Figure]) -> dict[str, Figure]:
+    return {figure.name: figure for figure in figures}
+
+
+def by_hand(world: str, rung: Rung = "ours", walk: str = "A", camera: str = "hand") -> Part:
+    return Part(world=world, walk=walk, camera=camera, rung=rung)
+
+
+def test_a_figure_tells_its_denominator_its_interval_what_is_left_out_and_whether_it_was_tuned_on() -> None:
+    found = by_name(figures_of({by_hand("home"): record([True, True, False, False], [(True, False)] * 2)}))
+    recall = found["home_recall_25"]
+    assert (recall.value, recall.of, recall.role) == (0.5, "2 of 4 true objects", "tuned on")
+    assert recall.left_out == "5 true objects of which under 30 % was seen"
+    assert recall.interval == pytest.approx((0.150, 0.850), abs=0.001)
+    assert recall.interval_by == "Wilson"
+    office = by_name(figures_of({by_hand("office"): record([True], [(True, False)])}))
+    assert office["office_recall_25"].role == "reported"
+
+
+def test_what_was_made_of_little_seen_truth_counts_only_where_it_is_right() -> None:
+    # Right, right although of ignored truth, wrong, ignored.
+    objects = [(True, False), (True, True), (False, False), (False, True)]
+    precision = by_name(of_map("home", record([True, True], objects), ""))["home_precision_25"]
+    assert precision.of == "2 of 3 objects"
+    assert precision.left_out.startswith("1 objects")
+
+
+def test_small_and_large_things_are_told_apart() -> None:
+    found = by_name(of_map("home", record([True, True, False], [], [0.1, 0.5, 0.6]), ""))
+    assert (found["home_small_recall_25"].of, found["home_large_recall_25"].of) == (
+        "1 of 1 true objects",
+        "1 of 2 true objects",
+    )
+    assert "home_precision_25" not in found, "a map without objects has no precision"
+
+
+def test_the_ladder_is_the_mean_of_all_worlds_or_absent() -> None:
+    measured = {by_hand(world): record([True, False], []) for world in WORLDS}
+    measured |= {by_hand(world, "masks"): record([True, world == "home"], []) for world in WORLDS}
+    found = by_name(figures_of(measured))
+    assert found["ladder_gap_masks"].value == pytest.approx(0.5 / 4)
+    assert found["home_true_masks_recall_25"].value == 1.0
+    assert "ladder_gap_joins" not in found
+    del measured[by_hand("warehouse", "masks")]
+    assert "ladder_gap_masks" not in by_name(figures_of(measured))
+
+
+def test_what_a_robot_loses_is_the_mean_of_its_walks() -> None:
+    measured = {by_hand(world): record([True, True], []) for world in WORLDS}
+    measured |= {by_hand(world, camera="robot"): record([True, False, True, True], []) for world in WORLDS}
+    assert by_name(figures_of(measured))["robot_recall_25_loss"].value == pytest.approx(0.25)
+
+
+def test_figures_of_surfaces_are_of_all_four_worlds_and_a_missed_object_has_none() -> None:
+    measured = {by_hand(world): record([True, False], []) for world in WORLDS}
+    found = by_name(figures_of(measured))
+    assert found["foreign_f1_5pct"].value == pytest.approx(0.4)
+    assert (found["foreign_adds_10"].value, found["foreign_tracks_per_object"].value) == (0.5, 1.0)
+    assert found["foreign_containment"].value == pytest.approx(0.9)
+    del measured[by_hand("office")]
+    assert "foreign_f1_5pct" not in by_name(figures_of(measured))
+
+
+def test_own_worlds_are_pooled() -> None:
+    measured = {Part(world=name): record([True, i > 0], []) for i, name in enumerate(OWN)}
+    assert by_name(figures_of(measured))["own_recall_25"].of == "5 of 6 true objects"
+
+
+def test_masks_of_clouds_are_counted_over_all_of_them() -> None:
+    clouds = [
+        {"name": "a", "small": 1, "labelled": 4, "things": 3, "masks": 3, "right": 3},
+        {"name": "b", "small": 0, "labelled": 3, "things": 3, "masks": 1, "right": 1},
+    ]
+    found = by_name(figures_of({Part(world="clouds_report"): {"clouds": clouds}}))["clouds_report_f1_50"]
+    assert found.value == pytest.approx(0.8)
+    assert (found.role, found.left_out) == ("reported", "1 things under 0.2 % of their image")
+
+
+def test_the_segmenter_is_a_name_among_the_numbers() -> None:
+    speed = {"segmenter": "geometric", "segmenter_ms": 30.0, "keyframe_ms": 70.0, "keyframes": 20, "weights_mb": 0.1}
+    found = by_name(figures_of({Part(world="speed"): speed}))
+    assert (found["segmenter"].value, found["keyframe_ms"].value, found["weights_mb"].value) == ("geometric", 70.0, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("only", "count"),
+    [
+        ("home", 8),
+        ("office:A", 6),
+        ("office:A:hand:ours", 1),
+        ("home:masks,warehouse:masks", 2),
+        ("clouds", 2),
+        ("own", 3),
+        ("kitchen", 1),
+        ("robot", 0),
+        ("home:C", 0),
+    ],
+)
+def test_parts_are_named_by_world_walk_camera_and_rung(only: str, count: int) -> None:
+    if count:
+        assert len(chosen_parts([only])) == count
+    else:
+        with pytest.raises(InputError, match="no such part"):
+            chosen_parts([only])
+
+
+def test_without_a_name_everything_is_measured_once() -> None:
+    parts = chosen_parts([])
+    assert parts == all_parts()
+    assert len(parts) == len({part.name for part in parts}) == 4 * 8 + 7
+
+
+def test_what_was_measured_is_kept_for_that_log_and_that_code_alone(tmp_path: Path) -> None:
+    Store(tmp_path, "a" * 64).put(by_hand("home"), "log1", {"value": 1})
+    assert Store(tmp_path, "a" * 64).get(by_hand("home"), "log1") == {"value": 1}
+    assert Store(tmp_path, "a" * 64).get(by_hand("home"), "log2") is None
+    assert Store(tmp_path, "a" * 64).get(by_hand("home", "masks"), "log1") is None
+    assert Store(tmp_path, "b" * 64).get(by_hand("home"), "log1") is None
+
+
+def test_own_seeds_are_fresh_for_every_code_and_can_be_given() -> None:
+    seeds = own_seeds(0, "0" * 63 + "1"), own_seeds(0, "ff" * 32), own_seeds(2, "0" * 64)
+    assert len({seed for three in seeds for seed in three}) == 9
+    assert own_seeds(2, "f" * 64) == seeds[2]
+    assert min(seed for three in seeds for seed in three) >= 100_000
+
+
+def test_a_folder_without_worlds_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HICKORY_WORLDS", str(tmp_path))
+    with pytest.raises(RecordingError, match="--worlds or HICKORY_WORLDS"):
+        worlds_folder(None)
+
+
+def test_wilsons_interval_is_that_of_the_textbook() -> None:
+    # Newcombe (1998), table I: 81 of 263, and 0 of 20.
+    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=5e-5)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=5e-5)
+
+
+def test_a_bootstrap_covers_the_mean_and_is_the_same_each_time() -> None:
+    rows = np.random.default_rng(1).normal(3.0, 1.0, 400)
+    low, high = bootstrap([rows], lambda groups: float(groups[0].mean()))
+    # The standard error of the mean of 400 is a twentieth of sigma.
+    assert high - low == pytest.approx(2 * 1.96 * rows.std() / 20, rel=0.1)
+    assert low < rows.mean() < high
+    assert (low, high) == bootstrap([rows], lambda groups: float(groups[0].mean()))

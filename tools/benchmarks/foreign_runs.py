@@ -1,0 +1,196 @@
+"""One part of the gate, measured: a log played as `play` does on a rung of the ladder, clouds, the kitchen, speed."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.config import MapperConfig
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.session import open_map
+from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.evaluate import evaluate
+from hickory_stream.evaluation.ladder import TrueImages, core_of, mapping_of, segmenter_of
+from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
+from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.perception.geometric import GeometricSegmenter
+from hickory_stream.records import Phase
+from players import open_source
+from tools.benchmarks.first_layer import play_first_layer
+from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
+from tools.benchmarks.mask_scores import UNKNOWN, score_masks
+from tools.benchmarks.processes import ROOT, play
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.evaluation.ladder import Rung
+    from hickory_stream.records import Frame, ObservedSpace, Segmentation
+
+_MIN_SHARE = 0.002
+_TIMED_KEYFRAMES = 60
+_WARM_KEYFRAMES = 5
+
+
+def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, Any]:
+    """Return what a map of a log has of its truth: true objects that count, and the objects of the map.
+
+    Raises:
+        HickoryError: the log or the truth is not as it must be.
+    """
+    truth = load_truth(truth_folder)
+    config = MapperConfig()
+    config = replace(config, run=replace(config.run, shape_cache=False), mapping=mapping_of(rung, config.mapping))
+    images = TrueImages(truth)
+    asyncio.run(_play(log, out, config, rung, images))
+    saved = open_map(out)
+    found = evaluate(saved, truth)
+    meshes = meshes_of(saved)
+    matched = {row.map_id for row in found.objects if row.map_id is not None}
+    strict = {row.strict_map_id for row in found.objects if row.strict_map_id is not None}
+    return {
+        "truth": [
+            {
+                "id": row.truth_id,
+                "kind": row.kind,
+                "size_m": round(row.diameter_m, 4),
+                "found_25": row.map_id is not None,
+                "found_50": row.strict_map_id is not None,
+                "f1_5pct": row.f1_5pct,
+                "adds_10": row.add_s_m is not None and row.add_s_m < 0.1 * row.diameter_m,
+                "contained": row.contained,
+                "num_seen": row.num_seen,
+                "tracks": len(row.track_ids),
+            }
+            for row in found.objects
+        ],
+        "objects": [
+            {
+                "id": item.id,
+                "size_m": round(float(2 * np.linalg.norm(best_box(item, meshes).half_extents_m)), 4),
+                "right_25": item.id in matched,
+                "right_50": item.id in strict,
+                "ignored": item.id in found.ignored_ids,
+            }
+            for item in saved.snapshot.objects
+            if item.phase is not Phase.TENTATIVE
+        ],
+        "little_seen": sum(item.seen_fraction < MIN_SEEN for item in truth.objects),
+    }
+
+
+async def _play(log: Path, out: Path, config: MapperConfig, rung: Rung, images: TrueImages) -> None:
+    source = open_source(str(log))
+    try:
+        segmenter = segmenter_of(rung, images, config)
+        mapper = Mapper(config, out=out, overwrite=True, segmenter=segmenter, core=core_of(rung, images, config))
+        async with mapper:
+            async for _ in mapper.run(source):
+                pass
+    finally:
+        source.close()
+
+
+def clouds_scored(folder: Path) -> dict[str, Any]:
+    """Return the counts of the masks of each labelled cloud of a folder.
+
+    Raises:
+        RecordingError: there are none.
+    """
+    segmenter = GeometricSegmenter(MapperConfig().perception.geometric)
+    clouds = []
+    for path in clouds_in(folder):
+        cloud = load_cloud(path)
+        truth = np.where(cloud.truth == 0, UNKNOWN, np.where(cloud.truth == 1, 0, cloud.truth))
+        score = score_masks(segmenter.segment(cloud.frame).instances, truth, int(_MIN_SHARE * truth.size))
+        ids, pixels = np.unique(truth[truth > 0], return_counts=True)
+        small = int((pixels < int(_MIN_SHARE * truth.size)).sum())
+        counts = {"things": score.num_things, "masks": score.num_masks, "right": score.num_right}
+        clouds.append({"name": path.stem, "small": small, "labelled": len(ids), **counts})
+    return {"clouds": clouds}
+
+
+def kitchen_scored(data: Path, scorer: Path, out: Path) -> dict[str, Any]:
+    """Return what the scorer, run as a program, says of a map of the labelled kitchen.
+
+    Raises:
+        RecordingError: the frames, the truth or the scorer are not there, or it fails.
+    """
+    frames, boxes = data / "redkitchen", data / "redkitchen_truth" / "boxes.json"
+    for needed in (frames, boxes, scorer):
+        if not needed.exists():
+            raise RecordingError(f"{needed} is not there: the kitchen cannot be scored")
+    play(frames, out)
+    command = [sys.executable, str(scorer), str(out), str(boxes), "--json"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise RecordingError(f"{scorer} failed: {done.stderr.strip().splitlines()[-1:]}")
+    report = json.loads(done.stdout)
+    entries = {row["id"]: row for row in json.loads(boxes.read_text(encoding="utf-8"))["objects"]}
+    return {
+        "truth": [
+            {
+                "name": row["name"],
+                "size_m": float(np.linalg.norm(entries[row["id"]]["size"])),
+                "found_25": row["object"] is not None,
+            }
+            for row in report["objects"]
+        ],
+        "ignored_truth": sum(bool(row["ignore"]) for row in entries.values()),
+        "found": {level: report[level]["found"] for level in ("0.25", "0.5")},
+        "false": {level: report[level]["false"] for level in ("0.25", "0.5")},
+        "not_counted": {level: report[level]["not_counted"] for level in ("0.25", "0.5")},
+    }
+
+
+class _Timed:
+    """A segmenter that counts the processor time it takes."""
+
+    def __init__(self, segmenter: GeometricSegmenter) -> None:
+        self._segmenter = segmenter
+        self.seconds: list[float] = []
+
+    def prepare(self, frame: Frame) -> object:
+        return self._segmenter.prepare(frame)
+
+    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+        started = time.process_time()
+        found = self._segmenter.segment(frame, prior, prepared)
+        self.seconds.append(time.process_time() - started)
+        return found
+
+
+def timed(log: Path) -> dict[str, Any]:
+    """Return the processor time of layer 1 and of its segmenter, medians over keyframes, and the size of the weights.
+
+    A keyframe has all of layer 1: reading, decoding, masks, lifting, the space, features and the core.
+    """
+    import cv2
+
+    config = MapperConfig()
+    segmenter = _Timed(GeometricSegmenter(config.perception.geometric))
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        seconds = []
+        started = time.process_time()
+        for _ in play_first_layer(log, config=config, segmenter=segmenter, max_keyframes=_TIMED_KEYFRAMES):
+            seconds.append(time.process_time() - started)
+            started = time.process_time()
+    finally:
+        cv2.setNumThreads(threads)
+    weights = (ROOT / "hickory_stream" / "perception" / "weights").rglob("*")
+    return {
+        "segmenter": config.perception.segmenter,
+        "segmenter_ms": 1e3 * float(np.median(segmenter.seconds[_WARM_KEYFRAMES:])),
+        "keyframe_ms": 1e3 * float(np.median(seconds[_WARM_KEYFRAMES:])),
+        "keyframes": len(seconds) - _WARM_KEYFRAMES,
+        "weights_mb": sum(path.stat().st_size for path in weights if path.suffix in (".npz", ".onnx")) / 1e6,
+    }
