@@ -1,4 +1,8 @@
-"""How a source was opened, noted down so that it can be opened in the same way again."""
+"""How a source was opened, noted down so that it can be opened in the same way again.
+
+A note is kept in a map, which may come from anybody: its paths are only read, and only where they are files or folders
+of this machine. That it is the right log is known by its identity, before anything of it gets into the map.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.errors import RecordingError
 from hickory_stream.testing import FaultySource, parse_faults
 from players.first_frames import FirstFrames
 from players.opening import open_source
@@ -17,6 +22,17 @@ if TYPE_CHECKING:
 
     from hickory_stream.mapping.keyframes import KeyframeConfig
     from hickory_stream.ports import Source
+
+
+_KINDS: dict[str, Any] = {
+    "uris": list,
+    "options": dict,
+    "first_frames": int,
+    "start_s": (int, float),
+    "end_s": (int, float),
+    "faults": str,
+    "fault_seed": int,
+}
 
 
 def note_of(
@@ -52,10 +68,11 @@ def open_noted(
     """Return the source that was noted, following a clock (None: as fast as can be) that steps by `keyframes`.
 
     Raises:
-        RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs.
+        RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs; or the note is damaged.
         CalibrationError: intrinsics or extrinsics are missing or contradict the images.
         InputError: the faults cannot be, or the log is over before the start.
     """
+    _check(note)
     known = {field.name for field in fields(SourceOptions)}
     options = {name: value for name, value in note.get("options", {}).items() if name in known}
     if options.get("pose_file") is not None:
@@ -71,3 +88,28 @@ def open_noted(
     source = PlayedSource(source, clock or PlaybackClock(), start_s=start_s, end_s=end_s, keyframes=keyframes)
     first_frames = note.get("first_frames")
     return source if first_frames is None else FirstFrames(source, first_frames)
+
+
+def _check(note: Mapping[str, Any]) -> None:
+    """Refuse a note that `note_of` does not make, and paths of anything but files and folders of this machine."""
+    for name, kinds in _KINDS.items():
+        value = note.get(name)
+        is_missing = value is None and name != "uris"
+        if not is_missing and (not isinstance(value, kinds) or isinstance(value, bool)):
+            raise RecordingError(f"found {name} {value!r:.60} in the note of how the log was opened; play it again")
+    options = note.get("options") or {}
+    for name, value in options.items():
+        kind = int if name.endswith("_ns") else str
+        if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
+            raise RecordingError(f"found the option {name} {value!r:.60} in the note of how the log was opened")
+    for path in [*note["uris"], options.get("pose_file"), options.get("profile")]:
+        if path is not None:
+            _check_path(path)
+
+
+def _check_path(path: object) -> None:
+    if not isinstance(path, str) or not path or "\0" in path or path.startswith(("//", "\\\\")):
+        raise RecordingError(f"found the path {path!r:.60}, expected one of this machine; name the log itself")
+    # A name that is no file is that of a profile, or of a log that is missed: both are told later.
+    if Path(path).exists() and not (Path(path).is_file() or Path(path).is_dir()):
+        raise RecordingError(f"{path} is neither a file nor a folder; name the log itself")

@@ -75,6 +75,8 @@ def _open_file(path: Path) -> Log:
     """Return the log in a single file."""
     if not path.exists():
         raise RecordingError(f"no such file or folder: {path}")
+    if not path.is_file():
+        raise RecordingError(f"{path} is a pipe or a device; expected {_KINDS}")
     with path.open("rb") as stream:
         magic = stream.read(16)
     if not magic:

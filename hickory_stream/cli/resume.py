@@ -27,13 +27,18 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     resume.set_defaults(run=run)
     resume.add_argument("map", type=Path, metavar="MAP")
     resume.add_argument("--source", nargs="+", metavar="LOG", help="where the log is now, if it was moved")
+    resume.add_argument(
+        "--own-workers",
+        action="store_true",
+        help="build shapes as this machine is configured, though the map names another interpreter or cluster",
+    )
     resume.add_argument("--viewer", default="none", help="none (default), auto, spawn, web or connect=URL")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.engine.play import play
-    from hickory_stream.engine.resume import check_interrupted, save_live, was_sought
+    from hickory_stream.engine.resume import check_interrupted, resumed_config, save_live, was_sought
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
     from players import open_noted
@@ -49,11 +54,14 @@ def run(options: argparse.Namespace) -> int:
         why = "its frames are gone" if is_live else "the log was sought in, so that it cannot be continued"
         print(dumps(said) if options.json else f"{options.map}: saved as of its last step; {why}")
         return 0
-    note = dict(manifest.run.get("source", {}))
+    recorded = manifest.run.get("source")
+    note = dict(recorded) if isinstance(recorded, dict) else {}
     if options.source is not None:
         note["uris"] = options.source
     if "uris" not in note:
         raise MapFolderError(f"{options.map} does not say what it was made of; resume it from Python (Mapper.resuming)")
+    # Before the log is opened: what is refused is refused at once.
+    resumed_config(options.map, settings.mapper.run, ignores_recorded=options.own_workers)
     source = open_noted(note)
     if not options.json:
         sys.stderr.write(f"resuming {options.map}: {source.info.uri}\n")
@@ -63,7 +71,15 @@ def run(options: argparse.Namespace) -> int:
 
     printer = ProgressPrinter(make_style(options))
     try:
-        played = play(source, None, out=options.map, sinks=sinks, progress=printer)
+        played = play(
+            source,
+            None,
+            out=options.map,
+            sinks=sinks,
+            progress=printer,
+            machine=settings.mapper.run,
+            ignores_recorded_workers=options.own_workers,
+        )
     finally:
         printer.close()
         source.close()

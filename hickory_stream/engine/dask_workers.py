@@ -16,6 +16,9 @@ import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from hickory_stream.confined import plain_name
+from hickory_stream.engine.atomic import write_atomically
+from hickory_stream.engine.jobs import MESH, RESULT
 from hickory_stream.errors import ConfigError, WorkerError
 
 if TYPE_CHECKING:
@@ -33,13 +36,12 @@ _ATTEMPTS = 3
 
 def answer_job(files: Mapping[str, bytes]) -> dict[str, bytes]:
     """Do a job that came as files, on whatever machine this is, and return the files of its answer."""
-    from hickory_stream.engine.jobs import MESH, RESULT
     from hickory_stream.engine.shape_worker import serve
 
     with tempfile.TemporaryDirectory(prefix="hickory-job-") as temporary:
         folder = Path(temporary)
         for name, content in files.items():
-            (folder / name).write_bytes(content)
+            (folder / plain_name(name)).write_bytes(content)
         error = serve(folder)
         if error is not None:
             raise RuntimeError(error)
@@ -203,8 +205,6 @@ def _read(folder: Path) -> dict[str, bytes]:
 
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write an answer, the result last."""
-    for name, content in sorted(files.items()):
-        partial = folder / f"{name}.partial"
-        partial.write_bytes(content)
-        partial.replace(folder / name)
+    """Write an answer, the result last; what else a worker may have sent is none."""
+    for name in sorted({MESH, RESULT} & files.keys()):
+        write_atomically(folder / name, files[name], sync=False)

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
-from hickory_stream.config import MapperConfig
+from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.journal import JournalWriter
-from hickory_stream.engine.resume import recorded_config, reopen
+from hickory_stream.engine.resume import reopen, resumed_config
 from hickory_stream.engine.run import Mode, Progress, Run
 from hickory_stream.engine.session import create_map_folder
 from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
@@ -90,18 +90,23 @@ class Mapper:
         cls,
         out: Path | str,
         *,
+        machine: RunConfig | None = None,
+        ignores_recorded_workers: bool = False,
         segmenter: Segmenter | None = None,
         extractor: FeatureExtractor | None = None,
         workers: ShapeWorkers | None = None,
     ) -> Mapper:
         """Return a mapper that continues the interrupted playback of a map folder; `run` it with the same source.
 
-        The configuration is that of the folder.
+        The configuration is that of the folder; the workers' interpreter and the cluster are those of `machine`,
+        whatever the folder says: where it names others, that is refused unless `ignores_recorded_workers`.
 
         Raises:
             MapFolderError: there is no map, or nothing to be continued.
+            ConfigError: the map was made with an interpreter or a cluster that `machine` does not name.
         """
-        mapper = cls(recorded_config(Path(out)), out=out, segmenter=segmenter, extractor=extractor, workers=workers)
+        config = resumed_config(Path(out), machine or RunConfig(), ignores_recorded=ignores_recorded_workers)
+        mapper = cls(config, out=out, segmenter=segmenter, extractor=extractor, workers=workers)
         mapper._resumes = True
         return mapper
 

@@ -58,7 +58,8 @@ def write_merged_map(
     Raises:
         MapFolderError: the place is taken or cannot be written, or a file of an input is damaged.
     """
-    config = dict(inputs[0].manifest.config)
+    # What ran on the machine where the first one was made is no part of this map.
+    config = {name: section for name, section in inputs[0].manifest.config.items() if name != "run"}
     names = {saved.manifest.extractor for saved in inputs}
     folder = create_map_folder(
         out,

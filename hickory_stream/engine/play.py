@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
     from pathlib import Path
 
-    from hickory_stream.config import MapperConfig
+    from hickory_stream.config import MapperConfig, RunConfig
     from hickory_stream.engine.run import Mode, Progress
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Sink, Source
@@ -44,17 +44,24 @@ def play(
     mode: Mode = "playback",
     loops: int = 1,
     source_note: Mapping[str, Any] | None = None,
+    machine: RunConfig | None = None,
+    ignores_recorded_workers: bool = False,
 ) -> Played:
     """Map a source into the folder `out`. The first SIGINT or SIGTERM ends it in order and saves, the second cancels.
 
-    Without a `config` it goes on with the interrupted playback that is in `out`.
+    Without a `config` it goes on with the interrupted playback that is in `out`, with the workers of `machine`
+    (`Mapper.resuming`).
 
     Raises:
         HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
         KeyboardInterrupt: it was cancelled by a second signal.
     """
     try:
-        mapper = Mapper.resuming(out) if config is None else Mapper(config, out=out, overwrite=overwrite)
+        mapper = (
+            Mapper.resuming(out, machine=machine, ignores_recorded_workers=ignores_recorded_workers)
+            if config is None
+            else Mapper(config, out=out, overwrite=overwrite)
+        )
         snapshots = mapper.run(
             source, sinks=sinks, rate=rate, mode=mode, loops=loops, progress=progress, source_note=source_note
         )

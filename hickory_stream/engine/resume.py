@@ -6,18 +6,23 @@ run, whose frames are gone, everything up to the last step is saved; so it is of
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.config import MapperConfig, from_dict
+from hickory_stream.confined import OutsideError, whole_number
 from hickory_stream.engine.history import continued_from
 from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
 from hickory_stream.engine.manifest import Manifest, read_manifest
 from hickory_stream.engine.session import MapFolder, reopen_map_folder
 from hickory_stream.errors import ConfigError, MapFolderError, RecordingError
 
+MACHINE_KEYS = ("worker_python", "cluster")
+
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from hickory_stream.config import RunConfig
     from hickory_stream.engine.continued import Continued
     from hickory_stream.records import SourceInfo
 
@@ -35,6 +40,27 @@ def recorded_config(path: Path) -> MapperConfig:
         raise MapFolderError(
             f"{path} was made by hickory-stream {manifest.software_version}: {error}; play the log again"
         ) from error
+
+
+def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False) -> MapperConfig:
+    """Return the configuration that a map goes on with: its own, but what is run and connected to from `own`.
+
+    `ignores_recorded`: that the map was made with other workers is no reason to refuse.
+
+    Raises:
+        MapFolderError: there is no map, or its configuration is that of another version.
+        ConfigError: the map was made with an interpreter or a cluster that `own` does not name.
+    """
+    recorded = recorded_config(path)
+    for key in MACHINE_KEYS:
+        was, now = getattr(recorded.run, key), getattr(own, key)
+        if was and was != now and not ignores_recorded:
+            raise ConfigError(
+                f"{path} was made with run.{key} = {was!r}, here it is {now!r}; what a map names is never run or "
+                f"connected to: give --set mapper.run.{key}=... if you know it, or --own-workers to go on with yours"
+            )
+    machine = {key: getattr(own, key) for key in (*MACHINE_KEYS, "cluster_gpus")}
+    return replace(recorded, run=replace(recorded.run, **machine))
 
 
 def check_interrupted(path: Path) -> Manifest:
@@ -62,9 +88,13 @@ def reopen(
     manifest = check_interrupted(path)
     if manifest.run.get("mode") != "playback":
         raise MapFolderError(f"{path} is the map of a live run, whose frames are gone; `resume` saves what it had")
-    if manifest.source["identity"] != info.identity:
+    try:
+        whole_number(manifest.run.get("loops"), "loops", 1)
+    except OutsideError as error:
+        raise MapFolderError(f"{path}: its manifest is damaged: {error}; play the log again") from error
+    if manifest.source.get("identity") != info.identity:
         raise RecordingError(
-            f"{info.uri} is not the log that {path} was made of ({manifest.source['uri']}); give that one"
+            f"{info.uri} is not the log that {path} was made of ({manifest.source.get('uri')}); give that one"
         )
     if manifest.extractor not in ("", extractor):
         raise MapFolderError(
