@@ -121,8 +121,9 @@ def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[
     import numpy as np
 
     from hickory_stream.navigation.free_space import floor_of, layer_four_of, obstacles_of
-    from hickory_stream.navigation.observed import Band, wall_hulls
+    from hickory_stream.navigation.observed import Band
     from hickory_stream.navigation.simulators import SimulatedObject, mjcf_files, urdf_files
+    from hickory_stream.navigation.walls import wall_boxes
 
     snapshot = saved.snapshot
     objects = [
@@ -136,7 +137,8 @@ def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[
     ]
     floor = floor_of(snapshot)
     band = Band(low_m=floor, high_m=floor + _WALL_HEIGHT_M)
-    walls = [np.empty((0, 8, 3)), *(wall_hulls(submap, band, floor) for submap in snapshot.submaps)]
+    bodies = [item.inflated for item in objects]
+    walls = [np.empty((0, 8, 3)), *(wall_boxes(submap, band, floor, bodies) for submap in snapshot.submaps)]
     files = mjcf_files if options.format == "mjcf" else urdf_files
     made = files(objects, np.concatenate(walls), floor, out.stem)
     return {out / name: data for name, data in made.items()}

@@ -14,9 +14,10 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import support
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.navigation.nav2 import pgm_of, read_served_map, yaml_of
-from hickory_stream.navigation.observed import Band, wall_hulls
+from hickory_stream.navigation.observed import Band
 from hickory_stream.navigation.occupancy import Cell, frame_around
 from hickory_stream.navigation.simulators import SimulatedObject, mjcf_files, polyhedron_around, urdf_files
+from hickory_stream.navigation.walls import wall_boxes
 from tests.engine.snapshot_fixtures import box_mesh, placed
 from tests.navigation.rooms import boxes, snapshot, table
 from tests.navigation.test_clearance import random_primitives
@@ -87,7 +88,7 @@ def scene() -> tuple[list[SimulatedObject], np.ndarray]:
             inflated=boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3))),
         ),
     ]
-    return objects, wall_hulls(snapshot().submaps[0], Band(low_m=0.0, high_m=2.0), 0.0)
+    return objects, wall_boxes(snapshot().submaps[0], Band(low_m=0.0, high_m=2.0), 0.0)
 
 
 def write(files: dict[str, bytes], folder: Path) -> None:
