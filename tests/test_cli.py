@@ -196,6 +196,10 @@ def test_a_signal_ends_in_order_with_status_130_and_a_map_that_opens(
     assert not saved.manifest.finished_cleanly
     assert saved.snapshot.objects
     assert 0 < saved.ledger["frames"]["read"] < NUM_FRAMES
+    command = f"hickory-stream resume {tmp_path / 'map'}"
+    assert ended.json()["resume"] == command
+    for looking in (("inspect",), ("render", "-o", tmp_path / "map.png"), ("export", "-o", tmp_path / "map.json")):
+        assert f"go on with: {command}" in run(*looking[:1], tmp_path / "map", *looking[1:]).stderr
     assert saved.manifest.digest == map_digest(saved.snapshot) == ended.json()["digest"]
     assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
 
@@ -215,6 +219,7 @@ def test_a_second_signal_cancels_at_once_and_leaves_no_child(
     ended = playing.end()
     assert ended.status == 130
     assert "cancelled" in ended.json()["message"]
+    assert f"go on with: hickory-stream resume {tmp_path / 'map'}" in ended.json()["message"]
     assert not open_map(tmp_path / "map").manifest.finished_cleanly
     assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 from typing import TYPE_CHECKING
 
@@ -43,10 +44,16 @@ def test_a_killed_or_stopped_run_is_resumed_to_the_map_of_an_undisturbed_one(
     playing.end()
     _, alive = psutil.wait_procs(children, timeout=5)
     assert alive == []
-    assert run("inspect", tmp_path / "map").status == 0
+    looked = run("inspect", tmp_path / "map")
+    assert looked.status == 0
+    assert f"go on with: hickory-stream resume {tmp_path / 'map'}" in looked.stderr
+    if number is signal.SIGKILL:
+        assert "not finished: nothing was saved yet" in looked.stdout
+        assert re.search(r"its journal holds [1-9]\d* keyframe", looked.stderr)
     resumed = run("resume", tmp_path / "map", "--json")
     assert resumed.status == 0, resumed.stderr
     assert resumed.json()["finished_cleanly"] is True
+    assert run("inspect", tmp_path / "map").stderr == ""
     digests = {run("inspect", path, "--json").json()["digest"] for path in (calm, tmp_path / "map")}
     assert digests == {resumed.json()["digest"]}
 

@@ -39,7 +39,10 @@ def _run(arguments: Sequence[str] | None) -> int:
         _fail(str(error), options)
         return error.exit_status
     except KeyboardInterrupt:
-        _fail("cancelled; what was saved before is kept", options)
+        resumed_by = getattr(options, "resumed_by", None)
+        _fail(
+            "cancelled; what was saved before is kept" + (f"; go on with: {resumed_by}" if resumed_by else ""), options
+        )
         return STOPPED
     except BrokenPipeError:
         return 0

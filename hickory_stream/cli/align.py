@@ -49,9 +49,9 @@ def run(options: argparse.Namespace) -> int:
 
 def load_objects(folder: Path) -> ObjectMap:
     """Return the objects of a map folder; raises `MapFolderError`."""
-    from hickory_stream.engine.session import open_map
+    from hickory_stream.cli.values import open_map_at
 
-    return objects_of(open_map(folder))
+    return objects_of(open_map_at(folder))
 
 
 def objects_of(saved: SavedMap) -> ObjectMap:

@@ -25,10 +25,10 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.engine.session import open_map
+    from hickory_stream.cli.values import open_map_at
     from hickory_stream.engine.time_travel import stamp_of
 
-    saved = open_map(options.map)
+    saved = open_map_at(options.map)
     changes = saved.diff(stamp_of(options.map, options.first), stamp_of(options.map, options.second))
     if options.json:
         print(dumps([dataclasses.asdict(change) for change in changes], indent=1))

@@ -34,11 +34,11 @@ def run(options: argparse.Namespace) -> int:
             return 0
     if options.map is None or options.truth is None:
         raise InputError("evaluate needs a MAP and --truth DIR, or --explain alone")
-    from hickory_stream.engine.session import open_map
+    from hickory_stream.cli.values import open_map_at
     from hickory_stream.evaluation.evaluate import evaluate
     from hickory_stream.evaluation.truth import load_truth
 
-    saved, truth = open_map(options.map), load_truth(options.truth)
+    saved, truth = open_map_at(options.map), load_truth(options.truth)
     evaluation = evaluate(saved, truth)
     if options.html is not None:
         from hickory_stream.evaluation.page import write_page

@@ -42,7 +42,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.alignment.methods import align_by
-    from hickory_stream.engine.session import open_map
+    from hickory_stream.cli.values import open_map_at
     from hickory_stream.evaluation.alignment_table import format_table, row_of, table_json
 
     paths, truths = options.maps, options.truth
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"found {len(truths)} truths for {len(paths)} maps, expected one for each map")
     rows = []
     for i in range(0, len(paths), 2):
-        saved_a, saved_b = open_map(paths[i]), open_map(paths[i + 1])
+        saved_a, saved_b = open_map_at(paths[i]), open_map_at(paths[i + 1])
         true_a_from_b = _truth(saved_a, saved_b, truths[i], truths[i + 1]) if truths else None
         scene = f"{paths[i].name} {paths[i + 1].name}"
         map_a, map_b = objects_of(saved_a), objects_of(saved_b)

@@ -34,7 +34,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.engine.session import open_map
+    from hickory_stream.cli.values import open_map_at
     from hickory_stream.evaluation.navigation_scene import score_saved_map
     from hickory_stream.evaluation.navigation_table import format_table, table_json
     from hickory_stream.evaluation.truth import load_truth
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     if robot.num_headings != 1:
         raise InputError(f"the robot {robot.name} is not round; the comparison is for round robots, e.g. point")
     rows = score_saved_map(
-        open_map(options.map),
+        open_map_at(options.map),
         load_truth(options.truth),
         robot,
         cell_m=options.cell,

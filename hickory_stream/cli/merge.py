@@ -29,8 +29,8 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
+    from hickory_stream.cli.values import open_map_at
     from hickory_stream.engine.merged_map import outcome_text, write_merged_map
-    from hickory_stream.engine.session import open_map
     from hickory_stream.merging.merge import merge_maps
 
     paths: list[Path] = options.maps
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"found {len(paths)} map, expected at least two: merge A B [C ...] -o MAP")
     if options.out.resolve() in [path.resolve() for path in paths]:
         raise InputError(f"-o {options.out} is one of the inputs, which are never changed; choose another folder")
-    inputs = [open_map(path) for path in paths]
+    inputs = [open_map_at(path) for path in paths]
     quiet = options.json
 
     def tell(text: str) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.keys import HELP, Keys
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.status import STOPPED
+from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.cli.values import parse_rate, positive, read_settings, robot_of_option
 from hickory_stream.errors import InputError
 from hickory_stream.json_text import dumps
@@ -124,6 +125,9 @@ def run(options: argparse.Namespace) -> int:
                 loops=positive(options.loop, "--loop"),
                 progress=printer,
             )
+    except KeyboardInterrupt:
+        options.resumed_by = resume_command(out)
+        raise
     finally:
         printer.close()
         source.close()
@@ -165,6 +169,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
                     "event": "finished",
                     "map": str(out),
                     "finished_cleanly": played.finished_cleanly,
+                    **({} if played.finished_cleanly else {"resume": resume_command(out)}),
                     "is_reproducible": played.is_reproducible,
                     "digest": played.digest,
                     "objects": len(objects),
@@ -176,6 +181,8 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     else:
         print(f"{out}: {len(objects)} objects, {sum(o.shape is not None for o in objects)} with all four layers")
         _print_ledger(out)
+        if not played.finished_cleanly:
+            print(f"stopped, and saved; go on with: {resume_command(out)}")
     return STOPPED if played.was_stopped else 0
 
 

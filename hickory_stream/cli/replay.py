@@ -25,15 +25,14 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status: 1 where the map that comes out is another one."""
-    from hickory_stream.cli.values import read_settings
+    from hickory_stream.cli.values import open_map_at, read_settings
     from hickory_stream.engine.digest import map_digest
     from hickory_stream.engine.replay import replay
-    from hickory_stream.engine.session import open_map
     from hickory_stream.sinks.rerun_sink import RerunSink
     from hickory_stream.sinks.rerun_viewer import parse_viewer
 
     settings = read_settings(options)
-    saved = open_map(options.map)
+    saved = open_map_at(options.map)
     sinks = []
     if options.rrd is not None:
         sinks.append(RerunSink(settings.rerun, options.map, options.rrd, parse_viewer("none")))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.play import finish, make_sinks, make_style
+from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.cli.values import read_settings
 from hickory_stream.errors import MapFolderError
 from hickory_stream.json_text import dumps
@@ -80,6 +81,9 @@ def run(options: argparse.Namespace) -> int:
             machine=settings.mapper.run,
             ignores_recorded_workers=options.own_workers,
         )
+    except KeyboardInterrupt:
+        options.resumed_by = resume_command(options.map)
+        raise
     finally:
         printer.close()
         source.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import ConfigError, InputError
@@ -38,8 +39,10 @@ def parse_workers(text: str) -> dict[str, Any]:
     return {"workers": int(text), "cluster": ""}
 
 
-def open_map_at(path: Path, at: str | None) -> SavedMap:
+def open_map_at(path: Path, at: str | None = None) -> SavedMap:
     """Return the map in a folder, as it was known at a time (`--at`) where one is given.
+
+    Of a run that did not end it is said on standard error how to go on with it.
 
     Raises:
         MapFolderError: there is no map, or it keeps no history.
@@ -47,10 +50,14 @@ def open_map_at(path: Path, at: str | None) -> SavedMap:
     """
     from dataclasses import replace
 
+    from hickory_stream.cli.unfinished import unfinished_note
     from hickory_stream.engine.session import open_map
     from hickory_stream.engine.time_travel import stamp_of
 
     saved = open_map(path)
+    note = unfinished_note(saved)
+    if note is not None:
+        sys.stderr.write(f"note: {note}\n")
     return saved if at is None else replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
 
 

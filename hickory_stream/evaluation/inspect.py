@@ -75,6 +75,7 @@ class MapSummary:
     layers: tuple[LayerSummary, ...]
     digest: str
     finished_cleanly: bool
+    revision: int
     source: str
     num_checked: int
     num_outside: int
@@ -93,6 +94,7 @@ def summarize(saved: SavedMap) -> MapSummary:
         layers=tuple(_summarize_layer(saved, objects, layer) for layer in LAYERS),
         digest=map_digest(saved.snapshot),
         finished_cleanly=saved.manifest.finished_cleanly,
+        revision=saved.snapshot.revision,
         source=str(saved.manifest.source.get("uri", "unknown")),
         num_checked=sum(check.num_checked for check in checks),
         num_outside=sum(check.num_outside for check in checks),
@@ -283,7 +285,15 @@ def _count_objects(summary: MapSummary) -> str:
 
 
 def _ending(summary: MapSummary) -> str:
-    return "finished cleanly" if summary.finished_cleanly else "not finished: this is its last complete save"
+    return (
+        "finished cleanly"
+        if summary.finished_cleanly
+        else (
+            "not finished: this is its last complete save"
+            if summary.revision
+            else "not finished: nothing was saved yet"
+        )
+    )
 
 
 def _containment_line(summary: MapSummary) -> str:

@@ -1,0 +1,46 @@
+"""What is said of a map whose run did not end: how much of it there is, and how to go on."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import MapFolderError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.engine.session import SavedMap
+
+
+def resume_command(folder: Path) -> str:
+    """Return the command line that goes on with the run of a map."""
+    return f"hickory-stream resume {shlex.quote(str(folder))}"
+
+
+def unfinished_note(saved: SavedMap) -> str | None:
+    """Return what is to be said of a map's run, None where it has ended or can not be gone on with."""
+    from hickory_stream.engine.folder_lock import check_unlocked
+    from hickory_stream.engine.journal import Journal
+
+    mode = saved.manifest.run.get("mode")
+    if saved.manifest.finished_cleanly or mode is None:
+        return None
+    try:
+        with Journal(saved.folder) as journal:
+            steps = len(journal)
+    except MapFolderError:
+        return None
+    objects = len(saved.snapshot.objects)
+    # The first save comes with the first snapshot that is kept, which has a revision of 1 or more.
+    known = f"{objects} objects as of its last save" if saved.snapshot.revision else "nothing of it was saved yet"
+    journal_text = f"its journal holds {steps} keyframe{'' if steps == 1 else 's'}"
+    try:
+        check_unlocked(saved.folder)
+    except MapFolderError:
+        return f"{saved.folder} is still being made: {known}, {journal_text}"
+    action = "save what it had with" if mode == "live" else "go on with"
+    look = " (`inspect --at` looks at any moment of it)" if steps else ""
+    return f"the run of {saved.folder} did not end: {known}, {journal_text}{look}; {action}: " + resume_command(
+        saved.folder
+    )
