@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.labels import draw_labels, draw_scale, draw_title
+from hickory_stream.evaluation.labels import draw_labels, draw_scale, draw_title, place_labels
 from hickory_stream.evaluation.raycast import Scene
 from hickory_stream.evaluation.render_parts import (
     floor_cells,
@@ -19,7 +19,6 @@ from hickory_stream.evaluation.render_parts import (
 )
 from hickory_stream.evaluation.render_view import Floor, Model, draw_view
 from hickory_stream.evaluation.viewpoint import Viewpoint, from_above, from_corner
-from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.engine.session import SavedMap
+    from hickory_stream.evaluation.labels import Label
     from hickory_stream.evaluation.raycast import Surface
     from hickory_stream.records import TrackedObject
 
@@ -35,7 +35,7 @@ _TITLE_PX = 44
 _MARGIN_PX = 46
 _ELEVATION_RAD = np.deg2rad(38.0)
 _CELL_M = 0.05
-_LARGE_PX = 70
+_LABEL_STEP_PX = 3
 
 
 def render_map(saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -176,17 +176,16 @@ def _title(saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[in
 def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject]) -> NDArray[np.uint8]:
     """Return the (H, W, 3) picture from one viewpoint, with labels."""
     drawn = draw_view(model, viewpoint)
-    draw_labels(drawn, _label_places(viewpoint, objects), [(str(t.id), color_of_id(t.id)) for t in objects])
+    draw_labels(drawn, labels_of(viewpoint, objects))
     return drawn
 
 
-def _label_places(viewpoint: Viewpoint, objects: list[TrackedObject]) -> NDArray[np.float64]:
-    """Return the (N, 2) places of the labels: in the middle of a large object, above a small one."""
-    places = np.empty((len(objects), 2))
-    for i, tracked in enumerate(objects):
-        corners = viewpoint.project(tracked.box.corners_world())
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        places[i] = (low + high) / 2
-        if high[1] - low[1] < _LARGE_PX:
-            places[i, 1] = low[1] - 2
-    return places
+def labels_of(viewpoint: Viewpoint, objects: list[TrackedObject]) -> list[Label]:
+    """Return the labels of objects as seen from a viewpoint, whichever layers are drawn."""
+    columns, rows = viewpoint.width // _LABEL_STEP_PX, viewpoint.height // _LABEL_STEP_PX
+    column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+    places = _LABEL_STEP_PX * np.stack([column.reshape(-1), row.reshape(-1)], axis=1)
+    scene = Scene([point_surface(tracked, viewpoint) for tracked in objects])
+    owners = scene.cast(*viewpoint.rays(places)).owners.reshape(rows, columns)
+    hidden = np.array([viewpoint.project(tracked.box.center[None])[0] for tracked in objects]).reshape(-1, 2)
+    return place_labels([tracked.id for tracked in objects], owners, _LABEL_STEP_PX, hidden)
