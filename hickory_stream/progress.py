@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
+from collections import deque
 from typing import TYPE_CHECKING, Literal
 
 from hickory_stream.json_text import dumps
@@ -20,6 +22,10 @@ _LINE_EVERY_S = 5.0
 _BAR_EVERY_S = 0.1
 _EVENT_EVERY_S = 0.5
 _WIDTH = 30
+_RATE_OVER_S = 15.0
+# Before that the time that is left could not be told: the first frames load what later ones have.
+_RATE_AFTER_S = 3.0
+_RATE_AFTER_FRAMES = 8
 
 
 class ProgressPrinter:
@@ -28,22 +34,33 @@ class ProgressPrinter:
     `part` says which of several runs it is, such as "2 of 5".
     """
 
-    def __init__(self, style: Style, where: Callable[[], str] | None = None, *, part: str = "") -> None:
+    def __init__(
+        self,
+        style: Style,
+        where: Callable[[], str] | None = None,
+        *,
+        part: str = "",
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._style = style
         self._part = part
         self._where = where
-        self._started_s = time.monotonic()
-        self._printed_s = 0.0
+        self._clock = clock
+        self._phase_began_s = clock()
+        self._printed_s = -math.inf
         self._phase = ""
+        # Moments and frames of the last seconds: how fast it is now, rather than since the start.
+        self._recent: deque[tuple[float, int]] = deque()
 
     def __call__(self, progress: Progress) -> None:
         """Take note of where the run is."""
-        now_s = time.monotonic()
+        now_s = self._clock()
+        self._note(progress, now_s)
         every_s = {"bar": _BAR_EVERY_S, "json": _EVENT_EVERY_S}.get(self._style, _LINE_EVERY_S)
         if self._style == "none" or (now_s - self._printed_s < every_s and progress.phase == self._phase):
             return
         self._printed_s, self._phase = now_s, progress.phase
-        text = self._json(progress) if self._style == "json" else self._text(progress, now_s - self._started_s)
+        text = self._json(progress) if self._style == "json" else self._text(progress, now_s)
         if self._style == "bar":
             clear_line()
             sys.stderr.write(text)
@@ -56,21 +73,47 @@ class ProgressPrinter:
         if self._style == "bar" and self._phase:
             sys.stderr.write("\n")
 
-    def _text(self, progress: Progress, elapsed_s: float) -> str:
+    def _note(self, progress: Progress, now_s: float) -> None:
+        """Remember when frames were done."""
+        if progress.phase != self._phase:
+            self._phase_began_s = now_s
+            self._recent.clear()
+        if not self._recent or progress.frames != self._recent[-1][1]:
+            self._recent.append((now_s, progress.frames))
+        while len(self._recent) > 2 and now_s - self._recent[1][0] > _RATE_OVER_S:
+            self._recent.popleft()
+
+    def _rate(self, now_s: float) -> float | None:
+        """Return frames per second of late; None while that means nothing yet."""
+        since_s, since_frames = self._recent[0]
+        num_frames = self._recent[-1][1] - since_frames
+        if now_s - since_s < _RATE_AFTER_S or num_frames < _RATE_AFTER_FRAMES:
+            return None
+        return num_frames / (now_s - since_s)
+
+    def _text(self, progress: Progress, now_s: float) -> str:
         part = f"{self._part}, " if self._part else ""
-        rate = progress.frames / elapsed_s if elapsed_s > 0 else 0.0
+        if progress.phase == "compiling":
+            done = self._bar(progress.num_compiled / max(progress.num_kernels, 1))
+            seconds = f"{now_s - self._phase_began_s:.0f} s so far"
+            of = f"{progress.num_compiled} of about {progress.num_kernels}"
+            return f"{part}compiling kernels, once after an installation or update: {done} {of}, {seconds}"
         counts = f"{progress.objects} objects"
         if self._where is not None:
             counts = f"{self._where()}, {counts}"
         if progress.open_shapes:
             counts += f", {progress.open_shapes} shapes to come"
+        rate = self._rate(now_s)
         if progress.total is None:
-            return f"{part}{progress.phase}: frame {progress.frames}, {rate:.0f}/s, {counts}"
-        left_s = (progress.total - progress.frames) / rate if rate > 0 else 0.0
-        share = progress.frames / max(progress.total, 1)
-        bar = ("#" * round(share * _WIDTH)).ljust(_WIDTH, ".") if self._style == "bar" else f"{share:.0%}"
-        frames = f"frame {progress.frames}/{progress.total}"
-        return f"{part}{progress.phase}: {bar} {frames}, {rate:.0f}/s, {left_s:.0f} s left, {counts}"
+            speed = "" if rate is None else f" {_shown(rate)}/s,"
+            return f"{part}{progress.phase}: frame {progress.frames},{speed} {counts}"
+        left = progress.total - progress.frames
+        speed = "" if rate is None or left <= 0 else f" {_shown(rate)}/s, {left / rate:.0f} s left,"
+        done = self._bar(progress.frames / max(progress.total, 1))
+        return f"{part}{progress.phase}: {done} frame {progress.frames}/{progress.total},{speed} {counts}"
+
+    def _bar(self, share: float) -> str:
+        return ("#" * round(share * _WIDTH)).ljust(_WIDTH, ".") if self._style == "bar" else f"{share:.0%}"
 
     def _json(self, progress: Progress) -> str:
         return dumps(
@@ -83,5 +126,11 @@ class ProgressPrinter:
                 "keyframes": progress.keyframes,
                 "objects": progress.objects,
                 "open_shapes": progress.open_shapes,
+                "num_compiled": progress.num_compiled,
+                "num_kernels": progress.num_kernels,
             }
         )
+
+
+def _shown(rate: float) -> str:
+    return f"{rate:.0f}" if rate >= 10 else f"{rate:.1f}"

@@ -9,9 +9,9 @@ import struct
 from typing import TYPE_CHECKING, Any
 
 import cv2
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.errors import RecordingError
 
 if TYPE_CHECKING:

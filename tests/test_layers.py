@@ -16,7 +16,11 @@ ROOT = Path(__file__).resolve().parent.parent
 # Lowest first; the parts of one layer import nothing of one another, those joined by "+" are one part.
 LAYERS = (
     ("hickory_stream.errors", "hickory_stream.confined"),
-    ("hickory_stream.ranges", "hickory_stream.json_text+hickory_stream.terminal"),
+    (
+        "hickory_stream.ranges",
+        "hickory_stream.json_text+hickory_stream.terminal",
+        "hickory_stream.caches+hickory_stream.compiling+hickory_stream.compiled",
+    ),
     ("hickory_stream.geometry",),
     ("hickory_stream.records+hickory_stream.events",),
     ("hickory_stream.ports",),

@@ -20,7 +20,7 @@ if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$want" ]; then
     [ -x .venv/bin/python ] || "$python" -m venv .venv
     .venv/bin/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
     .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-    # Compiled kernels are cached beside their modules: the first real run then starts at once.
+    # Compiled kernels are kept in the user's caches: the first real run then starts at once.
     warm=$(mktemp -d)
     .venv/bin/hickory-stream play recordings/demo.mcap --frames 36 --out "$warm/map" --viewer none --json \
         --set mapper.run.shape_cache=false >/dev/null 2>&1 || true

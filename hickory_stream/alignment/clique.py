@@ -6,8 +6,9 @@ has few later neighbours; the bound is that of colouring: a clique has at most o
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from hickory_stream.compiled import numba
 
 
 @numba.njit(cache=True, nogil=True)

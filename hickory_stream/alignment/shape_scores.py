@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
 from hickory_stream.alignment.object_map import shape_box
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
 
 if TYPE_CHECKING:

@@ -13,8 +13,10 @@ import sys
 import traceback
 from typing import TYPE_CHECKING
 
+from hickory_stream.cli.compile_notice import CompileNotice
 from hickory_stream.cli.parser import make_parser
 from hickory_stream.cli.status import STOPPED
+from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.errors import HickoryError
 from hickory_stream.json_text import dumps
 from hickory_stream.terminal import shown_safely
@@ -33,6 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     options = make_parser().parse_args(arguments)
     logging.basicConfig(level=logging.DEBUG if options.debug else logging.WARNING, format="%(levelname)s: %(message)s")
+    told_no_more = tell_when_compiling(CompileNotice(as_json=getattr(options, "json", False)))
     try:
         status: int = options.run(options)
     except HickoryError as error:
@@ -51,6 +54,8 @@ def _run(arguments: Sequence[str] | None) -> int:
             traceback.print_exc()
         _fail(f"internal failure, {type(error).__name__}: {error}; run with --debug to see where", options)
         return 1
+    finally:
+        told_no_more()
     return status
 
 

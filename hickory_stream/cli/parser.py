@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 from hickory_stream import __version__
 from hickory_stream.cli import (
     align,
+    cache,
     config,
     diff,
     doctor,
@@ -53,6 +54,7 @@ _COMMANDS = (
     evaluate_navigation,
     segment,
     models,
+    cache,
     config,
 )
 

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
+from hickory_stream import caches
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.journal import JournalWriter
 from hickory_stream.engine.resume import reopen, resumed_config
 from hickory_stream.engine.run import Mode, Progress, Run
 from hickory_stream.engine.session import create_map_folder
-from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
 from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
 from hickory_stream.errors import InputError, MapFolderError, RecordingError
@@ -368,7 +368,7 @@ def _finish(
     folder.write_json("timings.json", timings)
     if is_clean:
         shutil.rmtree(folder.jobs, ignore_errors=True)
-        ShapeCache(shape_cache_folder()).prune()
+        caches.prune()
     folder.finish(finished_cleanly=is_clean, is_reproducible=is_reproducible)
 
 

@@ -26,6 +26,7 @@ import psutil
 
 from hickory_stream.engine.channel import ChannelClosed
 from hickory_stream.engine.crops import write_crop
+from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.going_back import known_before
 from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.message_ledger import message_ledger
@@ -86,7 +87,10 @@ _PROCESS = psutil.Process()
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Progress:
-    """Where a run is: for the bar. `frames` of `total` (None: unknown), `stamp_ns` of the log, `phase` in a word."""
+    """Where a run is: for the bar. `frames` of `total` (None: unknown), `phase` in a word.
+
+    While the phase is `compiling`, `num_compiled` kernels of about `num_kernels` are.
+    """
 
     phase: str
     frames: int
@@ -94,6 +98,8 @@ class Progress:
     keyframes: int
     objects: int
     open_shapes: int
+    num_compiled: int = 0
+    num_kernels: int = 0
 
 
 class Run:
@@ -251,6 +257,7 @@ class Run:
         info = source.info
         self._total = info.num_frames * loops if info.num_frames is not None else None
         self._fates = source.ledger
+        await self._compile()
         try:
             async with asyncio.TaskGroup() as group:
                 watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
@@ -271,6 +278,19 @@ class Run:
             self._reading.shutdown(wait=True)
             self._thinker.shutdown(wait=True)
             self._recorder.close()
+
+    async def _compile(self) -> None:
+        """Compile the kernels where this is the first run after an installation; a stopped run does not wait for it."""
+        compiling = asyncio.create_task(compile_kernels(self._tell_compiling), name="compile")
+        stopped = asyncio.create_task(self._stopped.wait(), name="stopped")
+        try:
+            await asyncio.wait({compiling, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in (compiling, stopped):
+                task.cancel()
+            results = await asyncio.gather(compiling, stopped, return_exceptions=True)
+        if isinstance(results[0], Exception):
+            raise results[0]
 
     def _num_limits(self) -> int:
         before = self._continued.step.shape_counts.get("limits", 0) if self._continued is not None else 0
@@ -671,10 +691,15 @@ class Run:
             metrics=(*metrics, *published.metrics),
         )
 
-    def _tell(self, phase: str) -> None:
+    def _tell_compiling(self, num_compiled: int, num_kernels: int) -> None:
+        self._tell("compiling", num_compiled, num_kernels)
+
+    def _tell(self, phase: str, num_compiled: int = 0, num_kernels: int = 0) -> None:
         self._progress(
             Progress(
                 phase=phase,
+                num_compiled=num_compiled,
+                num_kernels=num_kernels,
                 frames=self._num_frames,
                 total=self._total,
                 keyframes=self._num_keyframes,

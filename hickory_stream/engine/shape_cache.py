@@ -15,20 +15,18 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from hickory_stream.caches import cache_folder, mark_used
+
 logger = logging.getLogger(__name__)
 
-_FOLDER = "shapes"
 _ANSWER = ("mesh.glb", "result.json")
 _CODE = ("shapes", "geometry")
 _LIBRARIES = ("numpy", "scipy", "numba", "scikit-image", "open3d-cpu", "open3d", "trimesh")
-_MOST_ENTRIES = 4000
-_PRUNED_ENTRIES = 3000
 
 
 def shape_cache_folder() -> Path:
-    """Return where shapes are kept: below $HICKORY_CACHE, or a folder of the user's cache."""
-    named = os.environ.get("HICKORY_CACHE")
-    return (Path(named) if named else Path.home() / ".cache" / "hickory-stream") / _FOLDER
+    """Return where shapes are kept; raises `ConfigError` where nothing can be kept."""
+    return cache_folder("shapes")
 
 
 class ShapeCache:
@@ -55,7 +53,7 @@ class ShapeCache:
                 return False
             for path in entry.iterdir():
                 shutil.copyfile(path, job / path.name)
-            os.utime(entry)
+            mark_used(entry)
         except OSError as error:
             logger.debug("shape cache: %s", error)
             (job / "result.json").unlink(missing_ok=True)
@@ -77,16 +75,6 @@ class ShapeCache:
         except OSError as error:
             logger.debug("shape cache: %s", error)
             shutil.rmtree(partial, ignore_errors=True)
-
-    def prune(self) -> None:
-        """Remove what was not used for the longest time, where there is too much."""
-        try:
-            entries = sorted(self._folder.glob("??/*"), key=lambda entry: entry.stat().st_mtime)
-        except OSError:
-            return
-        if len(entries) > _MOST_ENTRIES:
-            for entry in entries[:-_PRUNED_ENTRIES]:
-                shutil.rmtree(entry, ignore_errors=True)
 
 
 @cache

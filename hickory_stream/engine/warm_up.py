@@ -1,27 +1,39 @@
-"""Kernels are compiled by the first call there ever is, which takes a minute: here, so that it is in nobody's job."""
+"""Kernels are compiled by the first call there ever is, which takes a minute: here, so that it is in nobody's job.
+
+As a program (`python -m hickory_stream.engine.warm_up PART`) it prints the name of every kernel that it compiles, as a
+line of JSON: `first_run` is its caller.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.compiled import kernels_folder
+from hickory_stream.compiling import tell_when_compiling
+from hickory_stream.config import MapperConfig
+from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved, Publish
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.json_text import dumps
+from hickory_stream.mapping.core import MapperCore
+from hickory_stream.perception.descriptor import ColorTextureDescriptor
+from hickory_stream.perception.geometric import GeometricSegmenter
+from hickory_stream.perception.perceive import features_of, perceive
 from hickory_stream.ports import Crop, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.shapes.fit import FitConfig
 from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor, VolumeConfig
-from hickory_stream.testing import SCENE_CAMERA, SceneBox, cast_scene, scene_pose
+from hickory_stream.testing import SCENE_BOXES, SCENE_CAMERA, SceneBox, SceneSource, cast_scene, scene_pose
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
+    from hickory_stream.events import Effect
 
 # A stool with a back: several primitives, some of them thin.
 _STOOL = (
@@ -30,6 +42,8 @@ _STOOL = (
     SceneBox(low=(-0.2, 0.14, 0.36), high=(0.2, 0.2, 0.7), rgb=(160, 110, 70)),
 )
 _FRAMES = (0, 9, 18, 27)
+_WALL = SceneBox(low=(-3.0, 1.6, 0.0), high=(3.0, 1.8, 2.4), rgb=(220, 220, 210))
+_NUM_MAPPED = 12
 _COARSE = ShapeConfig(
     fused=FusedConfig(volume=VolumeConfig(cells=20)),
     fit=FitConfig(cells=20, coarse_samples=200, fine_samples=400, gain_samples=1000, joint_samples=500),
@@ -41,8 +55,53 @@ def warm_up() -> None:
 
     Of several processes one compiles; the others wait for it, and load.
     """
-    with _one_at_a_time():
+    with _one_at_a_time("shapes"):
         build_shape(_inputs(), FusedReconstructor(_COARSE.fused), _COARSE)
+
+
+def warm_up_mapping() -> None:
+    """Map a few frames, for the kernels of perception and of the core, as `warm_up` does for those of shapes."""
+    with _one_at_a_time("mapping"):
+        config = MapperConfig()
+        segmenter, extractor = GeometricSegmenter(config.perception.geometric), ColorTextureDescriptor()
+        core, snapshot = MapperCore(config.mapping), None
+        for raw in SceneSource(_NUM_MAPPED, (*SCENE_BOXES, _WALL)).frames():
+            frame = raw.decode()
+            prior = snapshot.submaps[0].observed_space if snapshot is not None else None
+            known = snapshot.objects if snapshot is not None else ()
+            prepared = segmenter.prepare(frame)
+            perceived = perceive(frame, prior, prepared, segmenter, config.perception, known)
+            waiting: list[Effect] = core.handle(
+                FrameObserved(
+                    frame_index=frame.index,
+                    stamp_ns=frame.stamp_ns,
+                    world_from_camera=frame.world_from_camera,
+                    observations=perceived.observations,
+                    space=perceived.space,
+                    rejected=perceived.rejected,
+                )
+            )
+            while waiting:
+                effect = waiting.pop(0)
+                if isinstance(effect, ComputeFeatures):
+                    features, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
+                    waiting += core.handle(FeaturesReady(frame_index=effect.frame_index, features=features))
+                elif isinstance(effect, Publish):
+                    snapshot = effect.snapshot
+
+
+PARTS: dict[str, Callable[[], None]] = {"mapping": warm_up_mapping, "shapes": warm_up}
+
+
+def main(part: str) -> None:
+    """Compile the kernels of a part, and say so."""
+    tell_when_compiling(_say)
+    PARTS[part]()
+
+
+def _say(kernel: str) -> None:
+    sys.stdout.write(dumps({"kernel": kernel}) + "\n")
+    sys.stdout.flush()
 
 
 def _inputs() -> ShapeInputs:
@@ -64,13 +123,18 @@ def _inputs() -> ShapeInputs:
 
 
 @contextlib.contextmanager
-def _one_at_a_time() -> Iterator[None]:
-    """Hold a lock of this user on this machine; where there can be none everybody compiles."""
+def _one_at_a_time(part: str) -> Iterator[None]:
+    """Hold a lock of those who share the kernels; where there can be none everybody compiles."""
     with contextlib.ExitStack() as held:
         if sys.platform != "win32":
             import fcntl
 
             with contextlib.suppress(OSError):
-                path = Path(tempfile.gettempdir()) / f"hickory-stream-compile-{os.getuid()}.lock"
+                path = kernels_folder() / f"{part}.lock"
+                path.parent.mkdir(parents=True, exist_ok=True)
                 fcntl.flock(held.enter_context(path.open("w")), fcntl.LOCK_EX)
         yield
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

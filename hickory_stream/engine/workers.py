@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 
 import psutil
 
+from hickory_stream.caches import cache_root
 from hickory_stream.errors import ConfigError, WorkerError
 from hickory_stream.json_text import dumps_exactly
 
@@ -188,7 +189,8 @@ class _Child:
                 "hickory_stream.engine.shape_worker",
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
-                env={**os.environ, **_ENVIRONMENT},
+                # The same caches as ours, wherever they are.
+                env={**os.environ, **_ENVIRONMENT, "HICKORY_CACHE": str(cache_root())},
                 # A group of its own: Ctrl-C is for the run, which then ends its workers in order.
                 start_new_session=True,
             )

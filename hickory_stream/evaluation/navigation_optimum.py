@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
+
+from hickory_stream.compiled import numba
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
 
 if TYPE_CHECKING:

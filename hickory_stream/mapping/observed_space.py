@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
     centers_of_keys,

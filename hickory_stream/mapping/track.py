@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.voxels import in_company

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import heapq
 
-import numba
 import numpy as np
+
+from hickory_stream.compiled import numba
 
 _STEPS = np.array([[0, 1], [1, 0], [0, -1], [-1, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
 

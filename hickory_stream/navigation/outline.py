@@ -15,9 +15,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.navigation.kernels import AXES, CENTER, HIGH, LOW, POWER_1, POWER_2, ROTATION, touching
 
 if TYPE_CHECKING:

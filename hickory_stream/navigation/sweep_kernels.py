@@ -9,9 +9,9 @@ a difference of two points that exist, proves that they come as near as it is to
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.navigation.kernels import (
     AXES,
     CENTER,

@@ -7,8 +7,9 @@ that a turn passes.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from hickory_stream.compiled import numba
 
 # A hair: a way along the edge of a cell touches both neighbours.
 _HAIR = 1e-9

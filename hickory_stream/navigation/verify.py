@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.navigation.outline import NO_HULLS, NO_ROWS, TOLERANCE_M, half_planes, locked
 from hickory_stream.navigation.robot import Part, grown
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import implicit_value, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys

@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import cv2
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.perception.pieces import lab_of
 
 if TYPE_CHECKING:

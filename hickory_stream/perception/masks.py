@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import cv2
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.perception.pieces import label_boxes
 from hickory_stream.ranges import Ranged, number

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
-import numba
 import numpy as np
 from scipy.ndimage import find_objects
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points, sums_of_equal

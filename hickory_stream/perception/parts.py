@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.perception.hidden import bridges
 from hickory_stream.perception.part_sums import PartSums, part_sums
 from hickory_stream.perception.seams import contacts_of

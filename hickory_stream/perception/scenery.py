@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.voxels import first_not_below, key_of_point
 from hickory_stream.perception.relief import relief
 from hickory_stream.perception.structure import (

@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
+
+from hickory_stream.compiled import numba
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

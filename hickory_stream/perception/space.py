@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import keys_of_cells, keys_of_points, sorted_unique

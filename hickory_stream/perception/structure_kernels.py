@@ -5,8 +5,9 @@ Products with a normal are left to NumPy, whose rounding depends on the processo
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from hickory_stream.compiled import numba
 
 
 @numba.njit(cache=True, nogil=True)

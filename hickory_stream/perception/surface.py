@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.perception.pieces import lab_of

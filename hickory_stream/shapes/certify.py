@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.shapes.cover import NET, NET_FACTOR, log_gauge, log_gauge_of_ball
 from hickory_stream.shapes.sdf import distance_grid
 from hickory_stream.shapes.usable import used_surface

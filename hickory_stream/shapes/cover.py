@@ -11,8 +11,9 @@ around given points is a convex problem in two unknowns, the ratios, since the s
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from hickory_stream.compiled import numba
 
 # Lines per side of the net over the octant: (n + 1)(n + 2) / 2 directions.
 _NET = 5

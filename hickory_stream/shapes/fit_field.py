@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 from scipy import ndimage
 
+from hickory_stream.compiled import numba
 from hickory_stream.shapes.quadric_lm import distances_to, refined, tangent_distance
 from hickory_stream.shapes.seeds import chessboard_depth
 from hickory_stream.shapes.tangent_planes import BLOCK, DISTANCE, X, Y, Z, fill_distances, new_block

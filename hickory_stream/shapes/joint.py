@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.shapes.quadric_lm import OUTER_BAND, cut_distances, normal_step
 from hickory_stream.shapes.thinning import thinned
 

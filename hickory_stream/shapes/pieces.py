@@ -6,9 +6,9 @@ bisected: the large triangle of a seat belongs to the seat, but one that runs do
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.shapes.quadric_lm import tangent_distance
 from hickory_stream.shapes.tangent_planes import distances_of
 

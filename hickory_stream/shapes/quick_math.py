@@ -6,8 +6,9 @@ good to 12 digits, have no branches, and are the same wherever numbers are IEEE 
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from hickory_stream.compiled import numba
 
 _LOG_2 = 0.6931471805599453
 # ln 2 in two parts, of which the first has zeros at its end: n times it is exact.

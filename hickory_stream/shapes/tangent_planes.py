@@ -7,9 +7,9 @@ columns of `BLOCK` numbers each, so that a compiler sees that no two columns ove
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.shapes.quick_math import quick_exp, quick_log
 
 BLOCK = 64

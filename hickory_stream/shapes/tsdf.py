@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numba
 import numpy as np
 from scipy import ndimage
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.rigid import apply
 
 if TYPE_CHECKING:

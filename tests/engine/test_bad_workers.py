@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from hickory_stream.caches import cache_folder
 from hickory_stream.cli import main
 from hickory_stream.engine.session import open_map
 from hickory_stream.errors import ConfigError
@@ -94,6 +95,8 @@ def test_what_is_no_job_cannot_be_repeated(
 
 
 def test_a_second_playback_takes_its_shapes_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache" / "kernels").symlink_to(cache_folder("kernels"))  # what is compiled stays compiled
     monkeypatch.setenv("HICKORY_CACHE", str(tmp_path / "cache"))
     first = map_scene(tmp_path, "run.shape_cache=true", name="first")
     python = write_interpreter(tmp_path / "python", "raises")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hickory_stream.caches import cache_folder
 from hickory_stream.evaluation.truth import Truth, mesh_of
 from hickory_stream.geometry.mesh import Mesh, sha256_of
 from hickory_stream.geometry.rigid import apply
@@ -28,7 +29,7 @@ def true_inflated(truth: Truth, config: InflateConfig) -> dict[int, Superquadric
 
 def _cached(mesh: Mesh, world_from_object: np.ndarray, config: InflateConfig) -> Superquadrics:
     key = hashlib.sha256(f"{sha256_of(mesh)} {world_from_object.tobytes().hex()} {asdict(config)} {_code()}".encode())
-    path = _folder() / f"{key.hexdigest()}.npz"
+    path = cache_folder("true-shapes") / f"{key.hexdigest()}.npz"
     if path.is_file():
         with np.load(path) as kept:
             return Superquadrics(**{name: kept[name] for name in kept.files})
@@ -47,11 +48,6 @@ def _cached(mesh: Mesh, world_from_object: np.ndarray, config: InflateConfig) ->
     partial.write_bytes(data.getvalue())
     partial.rename(path)
     return found
-
-
-def _folder() -> Path:
-    named = os.environ.get("HICKORY_CACHE")
-    return (Path(named) if named else Path.home() / ".cache" / "hickory-stream") / "true-shapes"
 
 
 def _code() -> str:

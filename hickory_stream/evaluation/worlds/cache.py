@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream import caches
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
 from hickory_stream.evaluation.worlds.layouts import layout_files
 from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
@@ -15,15 +14,15 @@ from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 WORLDS_VERSION = 1
 """To be raised by whoever changes what a config gives: older recordings are then made anew."""
 
 
 def cache_folder() -> Path:
-    """Return where recordings are kept: $HICKORY_CACHE, or a folder of the user's cache."""
-    named = os.environ.get("HICKORY_CACHE")
-    return Path(named) if named else Path.home() / ".cache" / "hickory-stream" / "recordings"
+    """Return where recordings are kept, below `$HICKORY_CACHE`; raises `ConfigError` where nothing can be kept."""
+    return caches.cache_folder("recordings")
 
 
 def cached_recording(
@@ -42,8 +41,11 @@ def cached_recording(
     truth_folder, log = folder / f"{name}.truth", folder / layout_files(config.layout, name)[0]
     # The log is moved to its place after the truth.
     if log.exists() and (truth_folder / TRUTH_FILE).is_file():
+        caches.mark_used(log, truth_folder)
         return log, load_truth(truth_folder)
-    return log, make_recording(config, folder, name, progress)
+    truth = make_recording(config, folder, name, progress)
+    caches.prune()
+    return log, truth
 
 
 def recording_name(config: RecordingConfig) -> str:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.evaluation.worlds.parts import model_mesh
 from hickory_stream.evaluation.worlds.textures import albedo, texture_table

@@ -9,8 +9,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-import numba
 import numpy as np
+
+from hickory_stream.compiled import numba
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

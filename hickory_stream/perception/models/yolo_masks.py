@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.perception.masks import InstanceMask
 
 if TYPE_CHECKING:

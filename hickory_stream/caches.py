@@ -1,0 +1,213 @@
+"""What is kept to save time: compiled kernels, shapes, recordings; it may be removed at any moment.
+
+All of it lies in one folder, `$HICKORY_CACHE` or `hickory-stream` in the user's caches. Where that cannot be written (a
+service without a home, a read-only disk) a temporary folder stands in for it, and the user is told once. It is capped
+by bytes: what was not used for the longest time goes first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import shutil
+import stat
+import tempfile
+import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+from hickory_stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+logger = logging.getLogger(__name__)
+
+Kind = Literal["kernels", "shapes", "recordings", "true-shapes"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+_DEFAULT_CAP_MB = 4000.0
+# So that not every call has something to remove.
+_PRUNED_SHARE = 0.8
+_TOUCH_EVERY_S = 3600.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CacheEntry:
+    """What is kept and removed as one: its files, their bytes, and when it was last used (seconds since 1970)."""
+
+    kind: Kind
+    paths: tuple[Path, ...]
+    num_bytes: int
+    used_s: float
+
+
+def cache_folder(kind: Kind) -> Path:
+    """Return the folder of a kind, which is there.
+
+    Raises:
+        ConfigError: there is no folder at all that can be written.
+    """
+    folder = cache_root() / kind
+    with contextlib.suppress(OSError):  # a full disk: whoever writes there will say so
+        folder.mkdir(exist_ok=True)
+    return folder
+
+
+def cache_root() -> Path:
+    """Return the folder of all caches: as configured, or, where that cannot be written, a temporary one.
+
+    Raises:
+        ConfigError: there is no folder at all that can be written.
+    """
+    return _usable_root(wanted_root())
+
+
+def wanted_root() -> Path:
+    """Return where the caches are to be: `$HICKORY_CACHE`, else in the user's caches."""
+    named = os.environ.get("HICKORY_CACHE")
+    if named:
+        return Path(named).absolute()
+    caches = os.environ.get("XDG_CACHE_HOME")
+    if caches and Path(caches).is_absolute():
+        return Path(caches) / "hickory-stream"
+    try:
+        return Path.home() / ".cache" / "hickory-stream"
+    except RuntimeError:  # a user without an entry and without HOME
+        return Path("/nonexistent/hickory-stream")
+
+
+def cap_mb() -> float:
+    """Return how much may be kept, in megabytes: `$HICKORY_CACHE_MB`, by default 4000.
+
+    Raises:
+        ConfigError: it is no number of 0 or more.
+    """
+    named = os.environ.get("HICKORY_CACHE_MB", "")
+    if not named:
+        return _DEFAULT_CAP_MB
+    try:
+        megabytes = float(named)
+    except ValueError:
+        megabytes = -1.0
+    if not 0.0 <= megabytes < float("inf"):
+        raise ConfigError(f"HICKORY_CACHE_MB is {named!r}, expected megabytes, 0 or more, e.g. 4000")
+    return megabytes
+
+
+def entries() -> Iterator[CacheEntry]:
+    """Yield everything that is kept."""
+    for kind in KINDS:
+        for paths in _GROUPS[kind](cache_root() / kind):
+            with contextlib.suppress(OSError):  # another process has just removed it
+                files = [file for path in paths for file in ([path] if path.is_file() else path.rglob("*"))]
+                status = [file.stat() for file in files]
+                used_s = max(path.stat().st_mtime for path in paths)
+                yield CacheEntry(kind=kind, paths=paths, num_bytes=sum(s.st_size for s in status), used_s=used_s)
+
+
+def clear(kinds: Iterable[Kind] = KINDS) -> int:
+    """Remove all of these kinds; return how many bytes that were."""
+    root, wanted, num_bytes = cache_root(), list(kinds), 0
+    for entry in list(entries()):
+        num_bytes += entry.num_bytes if entry.kind in wanted else 0
+    for kind in wanted:
+        shutil.rmtree(root / kind, ignore_errors=True)
+    return num_bytes
+
+
+def prune() -> int:
+    """Remove what was not used for the longest time, where more is kept than may be; return how many bytes."""
+    kept = sorted(entries(), key=lambda entry: entry.used_s)
+    total, cap = sum(entry.num_bytes for entry in kept), cap_mb() * 1e6
+    if total <= cap:
+        return 0
+    removed = 0
+    for entry in kept:
+        if total - removed <= _PRUNED_SHARE * cap:
+            break
+        for path in entry.paths:
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+        removed += entry.num_bytes
+    return removed
+
+
+def mark_used(*paths: Path) -> None:
+    """Note that an entry is in use; cheap where it was noted within the hour."""
+    with contextlib.suppress(OSError):  # it is a cache
+        for path in paths:
+            if time.time() - path.stat().st_mtime > _TOUCH_EVERY_S:
+                os.utime(path)
+
+
+# ---- what belongs together ------------------------------------------------------------------------------------------
+
+
+def _two_levels(folder: Path) -> Iterator[tuple[Path, ...]]:
+    """Yield what lies two levels down, each for itself."""
+    yield from ((path,) for path in sorted(folder.glob("*/*")))
+
+
+def _by_stem(folder: Path) -> Iterator[tuple[Path, ...]]:
+    """Yield the files and folders of one name, whatever comes after its first dot: a log and its truth."""
+    groups: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir() if folder.is_dir() else ()):
+        groups.setdefault(path.name.lstrip(".").partition(".")[0], []).append(path)
+    yield from (tuple(paths) for paths in groups.values())
+
+
+_GROUPS = {"kernels": _two_levels, "shapes": _two_levels, "recordings": _by_stem, "true-shapes": _by_stem}
+
+
+# ---- where ----------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _usable_root(wanted: Path) -> Path:
+    refusal = _refusal(wanted)
+    if refusal is None:
+        return wanted
+    found = _temporary_root()
+    logger.warning(
+        "caches cannot be kept in %s (%s): they go to %s; HICKORY_CACHE names another folder", wanted, refusal, found
+    )
+    return found
+
+
+def _refusal(folder: Path) -> str | None:
+    """Return why a folder cannot be made and written, None where it can."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(b"0")
+    except OSError as error:
+        return error.strerror or type(error).__name__
+    return None
+
+
+def _temporary_root() -> Path:
+    """Return a folder of this user alone: what is read from it is executed."""
+    try:
+        base = Path(tempfile.gettempdir())
+        if os.name != "posix":
+            folder = base / "hickory-stream"
+            folder.mkdir(exist_ok=True)
+            return folder
+        folder = base / f"hickory-stream-{os.getuid()}"
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(mode=0o700)
+        status = folder.lstat()
+        is_ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+        if is_ours and _refusal(folder) is None:
+            return folder
+        return Path(tempfile.mkdtemp(prefix="hickory-stream-"))
+    except OSError as error:
+        raise ConfigError(
+            f"no folder can be written for caches, not even a temporary one ({error.strerror or error}); "
+            "set HICKORY_CACHE or TMPDIR to one"
+        ) from error

@@ -1,0 +1,121 @@
+"""The first run after an installation or an update: kernels are compiled before anything is played, and it is told.
+
+Child processes compile them, each a part of them, into the cache that the run then loads from. Where that does not
+work, a kernel is compiled when it is first called.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import json
+import logging
+import os
+import sys
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import llvmlite.binding
+
+from hickory_stream.caches import cache_root
+from hickory_stream.compiled import kernels_folder, numba, source_hash
+from hickory_stream.engine.warm_up import PARTS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+logger = logging.getLogger(__name__)
+
+_ROOT = Path(__file__).resolve().parents[1]
+_PACKAGES = ("geometry", "perception", "mapping", "shapes")
+_LEFT_OUT = "models"  # networks have kernels that few runs need
+_DECORATOR = "@numba.njit("
+
+
+async def compile_kernels(tell: Callable[[int, int], None]) -> None:
+    """Have the kernels of a run in the cache; `tell` hears how many are compiled, and of about how many.
+
+    Returns at once where they are there already.
+    """
+    if await asyncio.to_thread(are_compiled):
+        return
+    total = sum(text.count(_DECORATOR) for text in (file.read_text(encoding="utf-8") for file in _files()))
+    known: set[str] = set()
+
+    def add(kernel: str) -> None:
+        known.add(kernel)
+        tell(min(len(known), total), total)
+
+    tell(0, total)
+    done = await asyncio.gather(*(_compile_part(part, add) for part in PARTS))
+    if all(done):
+        await asyncio.to_thread(_note_compiled)
+
+
+def are_compiled() -> bool:
+    """Return whether the kernels of this code, compiler and processor were compiled by an earlier run."""
+    return (kernels_folder() / _mark()).exists()
+
+
+async def _compile_part(part: str, add: Callable[[str], None]) -> bool:
+    """Have a child compile a part; return whether it came to its end."""
+    try:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "hickory_stream.engine.warm_up",
+            part,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+            env={**os.environ, "HICKORY_CACHE": str(cache_root())},
+            # A group of its own: Ctrl-C is for the run, which then ends its children in order.
+            start_new_session=True,
+        )
+    except OSError as error:
+        logger.debug("kernels of %s: %s", part, error)
+        return False
+    assert process.stdout is not None
+    try:
+        async for line in process.stdout:
+            with contextlib.suppress(ValueError, KeyError, TypeError):  # a library had something to say
+                add(json.loads(line)["kernel"])
+        return await process.wait() == 0
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+
+
+def _note_compiled() -> None:
+    with contextlib.suppress(OSError):  # the next run asks once more
+        kernels_folder().mkdir(parents=True, exist_ok=True)
+        (kernels_folder() / _mark()).touch()
+
+
+@cache
+def _mark() -> str:
+    """Return the name of the empty file that says that all is there, for this code and this processor."""
+    binding = llvmlite.binding
+    processor = (
+        binding.get_host_cpu_name(),
+        sorted(binding.get_host_cpu_features().items()),
+        numba.config.CPU_NAME,
+        numba.config.CPU_FEATURES,
+    )
+    digest = hashlib.sha256(repr(processor).encode())
+    for file in _files():
+        module = ".".join(("hickory_stream", *file.relative_to(_ROOT).with_suffix("").parts))
+        digest.update(source_hash(module, file).encode())
+    return f"complete-{digest.hexdigest()[:16]}"
+
+
+def _files() -> Iterator[Path]:
+    """Yield the files whose kernels a run needs."""
+    for package in _PACKAGES:
+        for file in sorted((_ROOT / package).rglob("*.py")):
+            if _LEFT_OUT not in file.parts and _DECORATOR in file.read_text(encoding="utf-8"):
+                yield file
