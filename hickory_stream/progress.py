@@ -8,7 +8,7 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Literal
 
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 from hickory_stream.terminal import clear_line
 
 if TYPE_CHECKING:
@@ -116,7 +116,8 @@ class ProgressPrinter:
         return ("#" * round(share * _WIDTH)).ljust(_WIDTH, ".") if self._style == "bar" else f"{share:.0%}"
 
     def _json(self, progress: Progress) -> str:
-        return dumps(
+        return output(
+            "progress",
             {
                 "event": "progress",
                 **({"part": self._part} if self._part else {}),
@@ -128,7 +129,7 @@ class ProgressPrinter:
                 "open_shapes": progress.open_shapes,
                 "num_compiled": progress.num_compiled,
                 "num_kernels": progress.num_kernels,
-            }
+            },
         )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -34,6 +36,22 @@ joint_samples = 500
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with what takes minutes, so that no processor waits for it at the end."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
+@pytest.fixture(autouse=True)
+def _outputs_keep_to_their_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hold whatever a command prints with `--json`, in any test, against its schema."""
+    from hickory_stream import outputs
+    from tests.output_forms import checked
+
+    write = outputs.dumps
+
+    def dumps(data: Any, *, indent: int | None = None) -> str:
+        text = write(data, indent=indent)
+        checked(json.loads(text))
+        return text
+
+    monkeypatch.setattr(outputs, "dumps", dumps)
 
 
 @pytest.fixture(scope="session")

@@ -24,6 +24,7 @@ from hickory_stream.records import Phase
 from hickory_stream.settings import Settings
 from hickory_stream.testing import RememberingSink
 from players import open_source
+from tests.output_forms import checked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,7 +47,7 @@ class Ended:
 
     def json(self) -> Any:
         """Return what standard output holds, which is one JSON value and nothing else."""
-        return json.loads(self.stdout)
+        return checked(json.loads(self.stdout))
 
 
 def run(*arguments: object) -> Ended:
@@ -319,7 +320,7 @@ def test_config_with_json_prints_json() -> None:
 
 
 def test_a_check_with_json_says_ok(coarse_config: Path) -> None:
-    assert run("config", "check", coarse_config, "--json").json() == {"ok": True}
+    assert run("config", "check", coarse_config, "--json").json()["ok"] is True
 
 
 @pytest.mark.parametrize("arguments", [("--help",), ("play", "--help"), ("--version",)])

@@ -96,7 +96,7 @@ def test_inspect_and_render_show_the_map_of_a_moment(calm: Path, tmp_path: Path)
 
 
 def test_diff_tells_what_happened_between_two_moments(calm: Path) -> None:
-    changes = run("diff", calm, "0", "2.5", "--json").json()
+    changes = run("diff", calm, "0", "2.5", "--json").json()["changes"]
     assert {change["kind"] for change in changes} >= {"appeared", "better view"}
     assert "appeared" in run("diff", calm, "0", "2.5").stdout
     assert run("diff", calm, "1", "1").stdout == "nothing has changed\n"

@@ -178,7 +178,7 @@ def test_evaluate_navigation_prints_the_table(folder: Path, tmp_path: Path, caps
     (truth / "truth.json").write_text(json.dumps(record))
     command = ["evaluate-navigation", str(folder), "--truth", str(truth), "--trials", "4", "--seeds", "1"]
     assert main([*command, "--unknown", "free", "--cell", "0.06", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)
+    rows = json.loads(capsys.readouterr().out)["rows"]
     assert [row["name"] for row in rows] == ["mesh-obb", "mesh-full", "layer-4"]
     assert all(row["pairs"] == 4 for row in rows)
     assert main([*command, "--robot", "b2"]) == 2

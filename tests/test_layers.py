@@ -36,7 +36,9 @@ LAYERS = (
     ("hickory_stream.config+hickory_stream.testing",),
     ("hickory_stream.engine",),
     ("hickory_stream.sinks", "players", "hickory_stream.evaluation"),
-    ("hickory_stream.settings+hickory_stream.progress+hickory_stream.cli+hickory_stream.__main__",),
+    (
+        "hickory_stream.settings+hickory_stream.progress+hickory_stream.outputs+hickory_stream.json_schema+hickory_stream.cli+hickory_stream.__main__",
+    ),
     # The package itself offers the API, and loads it only when it is asked for.
     ("hickory_stream",),
 )

@@ -18,7 +18,7 @@ from hickory_stream.cli.parser import make_parser
 from hickory_stream.cli.status import STOPPED
 from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.errors import HickoryError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 from hickory_stream.terminal import shown_safely
 
 if TYPE_CHECKING:
@@ -63,4 +63,4 @@ def _fail(text: str, options: argparse.Namespace) -> None:
     message = " ".join(text.split())  # one line, whatever a library had to say
     sys.stderr.write(f"hickory-stream: {message}\n")
     if getattr(options, "json", False):
-        print(dumps({"event": "error", "message": message}))
+        print(output("error", {"event": "error", "message": message}))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_ALIGNMENT
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     answer = align_by(options.method, map_a, map_b)
     if options.out is not None:
         _draw(options.out, map_a, map_b, answer)
-    print(dumps(answer_json(answer), indent=1) if options.json else answer_text(answer))
+    print(output("align", answer_json(answer), indent=1) if options.json else answer_text(answer))
     return 0 if isinstance(answer, Alignment) else NO_ALIGNMENT
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hickory_stream.caches import KINDS
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -40,7 +40,7 @@ def _show(options: argparse.Namespace) -> int:
         totals[entry.kind][1] += entry.num_bytes
     if options.json:
         kinds = {kind: {"entries": number, "bytes": size} for kind, (number, size) in totals.items()}
-        print(dumps({"folder": str(cache_root()), "cap_mb": cap_mb(), "kinds": kinds}))
+        print(output("cache-show", {"folder": str(cache_root()), "cap_mb": cap_mb(), "kinds": kinds}))
         return 0
     print(cache_root())
     for kind, (number, size) in totals.items():
@@ -60,7 +60,7 @@ def _clear(options: argparse.Namespace) -> int:
     kinds = [kind for kind in KINDS if kind in options.kinds or not options.kinds]
     num_bytes = clear(kinds)
     if options.json:
-        print(dumps({"folder": str(cache_root()), "cleared": kinds, "bytes": num_bytes}))
+        print(output("cache-clear", {"folder": str(cache_root()), "cleared": kinds, "bytes": num_bytes}))
     else:
         print(f"removed {', '.join(kinds)} from {cache_root()}: {num_bytes / 1e6:.1f} MB")
     return 0

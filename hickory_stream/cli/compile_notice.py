@@ -6,7 +6,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +36,9 @@ class CompileNotice:
             self._said_s = now_s
             seconds = now_s - self._began_s
             if self._as_json:
-                text = dumps({"event": "progress", "phase": "compiling", "num_compiled": self._num_compiled})
+                text = output(
+                    "compiling", {"event": "progress", "phase": "compiling", "num_compiled": self._num_compiled}
+                )
             else:
                 text = (
                     "compiling kernels, once after an installation or update: "

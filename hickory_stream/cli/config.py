@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import read_settings
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -33,7 +33,7 @@ def _dump(options: argparse.Namespace) -> int:
     if options.json:
         import dataclasses
 
-        print(dumps(dataclasses.asdict(settings), indent=1))
+        print(output("config-dump", dataclasses.asdict(settings), indent=1))
     else:
         print(to_toml(settings), end="")
     return 0
@@ -41,5 +41,5 @@ def _dump(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     read_settings(options)
-    print(dumps({"ok": True}) if options.json else f"{options.config}: ok")
+    print(output("config-check", {"ok": True}) if options.json else f"{options.config}: ok")
     return 0

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     saved = open_map_at(options.map)
     changes = saved.diff(stamp_of(options.map, options.first), stamp_of(options.map, options.second))
     if options.json:
-        print(dumps([dataclasses.asdict(change) for change in changes], indent=1))
+        print(output("diff", {"changes": [dataclasses.asdict(change) for change in changes]}, indent=1))
     else:
         width = max((len(change.kind) for change in changes), default=0)
         for change in changes:

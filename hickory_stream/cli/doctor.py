@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 from hickory_stream.terminal import clear_line, visible
 
 if TYPE_CHECKING:
@@ -46,5 +46,5 @@ def run(options: argparse.Namespace) -> int:
             options.html.write_text(visible(diagnosis_page(found)), encoding="utf-8")
         except OSError as error:
             raise InputError(f"cannot write the page {options.html}: {error.strerror}") from error
-    print(dumps(found.as_dict(), indent=1) if options.json else diagnosis_text(found))
+    print(output("doctor", found.as_dict(), indent=1) if options.json else diagnosis_text(found))
     return found.status

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.evaluation.explain import DEFINITIONS, as_json, format_evaluation
 
     if options.explain:
-        print(dumps({"definitions": DEFINITIONS}) if options.json else DEFINITIONS)
+        print(output("evaluate-explain", {"definitions": DEFINITIONS}) if options.json else DEFINITIONS)
         if options.map is None:
             return 0
     if options.map is None or options.truth is None:
@@ -47,5 +47,5 @@ def run(options: argparse.Namespace) -> int:
             write_page(options.html, saved, truth, evaluation)
         except OSError as error:
             raise InputError(f"cannot write the page {options.html}: {error.strerror}") from error
-    print(dumps(as_json(evaluation), indent=1) if options.json else format_evaluation(evaluation))
+    print(output("evaluate", as_json(evaluation), indent=1) if options.json else format_evaluation(evaluation))
     return 0

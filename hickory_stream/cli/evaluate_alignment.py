@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.cli.align import METHODS, objects_of
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         map_a, map_b = objects_of(saved_a), objects_of(saved_b)
         rows += [row_of(scene, method, align_by(method, map_a, map_b), true_a_from_b) for method in options.method]
     rows.sort(key=lambda row: options.method.index(row.method))
-    print(dumps(table_json(rows), indent=1) if options.json else format_table(rows))
+    print(output("evaluate-alignment", {"rows": table_json(rows)}, indent=1) if options.json else format_table(rows))
     return 0
 
 

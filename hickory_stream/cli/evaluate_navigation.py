@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import positive
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -53,5 +53,5 @@ def run(options: argparse.Namespace) -> int:
         trials=trials,
         seeds=range(seeds),
     )
-    print(dumps(table_json(rows), indent=1) if options.json else format_table(rows))
+    print(output("evaluate-navigation", {"rows": table_json(rows)}, indent=1) if options.json else format_table(rows))
     return 0

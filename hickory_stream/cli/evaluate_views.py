@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.values import read_settings
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
             evaluations.setdefault(strategy, []).append(found)
     scores = compare(evaluations)
     if options.json:
-        print(dumps({"event": "finished", "strategies": [dataclasses.asdict(score) for score in scores]}))
+        print(output("evaluate-views", {"event": "finished", "strategies": [dataclasses.asdict(s) for s in scores]}))
     else:
         print(format_comparison(scores))
     return 0

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import open_map_at, robot_of_option
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps, dumps_exactly
+from hickory_stream.json_text import dumps_exactly
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -65,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     if options.json:
         told = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
-        print(dumps(told if len(files) == 1 else told | {"files": len(files)}))
+        print(output("export", told if len(files) == 1 else told | {"files": len(files)}))
     return 0
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import open_map_at, parse_place
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"found --min-size {options.min_size:g}, expected metres, 0 or more")
     found = summarize(open_map_at(options.map, options.at))
     summary = chosen(found, sort=options.sort, near=near, within_m=within_m, min_size_m=options.min_size)
-    print(dumps(as_json(summary), indent=1) if options.json else format_table(summary))
+    print(output("inspect", as_json(summary), indent=1) if options.json else format_table(summary))
     return 0
 
 

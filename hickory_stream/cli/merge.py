@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.cli.status import NO_ALIGNMENT
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
         both = sum(len(group) > 1 for group in merged.provenance.values())
         result |= {"objects": len(merged.objects), "united": both, "digest": manifest.digest}
     if options.json:
-        print(dumps(result, indent=1))
+        print(output("merge", result, indent=1))
     else:
         for outcome in outcomes:
             print(f"{outcome['a']} and {outcome['b']}: {outcome['outcome']}")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, assert_never
 
 from hickory_stream.errors import ConfigError, InputError, ModelError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -49,7 +49,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 def _where(options: argparse.Namespace) -> int:
     from hickory_stream.perception.models.library import models_folder
 
-    print(dumps({"folder": str(models_folder())}) if options.json else models_folder())
+    print(output("models-where", {"folder": str(models_folder())}) if options.json else models_folder())
     return 0
 
 
@@ -66,7 +66,7 @@ def _list(options: argparse.Namespace) -> int:
             state = str(error)
         rows.append({**asdict(entry), "state": state})
     if options.json:
-        print(dumps({"folder": str(folder), "models": rows}))
+        print(output("models-list", {"folder": str(folder), "models": rows}))
         return 0
     for row in rows:
         width, height = row["input_px"]
@@ -103,7 +103,7 @@ def _add(options: argparse.Namespace) -> int:
         raise ConfigError(f"a model of kind {options.kind} needs the names of its classes: --labels FILE")
     add_model(models_folder(), options.file, entry)
     told = {"name": name, "file": str(models_folder() / entry.file), "sha256": entry.sha256}
-    print(dumps(told) if options.json else f"{told['file']} is the model {name}, sha256 {entry.sha256}")
+    print(output("models-add", told) if options.json else f"{told['file']} is the model {name}, sha256 {entry.sha256}")
     return 0
 
 
@@ -136,7 +136,7 @@ def _check(options: argparse.Namespace) -> int:
             raise InputError(f"cannot write the picture {options.out}: {error.strerror}") from error
         told["picture"] = str(options.out)
     if options.json:
-        print(dumps(told))
+        print(output("models-check", told))
     else:
         print("\n".join(f"{key:<12}{value}" for key, value in told.items()))
     return 0

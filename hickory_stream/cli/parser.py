@@ -29,6 +29,7 @@ from hickory_stream.cli import (
     render,
     replay,
     resume,
+    schema,
     segment,
 )
 
@@ -56,6 +57,7 @@ _COMMANDS = (
     models,
     cache,
     config,
+    schema,
 )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.status import NO_PATH
 from hickory_stream.cli.values import open_map_at, parse_place, robot_of_option
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
     boxes = without_layer_four(saved.snapshot)
     if options.out is not None:
         _draw(options.out, saved.snapshot, space, answer, start, goal)
-    print(dumps(_as_json(space, answer, boxes), indent=1) if options.json else _as_text(space, answer, boxes))
+    print(output("plan", _as_json(space, answer, boxes), indent=1) if options.json else _as_text(space, answer, boxes))
     return NO_PATH if isinstance(answer, NoPath) else 0
 
 

@@ -13,7 +13,7 @@ from hickory_stream.cli.status import STOPPED
 from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.cli.values import parse_rate, positive, read_settings, robot_of_option
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -144,7 +144,7 @@ def _sinks_beside(options: argparse.Namespace, settings: Settings) -> list[Sink]
 
         metrics = MetricsSink(options.metrics_port, settings.rerun.bind)
         url = f"http://{settings.rerun.bind}:{metrics.port}/metrics"
-        told = json.dumps({"event": "metrics", "url": url}) if options.json else f"metrics: {url}"
+        told = output("metrics", {"event": "metrics", "url": url}) if options.json else f"metrics: {url}"
         sys.stderr.write(f"{told}\n")
         made.append(metrics)
     if options.costmap is not None:
@@ -164,7 +164,8 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     objects = played.snapshot.objects if played.snapshot is not None else ()
     if options.json:
         print(
-            dumps(
+            output(
+                "play",
                 {
                     "event": "finished",
                     "map": str(out),
@@ -175,7 +176,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
                     "objects": len(objects),
                     "objects_with_shape": sum(o.shape is not None for o in objects),
                     "ledger": json.loads((out / "ledger.json").read_text()),
-                }
+                },
             )
         )
     else:

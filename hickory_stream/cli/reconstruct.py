@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -43,9 +43,13 @@ def run(options: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot write the answer into {folder}: {error.strerror}") from error
     if isinstance(built, NoShape):
-        print(dumps({"shape": None, "reason": built.reason}) if options.json else f"no shape: {built.reason}")
+        print(
+            output("reconstruct", {"shape": None, "reason": built.reason})
+            if options.json
+            else f"no shape: {built.reason}"
+        )
         return 1
     said = {"shape": str(folder / MESH), "superquadrics": len(built.fitted), "seconds": dict(built.timings_s)}
     text = f"{folder / MESH}: {len(built.fitted)} superquadrics in {sum(built.timings_s.values()):.1f} s"
-    print(dumps(said) if options.json else text)
+    print(output("reconstruct", said) if options.json else text)
     return 0

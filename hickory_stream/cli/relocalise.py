@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.status import NO_ALIGNMENT
 from hickory_stream.cli.values import parse_rate, read_settings
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
 
     def report(located: Located) -> None:
         if options.json:
-            print(dumps(_as_json(located)), flush=True)
+            print(output("relocalise", _as_json(located)), flush=True)
         else:
             sys.stderr.write(f"{_as_text(located, start_ns)}\n")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import open_map_at, parse_layers, parse_size
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -44,5 +44,7 @@ def run(options: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot write the picture {options.out}: {error.strerror}") from error
     if options.json:
-        print(dumps({"picture": str(options.out), "width": width, "height": height, "layers": sorted(layers)}))
+        print(
+            output("render", {"picture": str(options.out), "width": width, "height": height, "layers": sorted(layers)})
+        )
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     recorded = saved.manifest.digest
     if options.json:
         said = {"event": "replayed", "digest": digest, "recorded_digest": recorded, "is_same": digest == recorded}
-        print(dumps({**said, "objects": len(snapshot.objects)}))
+        print(output("replay", {**said, "objects": len(snapshot.objects)}))
     elif recorded is None:
         print(f"{options.map}: {len(snapshot.objects)} objects; its run never ended, so that there is no digest yet")
     else:

@@ -10,7 +10,7 @@ from hickory_stream.cli.play import finish, make_sinks, make_style
 from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.cli.values import read_settings
 from hickory_stream.errors import MapFolderError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
         digest = save_live(options.map)
         said = {"event": "saved", "map": str(options.map), "finished_cleanly": False, "digest": digest}
         why = "its frames are gone" if is_live else "the log was sought in, so that it cannot be continued"
-        print(dumps(said) if options.json else f"{options.map}: saved as of its last step; {why}")
+        print(output("resume-saved", said) if options.json else f"{options.map}: saved as of its last step; {why}")
         return 0
     recorded = manifest.run.get("source")
     note = dict(recorded) if isinstance(recorded, dict) else {}

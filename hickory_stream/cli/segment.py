@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.values import read_settings
 from hickory_stream.errors import CalibrationError, ConfigError, InputError, RecordingError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         told: dict[str, Any] = {"picture": str(options.out), "masks": masks, "objects": len(perceived.observations)}
         told["rejected"] = [{"box_px": r.box_px, "reason": r.reason} for r in perceived.rejected]
-        print(dumps(told))
+        print(output("segment", told))
     else:
         print(
             f"{options.out}: {masks} masks, {len(perceived.observations)} objects, {len(perceived.rejected)} rejected"

@@ -1,0 +1,62 @@
+"""JSON Schema (draft 2020-12) of typed records: dataclasses and typed dicts, as `json_text.dumps` writes them."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+from enum import Enum
+from typing import Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
+
+from hickory_stream.ranges import ranges_of
+
+_PLAIN = {str: "string", int: "integer", bool: "boolean", type(None): "null"}
+
+
+def schema_of(kind: Any, names: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the schema of a type; keys that it does not declare are not allowed.
+
+    Args:
+        kind: a record, or what its fields may be. A float without a value is null.
+        names: types that a record's annotations name, and its module imports for the type checker alone.
+    """
+    origin, parts = get_origin(kind), get_args(kind)
+    if kind is Any:
+        return {}
+    if kind in _PLAIN:
+        return {"type": _PLAIN[kind]}
+    if kind is float:
+        return {"type": ["number", "null"]}
+    if origin is NotRequired:
+        return schema_of(parts[0], names)
+    if origin is Literal:
+        return {"enum": list(parts)}
+    if origin in (Union, types.UnionType):
+        return {"anyOf": [schema_of(part, names) for part in parts]}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": schema_of(parts[1], names)}
+    if origin is list or (origin is tuple and parts[-1] is Ellipsis):
+        return {"type": "array", "items": schema_of(parts[0], names)}
+    if origin is tuple:
+        items = [schema_of(part, names) for part in parts]
+        return {"type": "array", "prefixItems": items, "items": False, "minItems": len(items)}
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return {"enum": [member.value for member in kind]}
+    if dataclasses.is_dataclass(kind) or is_typeddict(kind):
+        return _record_schema(kind, names)
+    raise TypeError(f"no JSON is known for {kind!r}")
+
+
+def _record_schema(kind: Any, names: dict[str, Any] | None) -> dict[str, Any]:
+    hints = get_type_hints(kind, localns=names, include_extras=True)
+    properties = {name: schema_of(hint, names) for name, hint in hints.items()}
+    if dataclasses.is_dataclass(kind):
+        for name, told in ranges_of(kind).items():
+            properties[name] = {**properties[name], "minimum": told.low, "maximum": told.high, "$comment": told.unit}
+    summary = (kind.__doc__ or "").partition("\n")[0]
+    return {
+        "type": "object",
+        "description": summary,
+        "properties": properties,
+        "required": [name for name, hint in hints.items() if get_origin(hint) is not NotRequired],
+        "additionalProperties": False,
+    }

@@ -1,0 +1,469 @@
+"""What the commands print with `--json`: named, with a version, and of a form that is declared here.
+
+Each output is one object with the keys `output`, its name, and `version`; `hickory-stream schema NAME` prints the form
+as JSON Schema. A key that goes, or means something else, makes a new version; one that is added does not.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, Literal, NotRequired, TypedDict
+
+from hickory_stream.json_schema import schema_of
+from hickory_stream.json_text import dumps
+
+VERSION = 1
+
+Matrix = list[list[float]]
+
+
+class Error(TypedDict):
+    """Why a command failed; on standard output, beside the line on standard error."""
+
+    event: Literal["error"]
+    message: str
+
+
+class Progress(TypedDict):
+    """How far a run is; on standard error, twice a second. `part` is which one of several."""
+
+    event: Literal["progress"]
+    part: NotRequired[str]
+    phase: str
+    frames: int
+    total: int | None
+    keyframes: int
+    objects: int
+    open_shapes: int
+    num_compiled: int
+    num_kernels: int
+
+
+class Compiling(TypedDict):
+    """How many kernels were compiled, by a command that shows no other progress; on standard error."""
+
+    event: Literal["progress"]
+    phase: Literal["compiling"]
+    num_compiled: int
+
+
+class Metrics(TypedDict):
+    """Where `--metrics-port` answers; on standard error."""
+
+    event: Literal["metrics"]
+    url: str
+
+
+class Finished(TypedDict):
+    """What `play` and `resume` have made; `ledger` says what became of every message and frame."""
+
+    event: Literal["finished"]
+    map: str
+    finished_cleanly: bool
+    is_reproducible: bool
+    digest: str | None
+    objects: int
+    objects_with_shape: int
+    ledger: dict[str, Any]
+
+
+class Saved(TypedDict):
+    """`resume` of a run that cannot be continued: it is saved as of its last step."""
+
+    event: Literal["saved"]
+    map: str
+    finished_cleanly: Literal[False]
+    digest: str | None
+
+
+class Replayed(TypedDict):
+    """What the journal gives; `recorded_digest` is null where the run never ended."""
+
+    event: Literal["replayed"]
+    digest: str
+    recorded_digest: str | None
+    is_same: bool
+    objects: int
+
+
+class Diagnosis(TypedDict):
+    """What `doctor` found; `status` is its exit status. The parts have the keys that the log gives cause for."""
+
+    verdict: Literal["sound", "usable with losses", "unusable"]
+    status: int
+    uri: str
+    kind: str
+    num_bytes: int
+    checksum: str
+    streams: dict[str, str]
+    topics: dict[str, dict[str, Any]]
+    tf: dict[str, Any]
+    images: dict[str, Any]
+    sync: dict[str, Any]
+    frames: dict[str, Any]
+    ledger: dict[str, Any]
+    damage: list[dict[str, Any]]
+    damaged_bytes: int
+    estimate: dict[str, float]
+    problems: list[str]
+    notes: list[str]
+    refusal: str | None
+
+
+class Rendered(TypedDict):
+    """A picture of a map, in pixels."""
+
+    picture: str
+    width: int
+    height: int
+    layers: list[int]
+
+
+class Exported(TypedDict):
+    """The file that was written, or the first of several `files`."""
+
+    file: str
+    format: str
+    objects: int
+    files: NotRequired[int]
+
+
+class Difference(TypedDict):
+    """One change between two moments."""
+
+    kind: Literal["appeared", "merged", "dropped", "moved", "better view", "shape changed"]
+    object_id: int
+    text: str
+
+
+class Differences(TypedDict):
+    """What became of the objects between two moments."""
+
+    changes: list[Difference]
+
+
+class Blocker(TypedDict):
+    """An object that the robot would touch, or null for a wall, and how far it is."""
+
+    object: int | None
+    distance_m: float
+
+
+class Planned(TypedDict):
+    """A path (points in metres, one posture and heading a leg), or the reason why there is none."""
+
+    robot: str
+    objects_by_box: list[int]
+    cell_m: float
+    found: bool
+    length_m: NotRequired[float]
+    points: NotRequired[Matrix]
+    postures: NotRequired[list[str]]
+    headings_rad: NotRequired[list[float]]
+    iterations: NotRequired[int]
+    reason: NotRequired[str]
+    text: NotRequired[str]
+    blockers: NotRequired[list[Blocker]]
+
+
+class Pair(TypedDict):
+    """One object in both maps."""
+
+    a: int
+    b: int
+    semantic: float | None
+    geometric: float | None
+    rank: float
+    residual_m: float
+
+
+class Hypothesis(TypedDict):
+    """A transform that was not believed."""
+
+    a_from_b: Matrix
+    num_pairs: int
+    log10_chance: float
+
+
+class Aligned(TypedDict):
+    """Where map b lies in map a, or why that cannot be told."""
+
+    aligned: bool
+    notes: list[str]
+    expected: int
+    missing: int
+    missing_in_b: list[int]
+    missing_in_a: list[int]
+    a_from_b: NotRequired[Matrix]
+    covariance: NotRequired[Matrix]
+    center_a: NotRequired[list[float]]
+    translation_sigma_m: NotRequired[float]
+    rotation_sigma_deg: NotRequired[float]
+    log10_chance: NotRequired[float]
+    margin: NotRequired[float]
+    is_level: NotRequired[bool]
+    is_refined: NotRequired[bool]
+    pairs: NotRequired[list[Pair]]
+    refusal: NotRequired[str]
+    reason: NotRequired[str]
+    hypotheses: NotRequired[list[Hypothesis]]
+
+
+class MergedPair(TypedDict):
+    """What became of two of the maps."""
+
+    a: str
+    b: str
+    believed: bool
+    outcome: str
+
+
+class Merged(TypedDict):
+    """One map of several; `united` objects are in more than one of them."""
+
+    merged: bool
+    map: str
+    pairs: list[MergedPair]
+    left_out: list[str]
+    objects: NotRequired[int]
+    united: NotRequired[int]
+    digest: NotRequired[str | None]
+
+
+class Located(TypedDict):
+    """Where a log is in a map, as known at a stamp; one line an answer."""
+
+    event: Literal["located", "searching"]
+    stamp_ns: int
+    objects: int
+    confirmed: bool
+    jumped: bool
+    map_from_log: NotRequired[Matrix]
+    pairs: NotRequired[int]
+    translation_sigma_m: NotRequired[float]
+    log10_chance: NotRequired[float]
+    refusal: NotRequired[str]
+    reason: NotRequired[str]
+
+
+class Reconstructed(TypedDict):
+    """The mesh of a shape job, or why there is none."""
+
+    shape: str | None
+    reason: NotRequired[str]
+    superquadrics: NotRequired[int]
+    seconds: NotRequired[dict[str, float]]
+
+
+class Definitions(TypedDict):
+    """What the figures of `evaluate` mean."""
+
+    definitions: str
+
+
+class Strategies(TypedDict):
+    """The strategies of choosing views, compared; the keys are those of `evaluation.view_strategies.StrategyScore`."""
+
+    event: Literal["finished"]
+    strategies: list[dict[str, Any]]
+
+
+class AlignmentRow(TypedDict):
+    """One method on one pair of maps; what is not known is null."""
+
+    scene: str
+    method: str
+    num_pairs: int
+    translation_m: float
+    rotation_deg: float
+    overlap_m: float
+    success: bool | None
+    refusal: str | None
+
+
+class AlignmentRows(TypedDict):
+    """Methods of alignment against truth."""
+
+    rows: list[AlignmentRow]
+
+
+class NavigationRow(TypedDict):
+    """One method on one map; see `evaluation.navigation_table.MethodScore`."""
+
+    name: str
+    pairs: int
+    success: float
+    efficiency: float
+    over_optimum: float
+    free_space: float
+    missed_cells: int
+    lost_cells: int
+    load_s: float
+    build_s: float
+    query_s: float
+
+
+class NavigationRows(TypedDict):
+    """Boxes, meshes and layer 4 as obstacles, against truth."""
+
+    rows: list[NavigationRow]
+
+
+class RejectedMask(TypedDict):
+    """A mask that is no object: its box in pixels and the reason."""
+
+    box_px: list[int]
+    reason: str
+
+
+class Segmented(TypedDict):
+    """What was found in one frame."""
+
+    picture: str
+    masks: int
+    objects: int
+    rejected: list[RejectedMask]
+
+
+class ModelsFolder(TypedDict):
+    """Where models are looked for."""
+
+    folder: str
+
+
+class Model(TypedDict):
+    """One network; `state` is "ok", or what is wrong with it. `input_px` is 0 for any."""
+
+    name: str
+    kind: str
+    file: str
+    sha256: str
+    source: str
+    licence: str
+    input_px: list[int]
+    labels: list[str]
+    state: str
+
+
+class Models(TypedDict):
+    """The networks that are there."""
+
+    folder: str
+    models: list[Model]
+
+
+class ModelAdded(TypedDict):
+    """A network that was added."""
+
+    name: str
+    file: str
+    sha256: str
+
+
+class ModelChecked(TypedDict):
+    """A network that was run on the built-in picture; what it gives depends on its kind."""
+
+    name: str
+    kind: str
+    provider: str
+    providers: list[str]
+    warm_up_ms: float
+    run_ms: float
+    masks: NotRequired[int]
+    not_finite: NotRequired[int]
+    patches: NotRequired[list[int]]
+    dim: NotRequired[int]
+    classes: NotRequired[dict[str, float]]
+    picture: NotRequired[str]
+
+
+class CacheKind(TypedDict):
+    """How much of one kind is kept."""
+
+    entries: int
+    bytes: int
+
+
+class CacheShown(TypedDict):
+    """What is kept to save time, by kind."""
+
+    folder: str
+    cap_mb: float
+    kinds: dict[str, CacheKind]
+
+
+class CacheCleared(TypedDict):
+    """Which kinds were removed, and how much that was."""
+
+    folder: str
+    cleared: list[str]
+    bytes: int
+
+
+class ConfigChecked(TypedDict):
+    """A configuration that is sound; an error otherwise."""
+
+    ok: Literal[True]
+
+
+OUTPUTS: dict[str, Any] = {
+    "error": Error,
+    "progress": Progress,
+    "compiling": Compiling,
+    "metrics": Metrics,
+    "play": Finished,
+    "resume-saved": Saved,
+    "replay": Replayed,
+    "doctor": Diagnosis,
+    "inspect": "hickory_stream.evaluation.inspect.MapSummary",
+    "render": Rendered,
+    "export": Exported,
+    "diff": Differences,
+    "plan": Planned,
+    "align": Aligned,
+    "merge": Merged,
+    "relocalise": Located,
+    "reconstruct": Reconstructed,
+    "evaluate": "hickory_stream.evaluation.evaluate.Evaluation",
+    "evaluate-explain": Definitions,
+    "evaluate-views": Strategies,
+    "evaluate-alignment": AlignmentRows,
+    "evaluate-navigation": NavigationRows,
+    "segment": Segmented,
+    "models-where": ModelsFolder,
+    "models-list": Models,
+    "models-add": ModelAdded,
+    "models-check": ModelChecked,
+    "config-dump": "hickory_stream.settings.Settings",
+    "config-check": ConfigChecked,
+    "cache-show": CacheShown,
+    "cache-clear": CacheCleared,
+}
+"""The form of each output, by its name; those of other modules by their path, so that they load only when asked for."""
+
+
+def output(name: str, data: dict[str, Any], *, indent: int | None = None) -> str:
+    """Return what a command prints: its data as JSON, with the name of the output and its version."""
+    if name not in OUTPUTS:
+        raise KeyError(f"{name} is no output: declare it in OUTPUTS")
+    return dumps({"output": name, "version": VERSION, **data}, indent=indent)
+
+
+def output_schema(name: str) -> dict[str, Any]:
+    """Return the JSON Schema of an output."""
+    from hickory_stream.evaluation.pose_error import PoseError
+    from hickory_stream.records import Containment
+
+    kind = OUTPUTS[name]
+    if isinstance(kind, str):
+        module, _, attribute = kind.rpartition(".")
+        kind = getattr(import_module(module), attribute)
+    schema = schema_of(kind, {"Containment": Containment, "PoseError": PoseError})
+    head = {"output": {"const": name}, "version": {"const": VERSION}}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"hickory-stream {name}",
+        **schema,
+        "properties": head | schema["properties"],
+        "required": [*head, *schema["required"]],
+    }
