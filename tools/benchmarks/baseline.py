@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.json_text import dumps
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -70,7 +72,7 @@ def check(path: Path, figures: Sequence[Figure], *, is_partial: bool) -> int:
 def set_baseline(path: Path, figures: Sequence[Figure], about: str) -> None:
     """Write measured values into a baseline; goals, tolerances and what was not measured stay as they are."""
     before = read_baseline(path) if path.is_file() else {}
-    path.write_text(json.dumps(updated(before, figures, about), indent=1) + "\n", encoding="utf-8")
+    path.write_text(dumps(updated(before, figures, about), indent=1) + "\n", encoding="utf-8")
 
 
 def compare(figures: Sequence[Figure], baseline: dict[str, Any]) -> Comparison:

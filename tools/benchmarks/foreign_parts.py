@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import InputError
 from hickory_stream.evaluation.ladder import RUNGS
+from hickory_stream.json_text import dumps
 from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ class Store:
         file = self._file(part, key)
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_suffix(f".{os.getpid()}")
-        temporary.write_text(json.dumps(record) + "\n", encoding="utf-8")
+        temporary.write_text(dumps(record) + "\n", encoding="utf-8")
         temporary.replace(file)
 
     def _file(self, part: Part, key: str) -> Path:
