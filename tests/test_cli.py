@@ -36,7 +36,7 @@ pytestmark = pytest.mark.timeout(180)
 
 COMMAND = (sys.executable, "-m", "hickory_stream")
 NUM_FRAMES = 18
-HEAVY = ("numpy", "cv2", "rerun", "numba", "scipy", "trimesh", "open3d", "asyncio")
+HEAVY = ("numpy", "cv2", "rerun", "numba", "scipy", "trimesh", "open3d", "embreex", "asyncio")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -69,7 +69,7 @@ def test_a_check_runs_the_model_on_a_picture_and_draws_it(fastsam, tmp_path, cap
 def test_what_is_missing_or_broken_is_refused_in_a_sentence(folder, tmp_path, capsys):
     status, _, err = said(capsys, "models", "check", "dinov2-small")
     assert status == 2
-    assert "tools/export_onnx dinov2 --name dinov2-small" in err
+    assert "hickory-stream models add dinov2-small.onnx --kind dinov2" in err
     (tmp_path / "half.onnx").write_bytes(b"not a graph")
     status, _, err = said(capsys, "models", "add", tmp_path / "half.onnx", "--kind", "dinov2")
     assert status == 2

@@ -1,14 +1,19 @@
 """The wheel, as a person without the checkout installs it."""
 
+import ast
 import json
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
+WITH_DOCSTRING = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 @pytest.mark.slow
@@ -42,10 +47,51 @@ def test_the_wheel_plays_a_log_outside_the_checkout(tmp_path: Path, demo_log: Pa
     assert finished["objects_with_shape"] == finished["objects"] > 0
     summary = json.loads(_run(venv / "bin" / "hickory-stream", "inspect", "map", "--json", cwd=work))
     assert summary["digest"] == finished["digest"]
+    demo = _run(venv / "bin" / "hickory-stream", "demo", "--seconds", 2, cwd=work)
+    assert "all four layers" in demo
+    assert (work / "hickory-demo" / "map-superquadrics.png").stat().st_size > 10_000
+    # Open3D and what it brings are for measuring.
+    absent = "import importlib.util as u; print([n for n in ('open3d', 'dash', 'plotly', 'IPython') if u.find_spec(n)])"
+    assert _run(venv / "bin" / "python", "-c", absent, cwd=work).strip() == "[]"
+    told = "import importlib.metadata as m; print(*m.metadata('hickory-stream').get_all('Classifier'), sep='|')"
+    assert "Programming Language :: Python :: 3.11|" in _run(venv / "bin" / "python", "-c", told, cwd=work)
     where = _run(
         venv / "bin" / "python", "-c", "import hickory_stream, players; print(hickory_stream.__file__)", cwd=work
     )
     assert str(venv) in where, "the installed package was used, not the checkout"
+
+
+def test_nothing_that_is_installed_points_into_the_checkout() -> None:
+    told = []
+    for path in sorted([*(ROOT / "hickory_stream").rglob("*.py"), *(ROOT / "players").rglob("*.py")]):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        explained = [node.body[0] for node in ast.walk(tree) if isinstance(node, WITH_DOCSTRING) and node.body]
+        docstrings = {id(first.value) for first in explained if isinstance(first, ast.Expr)}
+        told += [
+            f"{path.relative_to(ROOT)}:{node.lineno}: {node.value}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and id(node) not in docstrings
+            and re.search(r"\b(tools|tests|recordings)/", node.value)
+        ]
+    assert told == []
+
+
+def test_open3d_is_measured_with_and_mapped_without() -> None:
+    with (ROOT / "pyproject.toml").open("rb") as stream:
+        project = tomllib.load(stream)["project"]
+    x86 = {"sys_platform": "linux", "platform_machine": "x86_64"}
+    needed = [Requirement(line) for line in project["dependencies"]]
+    names = {one.name for one in needed if one.marker is None or one.marker.evaluate(x86)}
+    assert "embreex" in names
+    assert not any(name.startswith("open3d") for name in names)
+    # Where embreex has no wheel, rays are cast by Open3D.
+    arm = {"sys_platform": "linux", "platform_machine": "aarch64"}
+    names = {one.name for one in needed if one.marker is None or one.marker.evaluate(arm)}
+    assert "open3d" in names
+    assert "embreex" not in names
+    assert any("open3d" in line for line in project["optional-dependencies"]["evaluation"])
 
 
 def _clean_copy(folder: Path) -> Path:

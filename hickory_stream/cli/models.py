@@ -73,7 +73,10 @@ def _list(options: argparse.Namespace) -> int:
         size = f"{width or 'any'} x {height or 'any'}"
         print(f"{row['name']}  {row['kind']}  {size}  {row['licence']}  {row['source']}  {row['state']}")
     if not rows:
-        print(f"no models in {folder}; tools/export_onnx and `hickory-stream models add` put them there")
+        print(
+            f"no models in {folder}; export one (README: Models) and add it with "
+            "`hickory-stream models add FILE.onnx --kind KIND`"
+        )
     return 0
 
 

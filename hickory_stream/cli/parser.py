@@ -12,6 +12,7 @@ from hickory_stream.cli import (
     align,
     cache,
     config,
+    demo,
     diff,
     doctor,
     evaluate,
@@ -36,6 +37,7 @@ from hickory_stream.cli import (
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 _COMMANDS = (
+    demo,
     play,
     resume,
     replay,

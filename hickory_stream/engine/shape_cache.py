@@ -21,7 +21,7 @@ logger = logging.getLogger(__name__)
 
 _ANSWER = ("mesh.glb", "result.json")
 _CODE = ("shapes", "geometry")
-_LIBRARIES = ("numpy", "scipy", "numba", "scikit-image", "open3d-cpu", "open3d", "trimesh")
+_LIBRARIES = ("numpy", "scipy", "numba", "scikit-image", "trimesh")
 
 
 def shape_cache_folder() -> Path:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.open3d_import import import_open3d
+from hickory_stream.evaluation.ray_caster import ray_caster
 from hickory_stream.geometry.mesh import Mesh, sample_surface
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ def exposed_samples(
     mesh: Mesh, count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Return (N, 3) surface samples, N <= count, that some direction outside sees, and their (N, 3) normals."""
-    o3d = import_open3d()
     points, faces = sample_surface(mesh, count, rng)
     a, b, c = (mesh.vertices[mesh.faces[faces, i]].astype(np.float64) for i in range(3))
     normals = np.cross(b - a, c - a)
@@ -32,8 +31,8 @@ def exposed_samples(
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     outward = directions[None] * np.sign(normals @ directions.T)[..., None]
     start = np.broadcast_to((points + 1e-4 * normals)[:, None], outward.shape)
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(np.array(mesh.vertices)), o3d.core.Tensor(mesh.faces.astype(np.uint32)))
+    caster = ray_caster()
+    caster.add(mesh.vertices, mesh.faces)
     rays = np.concatenate([start, outward], axis=2).astype(np.float32)
-    is_exposed = ~scene.test_occlusions(o3d.core.Tensor(rays)).numpy().all(axis=1)
+    is_exposed = ~caster.is_occluded(rays.reshape(-1, 6)).reshape(rays.shape[:2]).all(axis=1)
     return points[is_exposed], normals[is_exposed]

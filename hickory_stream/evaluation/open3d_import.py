@@ -1,4 +1,4 @@
-"""The one place that imports Open3D.
+"""The one place that imports Open3D, which only measuring needs: the extra `evaluation`.
 
 Its wheel needs libusb even where no camera is, and a bare system has none: a packaged one is loaded before it.
 """
@@ -6,11 +6,23 @@ Its wheel needs libusb even where no camera is, and a bare system has none: a pa
 from __future__ import annotations
 
 import ctypes
+import importlib.util
 from typing import Any
+
+from hickory_stream.errors import InputError
 
 
 def import_open3d() -> Any:
-    """Return the module `open3d`."""
+    """Return the module `open3d`.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    if importlib.util.find_spec("open3d") is None:
+        raise InputError(
+            "this needs Open3D, which measures distances to surfaces, and it is not installed: "
+            "pip install 'hickory-stream[evaluation]'"
+        )
     try:
         import libusb_package
 

@@ -1,7 +1,4 @@
-"""Ray casting without a screen: the one module that imports Open3D for pictures and measurements.
-
-Open3D's own offscreen renderer needs Vulkan and aborts without it; its RaycastingScene runs on any CPU.
-"""
+"""Coloured surfaces and what rays meet of them, without a screen: for pictures and measurements."""
 
 from __future__ import annotations
 
@@ -11,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.evaluation.open3d_import import import_open3d
+from hickory_stream.evaluation.ray_caster import RayCaster, ray_caster
 from hickory_stream.geometry.arrays import freeze
 
 if TYPE_CHECKING:
@@ -55,51 +53,57 @@ class Scene:
     """Surfaces to cast rays at."""
 
     def __init__(self, surfaces: Sequence[Surface]) -> None:
-        open3d = import_open3d()
         vertices, faces, colors, owners = _joined(surfaces)
-        self._faces, self._owners = faces, owners
+        self._vertices, self._faces, self._owners = vertices, faces, owners
         self._colors = colors.astype(np.float32) / np.float32(255)
         self._normals = _vertex_normals(vertices, faces)
-        self._scene: Any = None
+        self._caster: RayCaster | None = None
+        self._distances: Any = None
         if len(faces):
-            self._scene = open3d.t.geometry.RaycastingScene()
-            self._scene.add_triangles(open3d.core.Tensor(vertices), open3d.core.Tensor(faces.astype(np.uint32)))
+            self._caster = ray_caster()
+            self._caster.add(vertices, faces)
 
     def cast(self, origins: NDArray[Any], directions: NDArray[Any]) -> Hits:
         """Return what (N, 3) rays meet first; directions of unit length."""
         count = len(origins)
         normals, colors = np.zeros((2, count, 3), dtype=np.float32)
-        if self._scene is None:
+        if self._caster is None:
             nothing = np.full(count, np.inf, dtype=np.float32)
             return Hits(distance_m=nothing, normals=normals, colors=colors, owners=np.full(count, -1, dtype=np.int32))
-        answer = self._scene.cast_rays(import_open3d().core.Tensor(_rays(origins, directions)))
-        distance = answer["t_hit"].numpy()
+        found = self._caster.cast(_rays(origins, directions))
         owners = np.full(count, -1, dtype=np.int32)
-        hit = np.isfinite(distance)
-        triangles = answer["primitive_ids"].numpy()[hit]
+        hit = np.isfinite(found.t)
+        triangles = found.triangle[hit]
         corners = self._faces[triangles]
-        uv = answer["primitive_uvs"].numpy()[hit]
+        uv = found.uv[hit]
         weights = np.stack([1 - uv.sum(axis=1), uv[:, 0], uv[:, 1]], axis=1).astype(np.float32)
-        flat = answer["primitive_normals"].numpy()[hit]
         colors[hit] = np.einsum("nk,nkc->nc", weights, self._colors[corners])
         smooth = np.einsum("nk,nkc->nc", weights, self._normals[corners])
-        normals[hit] = _towards(_smoothed(flat, smooth), directions[hit])
+        normals[hit] = _towards(_smoothed(found.normals[hit], smooth), directions[hit])
         owners[hit] = self._owners[triangles]
-        return Hits(distance_m=distance, normals=normals, colors=colors, owners=owners)
+        return Hits(distance_m=found.t, normals=normals, colors=colors, owners=owners)
 
     def is_occluded(self, origins: NDArray[Any], directions: NDArray[Any], reach_m: float) -> NDArray[np.bool_]:
         """Return for each of (N, 3) rays whether it meets something within `reach_m`."""
-        if self._scene is None:
+        if self._caster is None:
             return np.zeros(len(origins), dtype=bool)
-        rays = import_open3d().core.Tensor(_rays(origins, directions))
-        return np.asarray(self._scene.test_occlusions(rays, tnear=0.0, tfar=reach_m).numpy())
+        return self._caster.is_occluded(_rays(origins, directions), reach_m)
 
     def nearest(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """Return (N,) distances of (N, 3) points to the nearest surface, and its owner; inf and -1 if there is none."""
-        if self._scene is None:
+        """Return (N,) distances of (N, 3) points to the nearest surface, and its owner; inf and -1 if there is none.
+
+        Raises:
+            InputError: Open3D is not installed.
+        """
+        if len(self._faces) == 0:
             return np.full(len(points), np.inf, dtype=np.float32), np.full(len(points), -1, dtype=np.int32)
+        open3d = import_open3d()
+        if self._distances is None:
+            self._distances = open3d.t.geometry.RaycastingScene()
+            triangles = open3d.core.Tensor(self._faces.astype(np.uint32))
+            self._distances.add_triangles(open3d.core.Tensor(self._vertices), triangles)
         query = np.ascontiguousarray(points, dtype=np.float32)
-        answer = self._scene.compute_closest_points(import_open3d().core.Tensor(query))
+        answer = self._distances.compute_closest_points(open3d.core.Tensor(query))
         distance_m = np.linalg.norm(answer["points"].numpy() - query, axis=1)
         return distance_m, self._owners[answer["primitive_ids"].numpy()]
 

@@ -81,8 +81,8 @@ def load_truth(folder: Path) -> Truth:
         record = json.loads(read_within(folder, TRUTH_FILE))
     except FileNotFoundError as error:
         raise RecordingError(
-            f"{folder} is no truth folder: it has no {TRUTH_FILE}. Name the folder that tools/make_recording wrote "
-            "beside the log (NAME.truth)"
+            f"{folder} is no truth folder: it has no {TRUTH_FILE}. A synthetic recording "
+            "has one beside its log (NAME.truth)"
         ) from error
     except (OSError, ValueError, RecursionError) as error:
         raise RecordingError(f"{path} cannot be read as JSON: {error}. Make the recording again") from error

@@ -86,7 +86,7 @@ def load_trees(path: Path) -> Trees:
                 **{name: file[name] for name in _ARRAYS},
             )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise ModelError(f"{path} holds no trees as tools/train_segmenter writes them: {error}") from error
+        raise ModelError(f"{path} holds no trees of a segmenter: {error}") from error
     _check(trees, path)
     return trees
 

@@ -42,7 +42,8 @@ def test_the_folder_is_named_by_the_environment(monkeypatch, tmp_path):
 
 def test_a_missing_model_is_answered_with_file_origin_and_export(tmp_path):
     with pytest.raises(
-        ModelError, match=r"no model fastsam-s in .*tools/export_onnx fastsam --name fastsam-s.*https://"
+        ModelError,
+        match=r"no model fastsam-s in .*export it to ONNX .*https://.*models add fastsam-s.onnx --kind fastsam",
     ):
         find_model("fastsam-s", "fastsam", folder=tmp_path)
 

@@ -74,5 +74,5 @@ def test_a_file_without_trees_says_what_it_should_hold(tmp_path, damage):
         path.write_bytes(path.read_bytes()[:300])
     elif damage == "of something else":
         np.savez(path, weights=np.zeros(3))
-    with pytest.raises(ModelError, match="holds no trees as tools/train_segmenter writes them"):
+    with pytest.raises(ModelError, match="holds no trees of a segmenter"):
         load_trees(path)

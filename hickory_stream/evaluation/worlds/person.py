@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.open3d_import import import_open3d
+from hickory_stream.evaluation.ray_caster import CasterName, ray_caster
 from hickory_stream.evaluation.worlds.palettes import plain
 from hickory_stream.evaluation.worlds.parts import Model, Part, ellipsoid, model_mesh, rounded_box, tube
 from hickory_stream.evaluation.worlds.rendering import rays_of
@@ -80,29 +80,33 @@ def _limb(a: NDArray[np.float64], b: NDArray[np.float64], radius_m: float, textu
 
 
 def with_person(
-    rendered: Rendered, camera: Camera, world_from_camera: NDArray[np.float64], person: Person, time_s: float
+    rendered: Rendered,
+    camera: Camera,
+    world_from_camera: NDArray[np.float64],
+    person: Person,
+    time_s: float,
+    caster: CasterName | None = None,
 ) -> Rendered:
     """Return an image with the person in it, where it is nearer than what is there; one steps aside for the camera."""
     model, world_from_person = person.model_at(time_s)
     if np.linalg.norm(world_from_person[:2, 3] - world_from_camera[:2, 3]) < _KEEPS_AWAY_M:
         return rendered
-    o3d = import_open3d()
     mesh = model_mesh(model)
-    scene = o3d.t.geometry.RaycastingScene()
+    scene = ray_caster(caster)
     vertices = apply(world_from_person, mesh.vertices.astype(np.float64)).astype(np.float32)
-    scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(mesh.faces.astype(np.uint32)))
+    scene.add(vertices, mesh.faces)
     rays = rays_of(camera, world_from_camera)
-    hit = {key: value.numpy() for key, value in scene.cast_rays(o3d.core.Tensor(rays)).items()}
+    hit = scene.cast(rays)
     depth = np.nan_to_num(rendered.depth_m, nan=np.inf).reshape(-1)
-    nearer = np.flatnonzero(hit["t_hit"] < depth)
+    nearer = np.flatnonzero(hit.t < depth)
     towards = rays[nearer, 3:] / np.linalg.norm(rays[nearer, 3:], axis=1, keepdims=True)
-    cosine = np.abs((hit["primitive_normals"][nearer] * towards).sum(axis=1))
-    colors = mesh.colors[mesh.faces[hit["primitive_ids"][nearer]]].mean(axis=1) * (0.45 + 0.5 * cosine)[:, None]
+    cosine = np.abs((hit.normals[nearer] * towards).sum(axis=1))
+    colors = mesh.colors[mesh.faces[hit.triangle[nearer]]].mean(axis=1) * (0.45 + 0.5 * cosine)[:, None]
     size = (camera.height, camera.width)
     rgb, depth_m = rendered.rgb.reshape(-1, 3).copy(), rendered.depth_m.reshape(-1).copy()
     instances, incidence = rendered.instances.reshape(-1).copy(), rendered.cosine.reshape(-1).copy()
     rgb[nearer] = np.clip(colors, 0, 255).astype(np.uint8)
-    depth_m[nearer], instances[nearer], incidence[nearer] = hit["t_hit"][nearer], PERSON_ID, cosine
+    depth_m[nearer], instances[nearer], incidence[nearer] = hit.t[nearer], PERSON_ID, cosine
     return replace(
         rendered,
         rgb=rgb.reshape(*size, 3),

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.evaluation.ray_caster import CasterName
     from hickory_stream.evaluation.worlds.layouts import DepthView
     from hickory_stream.evaluation.worlds.rendering import Rendered
     from hickory_stream.evaluation.worlds.scene import World
@@ -106,21 +107,28 @@ class RecordingConfig:
 
 
 def make_recording(
-    config: RecordingConfig, folder: Path, name: str, progress: Callable[[int, int], None] = lambda done, total: None
+    config: RecordingConfig,
+    folder: Path,
+    name: str,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    caster: CasterName | None = "open3d",
 ) -> Truth:
     """Write NAME.mcap (or what the layout has) and NAME.truth/ into a folder, replacing older ones; return the truth.
 
-    Both are made in a hidden folder beside their place and moved when complete: a failure leaves the old ones.
+    Both are made in a hidden folder beside their place and moved when complete: a failure leaves the old ones. The same
+    `caster` gives the same bytes; None takes the one that is there (`ray_caster`).
 
     Raises:
         ConfigError: NAME.truth exists and is no truth folder, or the seed's rooms leave no way to walk.
+        InputError: the caster is not installed.
     """
     truth_folder = folder / f"{name}.truth"
     if truth_folder.exists() and not (truth_folder / TRUTH_FILE).is_file():
         raise ConfigError(f"{truth_folder} is there and has no {TRUTH_FILE}; choose another --name or --out")
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
-        truth = _make(config, Path(unfinished), name, progress)
+        truth = _make(config, Path(unfinished), name, progress, caster)
         if truth_folder.exists():
             shutil.rmtree(truth_folder)
         truth.folder.rename(truth_folder)
@@ -131,13 +139,20 @@ def make_recording(
     return replace(truth, folder=truth_folder)
 
 
-def _make(config: RecordingConfig, folder: Path, name: str, progress: Callable[[int, int], None]) -> Truth:
+def _make(
+    config: RecordingConfig,
+    folder: Path,
+    name: str,
+    progress: Callable[[int, int], None],
+    caster: CasterName | None,
+) -> Truth:
     world, trajectory = walkable_world(config)
+    renderer = Renderer(world, caster)
     truth_folder = folder / f"{name}.truth"
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)
     structure = _write_meshes(world, truth_folder)
-    frames, seen, shown = _record(config, world, trajectory, (folder, name, truth_folder), progress)
+    frames, seen, shown = _record(config, world, renderer, trajectory, (folder, name, truth_folder), progress)
     truth = Truth(
         folder=truth_folder,
         camera=config.camera,
@@ -216,13 +231,14 @@ def _write_meshes(world: World, truth_folder: Path) -> tuple[str, ...]:
 def _record(
     config: RecordingConfig,
     world: World,
+    renderer: Renderer,
     trajectory: Trajectory,
     targets: tuple[Path, str, Path],
     progress: Callable[[int, int], None],
 ) -> tuple[list[TruthFrame], SeenSurface, dict[int, list[int]]]:
     """Render and write frame by frame; return the true frames, what was seen, and where each object shows."""
     folder, name, truth_folder = targets
-    camera, renderer = config.camera, Renderer(world)
+    camera = config.camera
     rng = np.random.default_rng([config.seed, 3, config.walk_index] if config.walk_index else [config.seed, 3])
     seen = SeenSurface(
         world, config.depth.min_depth_m, config.depth.max_depth_m, np.random.default_rng([config.seed, 4])
@@ -246,7 +262,7 @@ def _record(
             index = i // every
             rendered = renderer.render(camera, world_from_camera)
             if person is not None:
-                rendered = with_person(rendered, camera, world_from_camera, person, time_s)
+                rendered = with_person(rendered, camera, world_from_camera, person, time_s, renderer.caster)
             seen.add(rendered, camera, world_from_camera)
             for item_id in np.setdiff1d(rendered.instances, (0, PERSON_ID)):
                 shown[int(item_id)].append(index)
@@ -280,7 +296,7 @@ def _depth_of_its_own(
     world_from_depth = trajectory.pose_at(later_s) @ view.color_from_depth
     rendered = renderer.render(view.camera, world_from_depth)
     if person is not None:
-        rendered = with_person(rendered, view.camera, world_from_depth, person, later_s)
+        rendered = with_person(rendered, view.camera, world_from_depth, person, later_s, renderer.caster)
     return sensed_depth(rendered.depth_m, rendered.cosine, view.camera.fx, config.depth, rng)
 
 

@@ -7,12 +7,12 @@ the pixel's centre; colour four times at edges, and twice, without casting furth
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.evaluation.open3d_import import import_open3d
+from hickory_stream.evaluation.ray_caster import CasterName, Crossings, ray_caster
 from hickory_stream.evaluation.worlds.parts import model_mesh
 from hickory_stream.evaluation.worlds.textures import albedo, texture_table
 from hickory_stream.geometry.arrays import freeze
@@ -55,10 +55,9 @@ class Rendered:
 class Renderer:
     """A world loaded into the ray caster."""
 
-    def __init__(self, world: World) -> None:
-        o3d = import_open3d()
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._tensor = o3d.core.Tensor
+    def __init__(self, world: World, caster: CasterName | None = None) -> None:
+        self.caster = caster
+        self._scene = ray_caster(caster)
         models: list[tuple[Model, NDArray[np.float64]]] = [(model, np.eye(4)) for model in world.structure]
         models += [(item.model, item.world_from_object) for item in world.objects]
         self._instance_of = np.array([0] * len(world.structure) + [item.id for item in world.objects], dtype=np.uint16)
@@ -66,7 +65,7 @@ class Renderer:
         for model, world_from_object in models:
             mesh = model_mesh(model)
             vertices = apply(world_from_object, mesh.vertices.astype(np.float64)).astype(np.float32)
-            self._scene.add_triangles(self._tensor(vertices), self._tensor(mesh.faces.astype(np.uint32)))
+            self._scene.add(vertices, mesh.faces)
         parts = [part for model, _ in models for part in model.parts]
         self._textures = texture_table([part.texture for part in parts])
         self._texture_of_face = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
@@ -79,28 +78,25 @@ class Renderer:
         """Return what the camera sees, without any defect."""
         size = (camera.height, camera.width)
         rays = rays_of(camera, world_from_camera)
-        hit = self._cast(rays)
-        is_hit = np.isfinite(hit["t_hit"])
+        hit = self._scene.cast(rays)
+        is_hit = np.isfinite(hit.t)
         instances = np.zeros(is_hit.shape, dtype=np.uint16)
-        instances[is_hit] = self._instance_of[hit["geometry_ids"][is_hit]]
+        instances[is_hit] = self._instance_of[hit.geometry[is_hit]]
         length = np.linalg.norm(rays[:, 3:], axis=1)
-        cosine = np.abs(np.einsum("ij,ij->i", hit["primitive_normals"], rays[:, 3:])) / length
+        cosine = np.abs(np.einsum("ij,ij->i", hit.normals, rays[:, 3:])) / length
         return Rendered(
             rgb=self._color(camera, world_from_camera, rays, hit),
-            depth_m=np.where(is_hit, hit["t_hit"], np.nan).reshape(size),
+            depth_m=np.where(is_hit, hit.t, np.nan).reshape(size),
             instances=instances.reshape(size),
             cosine=cosine.reshape(size),
         )
-
-    def _cast(self, rays: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
-        return {key: value.numpy() for key, value in self._scene.cast_rays(self._tensor(rays)).items()}
 
     def _color(
         self,
         camera: Camera,
         world_from_camera: NDArray[np.float64],
         rays: NDArray[np.float32],
-        hit: dict[str, NDArray[Any]],
+        hit: Crossings,
     ) -> NDArray[np.uint8]:
         """Return the image: inside a face the light is that of the pixel's centre, at edges rays are cast for it."""
         size = (camera.height, camera.width)
@@ -108,10 +104,10 @@ class Renderer:
         table = (self._object_from_world, self._first_face, self._texture_of_face, self._textures)
         colors, is_edge = _shade_faces(
             rays.reshape(*size, 6),
-            hit["t_hit"].reshape(size),
-            hit["primitive_normals"].reshape(*size, 3),
-            hit["geometry_ids"].reshape(size),
-            hit["primitive_ids"].reshape(size),
+            hit.t.reshape(size),
+            hit.normals.reshape(*size, 3),
+            hit.geometry.reshape(size),
+            hit.triangle.reshape(size),
             is_lit.reshape(size),
             lamps.reshape(size),
             self._lamps,
@@ -120,14 +116,14 @@ class Renderer:
         edges = np.flatnonzero(is_edge)
         fine = rays_of(camera.scaled(2.0), world_from_camera).reshape(size[0], 2, size[1], 2, 6)
         sub = np.ascontiguousarray(fine.transpose(0, 2, 1, 3, 4).reshape(-1, 4, 6)[edges].reshape(-1, 6))
-        sub_hit = self._cast(sub)
+        sub_hit = self._scene.cast(sub)
         sub_lamps, sub_lit = self._light(sub, sub_hit)
         sub_colors = _shade(
             sub,
-            sub_hit["t_hit"],
-            sub_hit["primitive_normals"],
-            sub_hit["geometry_ids"],
-            sub_hit["primitive_ids"],
+            sub_hit.t,
+            sub_hit.normals,
+            sub_hit.geometry,
+            sub_hit.triangle,
             sub_lit,
             sub_lamps,
             self._lamps,
@@ -136,19 +132,17 @@ class Renderer:
         colors.reshape(-1, 3)[edges] = sub_colors.reshape(-1, 4, 3).mean(axis=1)
         return (np.clip(colors, 0.0, 1.0) * 255 + 0.5).astype(np.uint8)
 
-    def _light(
-        self, rays: NDArray[np.float32], hit: dict[str, NDArray[Any]]
-    ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    def _light(self, rays: NDArray[np.float32], hit: Crossings) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
         """Return for each ray the room whose lamps light what it hits, and whether the room's main lamp reaches it."""
-        reach: NDArray[np.float32] = np.nan_to_num(hit["t_hit"], posinf=0.0)
+        reach: NDArray[np.float32] = np.nan_to_num(hit.t, posinf=0.0)
         points = rays[:, :3] + reach[:, None] * rays[:, 3:]
-        normals = hit["primitive_normals"]
+        normals = hit.normals
         facing = np.einsum("ij,ij->i", normals, rays[:, 3:])[:, None] > 0
         start = points + np.where(facing, np.float32(-0.002), np.float32(0.002)) * normals
         rooms = _nearest_room(start, self._rooms)
         lamps = self._lamps[rooms, 0].astype(np.float32)
         shadow = np.concatenate([start, lamps - start], axis=1)
-        return rooms, ~self._scene.test_occlusions(self._tensor(shadow), tfar=1.0).numpy()
+        return rooms, ~self._scene.is_occluded(shadow, 1.0)
 
 
 def rays_of(camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:

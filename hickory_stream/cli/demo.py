@@ -1,0 +1,95 @@
+"""`hickory-stream demo`: make a small recording, map it and draw the map; needs nothing besides this program."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import InputError
+from hickory_stream.json_text import dumps
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.parser import Commands
+
+_NAME = "room"
+# What `make_recording` leaves, and what comes after.
+_PARTS = (f"{_NAME}.mcap", f"{_NAME}.truth", "map", "map.png", "map-superquadrics.png")
+_EVERY = 12
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    demo = commands.add_parser(
+        "demo", parents=[common], help="make a small recording of a synthetic room, map it and draw the map"
+    )
+    demo.set_defaults(run=run)
+    demo.add_argument("--out", type=Path, default=Path("hickory-demo"), metavar="DIR", help="(default: hickory-demo)")
+    demo.add_argument("--seconds", type=float, default=8.0, metavar="S", help="length of the recording (default: 8)")
+    demo.add_argument("--seed", type=int, default=7, help="which room (default: 7)")
+    demo.add_argument("--overwrite", action="store_true", help="replace what an earlier demo left there")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from hickory_stream.cli.parser import make_parser
+
+    folder: Path = options.out
+    _make_room(folder, is_overwritten=options.overwrite)
+    log, saved = folder / f"{_NAME}.mcap", folder / "map"
+    _record(options, folder)
+    as_json = ["--json"] if options.json else []
+    pictures = {"1,2": folder / "map.png", "3,4": folder / "map-superquadrics.png"}
+    steps = [
+        ["play", str(log), "--out", str(saved), "--viewer", "none", *as_json],
+        ["inspect", str(saved), *as_json],
+        *(["render", str(saved), "--layers", layers, "-o", str(path), *as_json] for layers, path in pictures.items()),
+    ]
+    for step in steps:
+        chosen = make_parser().parse_args(step)
+        status: int = chosen.run(chosen)
+        if status:
+            return status
+    if options.json:
+        made = {"log": str(log), "map": str(saved), "pictures": [str(path) for path in pictures.values()]}
+        print(dumps({"event": "demo", **made}))
+    else:
+        print(
+            f"\nthe recording  {log}\nthe map        {saved}\nits pictures   {'  '.join(map(str, pictures.values()))}"
+        )
+    return 0
+
+
+def _make_room(folder: Path, *, is_overwritten: bool) -> None:
+    """Make the folder; an earlier demo's parts are removed if so told, and nothing else ever is."""
+    there = [folder / name for name in _PARTS if (folder / name).exists()]
+    if there and not is_overwritten:
+        raise InputError(f"{there[0]} is there; add --overwrite to replace it, or choose another --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in there:
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+    except OSError as error:
+        raise InputError(f"cannot write into {folder}: {error.strerror}; choose another --out") from error
+
+
+def _record(options: argparse.Namespace, folder: Path) -> None:
+    """Make the recording, in a log and beside it the truth."""
+    from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
+
+    def progress(done: int, total: int) -> None:
+        if options.json or not (done % _EVERY == 0 or done == total):
+            return
+        sys.stderr.write(f"recording a synthetic room: {done} of {total} images\n")
+
+    config = RecordingConfig(seed=options.seed, seconds=options.seconds)
+    try:
+        make_recording(config, folder, _NAME, progress, caster=None)
+    except OSError as error:
+        raise InputError(f"cannot write into {folder}: {error.strerror}; choose another --out") from error
