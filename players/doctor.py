@@ -6,7 +6,7 @@ Two passes: one over every message, for stamps and damage, and one as `play` wou
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,9 @@ import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, RecordingError
+from hickory_stream.geometry.rigid import rotation_angle_rad
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from players.agreement import BorderScores, border_scores, color_agreement
 from players.folder import FolderSource
 from players.log_opening import open_log, read_opening
 from players.log_source import LogSource
@@ -24,7 +26,9 @@ from players.stream_stats import StreamStats, nearest_ms
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from hickory_stream.mapping.keyframes import KeyframeConfig
     from hickory_stream.ports import Source
+    from players.agreement import ColorAgreement
     from players.containers import Log
     from players.flaws import Flaws
     from players.options import SourceOptions
@@ -35,6 +39,10 @@ _SAMPLES = 12
 _KEYFRAME_S, _MEGAPIXEL_S, _SHAPE_S = 0.12, 0.9, 0.05
 _BASE_MB, _MEGAPIXEL_MB, _KEYFRAME_MB = 550.0, 260.0, 0.35
 """What `play` took on two shared cores without a GPU: to say minutes or hours, not to bet on."""
+
+
+# A log of 5 Hz has about 0.62 of the keyframes that are due to a walking camera, one of 2 Hz has half.
+_DUE_SHARE, _LEAST_DUE = 0.55, 8.0
 
 
 @dataclass(slots=True)
@@ -66,8 +74,6 @@ class Diagnosis:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything, for machines."""
-        from dataclasses import asdict
-
         verdict = {SOUND: "sound", UNUSABLE: "unusable", WITH_LOSSES: "usable with losses"}[self.status]
         return {"verdict": verdict, "status": self.status, **asdict(self)}
 
@@ -103,7 +109,7 @@ def examine(
         _examine_opening(found, log, options)
         progress("reading as play does")
         source = open_log(log, options)
-        _examine_frames(found, source, stats)
+        examine_frames(found, source, stats)
     except InputError as error:
         found.refusal = str(error)
     _tell_damage(found, log.flaws)
@@ -125,7 +131,7 @@ def _examine_folder(
         progress("reading as play does")
         found.kind, found.streams = source.info.kind, dict(source.info.streams)
         found.num_bytes = source.num_bytes() if isinstance(source, FolderSource) else 0
-        _examine_frames(found, source, {})
+        examine_frames(found, source, {})
     except InputError as error:
         found.refusal = str(error)
     return found
@@ -158,7 +164,7 @@ def _examine_opening(found: Diagnosis, log: Log, options: SourceOptions) -> None
         found.streams["profile_title"] = opening.profile.title
 
 
-def _examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStats]) -> None:
+def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStats]) -> None:
     """Play the source without mapping it; decode a few frames."""
     found.streams |= dict(source.info.streams)
     config = MapperConfig()
@@ -166,25 +172,37 @@ def _examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamSta
     step = max(1, expected // _SAMPLES)
     last: Keyframe | None = None
     num_frames, num_keyframes, num_torn, jumps = 0, 0, 0, 0
+    due, first_ns, last_ns = 0.0, 0, 0
     invalid: list[float] = []
+    borders: list[BorderScores] = []
     started_s = time.perf_counter()
     for raw in source.frames():
         num_frames += 1
         jumps += raw.after_from_before is not None
+        first_ns, last_ns = first_ns or raw.stamp_ns, raw.stamp_ns
         if is_keyframe(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
             num_keyframes += 1
-            last = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+            keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+            if last is not None and raw.after_from_before is None:
+                due += _keyframes_due(last, keyframe, config.keyframes)
+            last = keyframe
         if raw.index % step == 0 and len(invalid) < 2 * _SAMPLES:
             try:
-                invalid.append(float(1.0 - np.isfinite(raw.decode().depth_m).mean()))
+                frame = raw.decode()
+                invalid.append(float(1.0 - np.isfinite(frame.depth_m).mean()))
+                if (scores := border_scores(frame)) is not None:
+                    borders.append(scores)
             except RecordingError as error:
                 num_torn += 1
                 found.notes.append(str(error))
     source.close()
     camera = source.info.camera
+    agreement = color_agreement(borders)
     found.frames = {
         "frames": num_frames,
         "keyframes": num_keyframes,
+        "keyframes_due": round(due, 1),
+        "color_on_depth": {"is_off": agreement.is_off, **asdict(agreement)} if agreement is not None else None,
         "size": [camera.width, camera.height],
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
         "pose_jumps": jumps,
@@ -197,6 +215,8 @@ def _examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamSta
     _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
     found.ledger = source.account().as_dict() if isinstance(source, LogSource | FolderSource) else {}
     _tell_frames(found, dict(source.ledger()))
+    judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
+    judge_color(found, agreement)
     if isinstance(source, LogSource):
         setup = source.setup
         color, depth = (
@@ -212,6 +232,39 @@ def _examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamSta
             "p95_ms": round(float(np.percentile(np.abs(apart_ms), 95)), 3) if len(apart_ms) else None,
             "histogram": {"edges_ms": [round(float(edge), 3) for edge in edges], "counts": counts.tolist()},
         }
+
+
+def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> float:
+    """Return how many keyframes there would be from one to the next if frames came as fast as can be."""
+    if now.stamp_ns <= last.stamp_ns:
+        return 0.0
+    elapsed = (now.stamp_ns - last.stamp_ns) / 1e9 / config.min_interval_s
+    distance_m = float(np.linalg.norm(now.world_from_camera[:3, 3] - last.world_from_camera[:3, 3]))
+    turned_rad = rotation_angle_rad(last.world_from_camera[:3, :3].T @ now.world_from_camera[:3, :3])
+    moved = max(distance_m / config.min_distance_m, float(np.rad2deg(turned_rad)) / config.min_angle_deg)
+    return max(1.0, min(elapsed, moved))
+
+
+def judge_keyframes(found: Diagnosis, number: int, due: float, seconds: float, confirm: int) -> None:
+    """Say where too few keyframes come for the motion of the camera, or for anything to be mapped."""
+    if number < confirm:
+        found.problems.append(f"{number} keyframes: a thing is mapped that is seen in {confirm}; record for longer")
+    elif due >= _LEAST_DUE and number - 1 < _DUE_SHARE * due:
+        found.problems.append(
+            f"{number} keyframes in {seconds:.1f} s, {due:.0f} would be due at this motion: frames come too seldom. "
+            f"A thing is mapped that is seen in {confirm}; record at 5 Hz or more, or move slower"
+        )
+
+
+def judge_color(found: Diagnosis, agreement: ColorAgreement | None) -> None:
+    """Say where colour does not lie on depth."""
+    if agreement is None or not agreement.is_off:
+        return
+    x_mm, y_mm = (1e3 * value for value in agreement.offset_m)
+    found.problems.append(
+        f"colour does not lie on depth: it fits best {x_mm:+.0f} mm to the right and {y_mm:+.0f} mm down of where the "
+        f"calibration has it ({agreement.offset_px:.1f} pixels); correct the link between the two cameras"
+    )
 
 
 def _estimate(found: Diagnosis, megapixels: float, num_keyframes: int) -> None:

@@ -128,7 +128,16 @@ def _frames_line(frames: dict[str, Any]) -> str:
     invalid = frames["depth_invalid_median"]
     depth = "" if invalid is None else f", {invalid:.0%} of the depth without return"
     torn = f", {frames['torn']} of {frames['sampled']} sampled frames torn" if frames["torn"] else ""
-    return f"{frames['frames']} frames of {size}, {frames['keyframes']} keyframes{depth}{torn}"
+    keyframes = f"{frames['keyframes']} keyframes ({frames['keyframes_due']:.0f} due at this motion)"
+    return f"{frames['frames']} frames of {size}, {keyframes}{depth}{torn}, {_color_told(frames['color_on_depth'])}"
+
+
+def _color_told(agreement: dict[str, Any] | None) -> str:
+    if agreement is None:
+        return "nothing to tell by whether colour lies on depth"
+    if agreement["is_off"]:
+        return f"colour does not lie on depth ({agreement['offset_px']:.1f} pixels off)"
+    return "colour lies on depth"
 
 
 def _histogram_lines(histogram: dict[str, list[float]]) -> list[str]:

@@ -8,32 +8,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.engine.crops import read_crop
-from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.match import Score, meshes_of, score_map
+from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.pose_error import PoseError, pose_error
 from hickory_stream.evaluation.purity import purity
 from hickory_stream.evaluation.seen_samples import seen_samples
 from hickory_stream.evaluation.surface_score import SAMPLES, TrueSurface, diameter_m, surface_score
-from hickory_stream.evaluation.truth import instances_of, mesh_of, structure_meshes
-from hickory_stream.geometry.mesh import Mesh
-from hickory_stream.geometry.rigid import apply
+from hickory_stream.evaluation.truth import instances_of, mesh_of, moved_mesh, structure_meshes
 from hickory_stream.geometry.superquadric import implicit_value
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from hickory_stream.engine.session import SavedMap
     from hickory_stream.evaluation.match import TruthScore
+    from hickory_stream.evaluation.placement import Placement, ViewFrame
     from hickory_stream.evaluation.surface_score import SurfaceScore
-    from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
+    from hickory_stream.evaluation.truth import Truth, TruthObject
+    from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.geometry.superquadric import Superquadrics
     from hickory_stream.records import TrackedObject
 
-_SAME_STAMP_NS = 1_000_000
-_SAME_WORLD_M = 2.0
 _LOOSE_ADD_S, _STRICT_ADD_S = 0.1, 0.05
 
 
@@ -66,7 +64,8 @@ class Evaluation:
     """A map against truth; means are over the true objects that count, `matched_*` over those that have a match.
 
     `containment` is over all seen samples of objects with layer 4, None where there are none; `poses` and
-    `mask_purity` None where the map keeps no view.
+    `mask_purity` None where the map keeps no view. `placement`: the truth was moved into the world of the map, where
+    the log's odometry has a world of its own.
     """
 
     num_truth: int
@@ -88,6 +87,7 @@ class Evaluation:
     objects: tuple[ObjectEvaluation, ...]
     stray_ids: tuple[int, ...]
     ignored_ids: tuple[int, ...]
+    placement: Placement | None
 
 
 def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
@@ -97,7 +97,8 @@ def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
         RecordingError: the truth is not of this map's log, or a file of it is missing or damaged.
         MapFolderError: a mesh or a view of the map cannot be read.
     """
-    frames = _frames_of_views(saved, truth)
+    placed = placed_truth(saved, truth)
+    truth = placed.truth
     meshes = meshes_of(saved)
     detection = score_map(saved.snapshot, meshes, truth)
     surfaces = {item.id: _true_surface(truth, item) for item in truth.objects}
@@ -108,19 +109,20 @@ def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
         for row in detection.truth
         if row.counts
     )
-    return _summary(detection, rows, _contained(rows, seen), _poses(frames), _mask_purity(saved, truth, frames))
+    purity_of_masks = _mask_purity(saved, truth, placed.views)
+    return _summary(detection, rows, _contained(rows, seen), _poses(placed.views), purity_of_masks, placed.placement)
 
 
 def placed_mesh(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> Mesh | None:
     """Return layer 2 of an object in the world, None where it has none."""
     if tracked.shape is None or tracked.id not in meshes:
         return None
-    return _moved(meshes[tracked.id], tracked.shape.world_from_object)
+    return moved_mesh(meshes[tracked.id], tracked.shape.world_from_object)
 
 
 def true_mesh_world(truth: Truth, item: TruthObject) -> Mesh:
     """Return the mesh of a true object in the world."""
-    return _moved(mesh_of(truth, item), item.world_from_object)
+    return moved_mesh(mesh_of(truth, item), item.world_from_object)
 
 
 def is_inside(primitives: Superquadrics, points: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -129,11 +131,6 @@ def is_inside(primitives: Superquadrics, points: NDArray[np.float64]) -> NDArray
     for i in range(len(primitives)):
         inside |= implicit_value(primitives, i, points) <= 1.0
     return inside
-
-
-def _moved(mesh: Mesh, world_from_object: NDArray[np.float64]) -> Mesh:
-    vertices = apply(world_from_object, mesh.vertices.astype(np.float64)).astype(np.float32)
-    return Mesh(vertices=vertices, faces=mesh.faces, colors=mesh.colors, is_seen=mesh.is_seen)
 
 
 def _true_surface(truth: Truth, item: TruthObject) -> TrueSurface:
@@ -180,6 +177,7 @@ def _summary(
     containment: float | None,
     poses: PoseError | None,
     mask_purity: float | None,
+    placement: Placement | None,
 ) -> Evaluation:
     matched = [row.f1_5pct for row in rows if row.map_id is not None]
 
@@ -206,6 +204,7 @@ def _summary(
         objects=rows,
         stray_ids=detection.stray_ids,
         ignored_ids=detection.ignored_ids,
+        placement=placement,
     )
 
 
@@ -215,53 +214,20 @@ def _contained(rows: tuple[ObjectEvaluation, ...], seen: Mapping[int, NDArray[np
     return sum(count * share for count, share in weights) / total if total else None
 
 
-def _frames_of_views(saved: SavedMap, truth: Truth) -> list[tuple[NDArray[np.float64], TruthFrame, str]]:
-    """Return (world_from_camera in the map, true frame, name) of every kept view.
-
-    Raises:
-        RecordingError: no view has a true frame of its stamp, or the cameras are elsewhere.
-    """
-    views = {view.name: view for tracked in saved.snapshot.objects for view in tracked.views}
-    stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
-    found = []
-    for name in sorted(views):
-        view = views[name]
-        i = int(np.argmin(np.abs(stamps - view.stamp_ns))) if len(stamps) else -1
-        if i >= 0 and abs(int(stamps[i]) - view.stamp_ns) <= _SAME_STAMP_NS:
-            found.append((view.world_from_camera, truth.frames[i], name))
-    if views and not found:
-        first = min(view.stamp_ns for view in views.values())
-        span = f"{stamps[0] / 1e9:.3f} s to {stamps[-1] / 1e9:.3f} s" if len(stamps) else "no frames"
-        raise RecordingError(
-            f"{truth.folder} is not the truth of the log of {saved.folder}: the map's first view is of "
-            f"{first / 1e9:.3f} s, the truth has {span}; name the truth folder beside the log that was played"
-        )
-    if found:
-        apart = np.median([np.linalg.norm(pose[:3, 3] - frame.world_from_camera[:3, 3]) for pose, frame, _ in found])
-        if apart > _SAME_WORLD_M:
-            raise RecordingError(
-                f"{truth.folder} is of another world than {saved.folder}: at equal stamps the cameras are "
-                f"{apart:.1f} m apart; name the truth folder beside the log that was played"
-            )
-    return found
-
-
-def _poses(frames: list[tuple[NDArray[np.float64], TruthFrame, str]]) -> PoseError | None:
-    by_index = {frame.index: (pose[:3, 3], frame.world_from_camera[:3, 3]) for pose, frame, _ in frames}
+def _poses(views: Sequence[ViewFrame]) -> PoseError | None:
+    by_index = {v.frame.index: (v.world_from_camera[:3, 3], v.frame.world_from_camera[:3, 3]) for v in views}
     if not by_index:
         return None
     found, true = zip(*(by_index[i] for i in sorted(by_index)), strict=True)
     return pose_error(np.array(found), np.array(true))
 
 
-def _mask_purity(
-    saved: SavedMap, truth: Truth, frames: list[tuple[NDArray[np.float64], TruthFrame, str]]
-) -> float | None:
+def _mask_purity(saved: SavedMap, truth: Truth, views: Sequence[ViewFrame]) -> float | None:
     boxes = {view.name: view.box_px for tracked in saved.snapshot.objects for view in tracked.views}
     by_frame: dict[int, list[str]] = {}
-    true_frames = {frame.index: frame for _, frame, _ in frames}
-    for _, frame, name in frames:
-        by_frame.setdefault(frame.index, []).append(name)
+    true_frames = {view.frame.index: view.frame for view in views}
+    for view in views:
+        by_frame.setdefault(view.frame.index, []).append(view.name)
     shares = []
     for index, names in by_frame.items():
         instances = instances_of(truth, true_frames[index])

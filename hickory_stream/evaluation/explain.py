@@ -9,6 +9,9 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
 
 DEFINITIONS = """\
+moved        The truth is compared as it is where map and truth are of one world. Where the camera poses of equal stamps
+             differ by one rigid transform (odometry that begins at the camera), the truth is moved by it, and that is
+             said. Drift is no such transform: it stays, and costs what it costs.
 box          The gravity-aligned box of an object's layer 2, of its layer 1 where it has none; of a true object, that of
              its mesh. Tentative tracks are no objects.
 counts       A true object counts if the log shows at least 30 % of its surface. One that was seen less is ignored on
@@ -76,6 +79,10 @@ def figures(evaluation: Evaluation) -> list[tuple[str, str]]:
         ("ADD-S < 0.1 d / 0.05 d", f"{e.adds_10:.3f} / {e.adds_05:.3f}"),
         ("containment", f"{e.containment:.5f}" if e.containment is not None else "no layer 4"),
     ]
+    if e.placement is not None:
+        p = e.placement
+        told = f"by {p.distance_m:.2f} m and {p.turned_deg:.1f} deg, from {p.num_poses} poses"
+        rows.append(("truth was moved", f"{told} (median rest {p.rest_m:.3f} m, {p.rest_deg:.2f} deg)"))
     if e.poses is not None:
         rows.append(("ATE placed / aligned", f"{e.poses.ate_m:.4f} m / {e.poses.ate_aligned_m:.4f} m"))
     if e.mask_purity is not None:

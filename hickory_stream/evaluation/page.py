@@ -17,6 +17,7 @@ from hickory_stream.evaluation.explain import figures, verdict, worst_first
 from hickory_stream.evaluation.match import meshes_of
 from hickory_stream.evaluation.raycast import Surface
 from hickory_stream.evaluation.render_parts import superquadric_surfaces
+from hickory_stream.evaluation.truth import moved_truth
 from hickory_stream.terminal import visible
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation
     """
     by_id = {tracked.id: tracked for tracked in saved.snapshot.objects}
     meshes = meshes_of(saved)
+    if evaluation.placement is not None:
+        truth = moved_truth(truth, np.array(evaluation.placement.map_from_world))
     true = {item.id: true_mesh_world(truth, item) for item in truth.objects}
     cards = [_card(row, saved, by_id, meshes, true[row.truth_id]) for row in worst_first(evaluation)]
     strays = [_stray(by_id[i], saved, meshes) for i in evaluation.stray_ids]

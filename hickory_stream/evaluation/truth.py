@@ -7,7 +7,7 @@ Poses are exact; the world is z up.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import Mesh, mesh_of_glb
-from hickory_stream.geometry.rigid import is_rigid
+from hickory_stream.geometry.rigid import apply, is_rigid
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,13 +61,17 @@ class TruthFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Truth:
-    """A truth folder: objects sorted by id, frames by index, `structure` the paths of meshes in the world frame."""
+    """A truth folder: objects sorted by id, frames by index, `structure` the paths of meshes in the folder's world.
+
+    `world_from_folder` (4, 4) is where that world lies in the one of the poses: None for the same.
+    """
 
     folder: Path
     camera: Camera
     objects: tuple[TruthObject, ...]
     structure: tuple[str, ...]
     frames: tuple[TruthFrame, ...]
+    world_from_folder: NDArray[np.float64] | None = None
 
 
 def load_truth(folder: Path) -> Truth:
@@ -105,12 +109,32 @@ def mesh_of(truth: Truth, item: TruthObject) -> Mesh:
 
 
 def structure_meshes(truth: Truth) -> tuple[Mesh, ...]:
-    """Return floor, walls and the like in the world frame.
+    """Return floor, walls and the like in the world of the poses.
 
     Raises:
         RecordingError: a file is missing or holds no mesh.
     """
-    return tuple(_mesh_at(truth.folder, path) for path in truth.structure)
+    meshes = tuple(_mesh_at(truth.folder, path) for path in truth.structure)
+    if truth.world_from_folder is None:
+        return meshes
+    return tuple(moved_mesh(mesh, truth.world_from_folder) for mesh in meshes)
+
+
+def moved_truth(truth: Truth, a_from_world: NDArray[np.float64]) -> Truth:
+    """Return the truth in another world: objects, cameras and structure."""
+    before = np.eye(4) if truth.world_from_folder is None else truth.world_from_folder
+    return replace(
+        truth,
+        objects=tuple(replace(o, world_from_object=a_from_world @ o.world_from_object) for o in truth.objects),
+        frames=tuple(replace(f, world_from_camera=a_from_world @ f.world_from_camera) for f in truth.frames),
+        world_from_folder=a_from_world @ before,
+    )
+
+
+def moved_mesh(mesh: Mesh, a_from_b: NDArray[np.float64]) -> Mesh:
+    """Return a mesh moved from frame b to frame a."""
+    vertices = apply(a_from_b, mesh.vertices.astype(np.float64)).astype(np.float32)
+    return Mesh(vertices=vertices, faces=mesh.faces, colors=mesh.colors, is_seen=mesh.is_seen)
 
 
 def instances_of(truth: Truth, frame: TruthFrame) -> NDArray[np.uint16]:

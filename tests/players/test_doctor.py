@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,12 +12,16 @@ import player_scenes as scenes
 import pytest
 
 from hickory_stream.cli import main
+from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+from hickory_stream.records import RawFrame, SourceInfo
+from hickory_stream.testing import SCENE_CAMERA, START_NS, SceneSource
 from players import SourceOptions
-from players.doctor import SOUND, UNUSABLE, WITH_LOSSES, examine
+from players.agreement import ColorAgreement
+from players.doctor import SOUND, UNUSABLE, WITH_LOSSES, Diagnosis, examine, examine_frames, judge_color
 from players.doctor_text import diagnosis_page, diagnosis_text
 
 if TYPE_CHECKING:
-    from players.doctor import Diagnosis
+    from collections.abc import Iterator, Sequence
 
 M = scenes.Messages(ros=2)
 FRAMES = scenes.make_scene(num_frames=12)
@@ -48,6 +53,75 @@ def test_a_sound_log_is_sound_and_its_figures_are_right(tmp_path: Path) -> None:
     assert sum(found.sync["histogram"]["counts"]) == len(FRAMES)
     assert {"parent": "cam_link", "child": "cam_optical", "static": True} in found.tf["edges"]
     assert found.estimate["map_s"] > 0
+
+
+def test_a_log_whose_frames_come_too_seldom_for_its_motion_is_usable_with_losses() -> None:
+    # The camera moves by 0.3 m a second and turns by 20 degrees: a frame every 0.6 s leaves a third of what is due.
+    found = _judged([(0.6 * i, 0.18 * i, 12.0 * i) for i in range(19)])
+    assert found.status == WITH_LOSSES
+    assert "19 keyframes in 10.8 s, 43 would be due at this motion" in found.problems[0]
+    assert "seen in 4" in found.problems[0]
+
+
+def test_a_log_at_5_hz_has_enough_keyframes_and_a_camera_that_rests_needs_few() -> None:
+    assert _judged([(0.2 * i, 0.1 * i, 8.0 * i) for i in range(50)]).problems == []
+    assert _judged([(0.1 * i, 0.0, 0.0) for i in range(200)]).problems == []
+
+
+def test_a_log_that_ends_before_anything_is_confirmed_is_usable_with_losses() -> None:
+    found = _judged([(0.5 * i, 0.2 * i, 0.0) for i in range(3)])
+    assert found.problems == ["3 keyframes: a thing is mapped that is seen in 4; record for longer"]
+
+
+class _Walk:
+    """A source of one frame that moves along x and turns: seconds, metres and degrees of each."""
+
+    def __init__(self, steps: Sequence[tuple[float, float, float]]) -> None:
+        self._steps = steps
+        self.info = SourceInfo(
+            uri="memory:walk",
+            kind="walk",
+            identity="walk",
+            camera=SCENE_CAMERA,
+            num_frames=len(steps),
+            start_ns=START_NS,
+            end_ns=START_NS + int(1e9 * steps[-1][0]),
+            streams=(),
+        )
+
+    def frames(self) -> Iterator[RawFrame]:
+        frame = next(iter(SceneSource(1).frames())).decode()
+        for i, (seconds, metres, degrees) in enumerate(self._steps):
+            pose = from_rotation_translation(yaw_rotation(np.deg2rad(degrees)), np.array([metres, 0.0, 0.0]))
+            stamp_ns = START_NS + round(1e9 * seconds)
+            yield RawFrame(
+                index=i, stamp_ns=stamp_ns, camera=SCENE_CAMERA, world_from_camera=pose, decode=lambda: frame
+            )
+
+    def ledger(self) -> dict[str, int]:
+        return {"frames": len(self._steps)}
+
+    def close(self) -> None:
+        pass
+
+
+def _judged(steps: Sequence[tuple[float, float, float]]) -> Diagnosis:
+    found = Diagnosis(uri="walk")
+    examine_frames(found, _Walk(steps), {})
+    return found
+
+
+def test_colour_that_lies_25_mm_beside_depth_is_a_problem_that_names_the_link() -> None:
+    shown = Diagnosis(uri="a")
+    off = ColorAgreement(offset_m=(-0.025, 0.005), offset_px=5.2, gain=1.4, share=1.0, num_frames=12)
+    judge_color(shown, off)
+    assert shown.status == WITH_LOSSES
+    (problem,) = shown.problems
+    assert "-25 mm to the right and +5 mm down" in problem
+    assert "5.2 pixels" in problem
+    judge_color(shown, replace(off, gain=1.02))
+    judge_color(shown, None)
+    assert len(shown.problems) == 1
 
 
 def test_a_damaged_log_is_usable_with_losses_and_the_damage_is_listed(tmp_path: Path) -> None:

@@ -1,0 +1,134 @@
+"""Whether colour lies on depth: where depth ends, a well calibrated colour image has an edge, too.
+
+The colour camera is moved about in steps of 5 mm. Where more light changes along the borders of depth than where the
+log says that it is, the calibration between the cameras is off by that much. A shift of a millimetre moves near borders
+by more pixels than far ones, so that it is told from a shift of the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import Frame
+
+_STEP_M, _REACH_M = 0.005, 0.06
+_NEAR_M, _FAR_M = 0.3, 4.0
+_JUMP = 0.08
+_BORDER_PX = 5
+_MAX_PIXELS, _MIN_PIXELS = 2000, 150
+_MIN_FRAMES = 4
+_FULL_PERCENTILE = 95.0
+# Less is within what a fitted calibration leaves, or what the images resolve.
+_OFF_M, _OFF_PX = 0.0125, 1.5
+_GAIN, _SHARE = 1.12, 0.75
+_COARSEST_M = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ColorAgreement:
+    """Where the colour camera sees its edges: (x, y) metres from where the calibration has it, in its own frame.
+
+    `offset_px` is the same at the median depth of the borders. `gain`: how many times the change of light there is that
+    of no offset; `share` of the `num_frames` frames gain by it.
+    """
+
+    offset_m: tuple[float, float]
+    offset_px: float
+    gain: float
+    share: float
+    num_frames: int
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the calibration is wrong beyond what the images leave open."""
+        distance_m = float(np.hypot(*self.offset_m))
+        is_peak = max(abs(value) for value in self.offset_m) < _REACH_M - _STEP_M / 2
+        is_clear = is_peak and self.gain >= _GAIN and self.share >= _SHARE
+        return is_clear and distance_m >= _OFF_M and self.offset_px >= _OFF_PX
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class BorderScores:
+    """What a frame says of each offset: `change` (y steps, x steps) of light along borders, and their median depth."""
+
+    change: NDArray[np.float64]
+    depth_m: float
+    focal_px: float
+
+
+_STEPS_M = np.arange(-round(_REACH_M / _STEP_M), round(_REACH_M / _STEP_M) + 1) * _STEP_M
+
+
+def border_scores(frame: Frame) -> BorderScores | None:
+    """Return what a frame says of where the colour camera is; None where it shows too few borders of depth."""
+    v, u, z = _borders(frame.depth_m)
+    if len(z) < _MIN_PIXELS:
+        return None
+    change = _change_of_light(frame.rgb)
+    height, width = change.shape
+    scores = np.empty((len(_STEPS_M), len(_STEPS_M)))
+    columns = [np.clip(np.rint(u + frame.camera.fx * x / z).astype(np.int64), 0, width - 1) for x in _STEPS_M]
+    for i, y in enumerate(_STEPS_M):
+        rows = np.clip(np.rint(v + frame.camera.fy * y / z).astype(np.int64), 0, height - 1)
+        scores[i] = [change[rows, column].mean() for column in columns]
+    return BorderScores(change=scores, depth_m=float(np.median(z)), focal_px=float(frame.camera.fx))
+
+
+def color_agreement(frames: Sequence[BorderScores]) -> ColorAgreement | None:
+    """Return how colour lies on depth.
+
+    None where it cannot be told: too few frames, pixels of more than a centimetre, or colour that shows nothing at all.
+    """
+    if len(frames) < _MIN_FRAMES:
+        return None
+    scores = np.stack([frame.change for frame in frames])
+    total = scores.sum(axis=0)
+    middle = len(_STEPS_M) // 2
+    at_rest = scores[:, middle, middle]
+    pixels_per_m = frames[0].focal_px / float(np.median([frame.depth_m for frame in frames]))
+    if at_rest.sum() <= 0 or pixels_per_m * _COARSEST_M < 1:
+        return None
+    row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
+    offset_m = (round(float(_STEPS_M[column]), 4), round(float(_STEPS_M[row]), 4))
+    return ColorAgreement(
+        offset_m=offset_m,
+        offset_px=round(float(np.hypot(*offset_m)) * pixels_per_m, 2),
+        gain=round(float(total[row, column] / at_rest.sum()), 3),
+        share=round(float((scores[:, row, column] > at_rest).mean()), 3),
+        num_frames=len(frames),
+    )
+
+
+def _borders(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return rows, columns and depths (N,) where something near ends before something far, evenly drawn.
+
+    What has no depth beside a border, as stereo leaves it, is bridged.
+    """
+    is_seen = np.isfinite(depth_m)
+    kernel = np.ones((_BORDER_PX, _BORDER_PX), dtype=np.uint8)
+    nearest = cv2.erode(np.where(is_seen, depth_m, 1e6).astype(np.float32), kernel)
+    farthest = cv2.dilate(np.where(is_seen, depth_m, 0.0).astype(np.float32), kernel)
+    jump = (farthest > nearest * (1 + _JUMP)) & (nearest > _NEAR_M) & (nearest < _FAR_M)
+    margin = 2 * _BORDER_PX
+    jump[:margin], jump[-margin:], jump[:, :margin], jump[:, -margin:] = False, False, False, False
+    v, u = np.nonzero(jump)
+    every = max(1, len(v) // _MAX_PIXELS)
+    v, u = v[::every], u[::every]
+    return v.astype(np.float64), u.astype(np.float64), nearest[v, u].astype(np.float64)
+
+
+def _change_of_light(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return (H, W) how much light changes, 0..1: strong edges are all alike, or one lamp would decide."""
+    gray = cv2.GaussianBlur(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY), (5, 5), 0).astype(np.float32)
+    change = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
+    full = max(float(np.percentile(change, _FULL_PERCENTILE)), 1e-6)
+    return np.minimum(change / full, 1.0).astype(np.float32)

@@ -1,0 +1,101 @@
+"""Colour on depth: a camera that is 25 mm off is told by how much and whither, and one that is right is left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.records import Frame
+from hickory_stream.testing import SCENE_BOXES, cast_scene, scene_pose
+from players.agreement import ColorAgreement, border_scores, color_agreement
+from players.register import Registration, register_depth
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+CAMERA = Camera(width=480, height=360, fx=420.0, fy=420.0, cx=239.5, cy=179.5)
+
+
+SHADES = np.array([(150, 145, 140), *(box.rgb for box in SCENE_BOXES)], dtype=np.float64)
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    """Six views of three plain boxes, with noise of the light."""
+    rng = np.random.default_rng(3)
+    made = []
+    for i in range(6):
+        _, depth_m, instances = cast_scene(SCENE_BOXES, CAMERA, scene_pose(3 * i))
+        noisy = np.clip(SHADES[instances] + rng.normal(0.0, 4.0, (360, 480, 3)), 0, 255).astype(np.uint8)
+        made.append(
+            Frame(index=i, stamp_ns=i, rgb=noisy, depth_m=depth_m, camera=CAMERA, world_from_camera=scene_pose(3 * i))
+        )
+    return made
+
+
+def agreement(frames: Sequence[Frame]) -> ColorAgreement | None:
+    return color_agreement([scores for frame in frames if (scores := border_scores(frame)) is not None])
+
+
+def registered(frame: Frame, x_m: float, y_m: float) -> Frame:
+    """The frame as a calibration registers it that has the colour camera in a wrong place."""
+    color_from_depth = np.eye(4)
+    color_from_depth[:2, 3] = x_m, y_m
+    registration = Registration(depth_camera=CAMERA, color_camera=CAMERA, color_from_depth=color_from_depth)
+    return replace(frame, depth_m=register_depth(frame.depth_m, registration))
+
+
+def test_colour_that_lies_on_depth_is_not_off(frames: list[Frame]) -> None:
+    found = agreement(frames)
+    assert found is not None
+    assert not found.is_off
+    assert np.hypot(*found.offset_m) <= 0.0101
+
+
+def test_edges_all_over_the_image_are_no_evidence(frames: list[Frame]) -> None:
+    striped = [replace(frame, rgb=cast_scene(SCENE_BOXES, CAMERA, frame.world_from_camera)[0]) for frame in frames]
+    found = agreement(striped)
+    assert found is not None
+    assert not found.is_off
+
+
+@pytest.mark.parametrize(("x_m", "y_m"), [(0.025, 0.0), (-0.03, 0.0), (0.02, -0.02)])
+def test_a_colour_camera_that_is_off_is_told_by_how_much_and_whither(
+    frames: list[Frame], x_m: float, y_m: float
+) -> None:
+    found = agreement([registered(frame, x_m, y_m) for frame in frames])
+    assert found is not None
+    assert found.is_off
+    # Depth was put too far to the right: colour is found to its left.
+    np.testing.assert_allclose(found.offset_m, (-x_m, -y_m), atol=0.0101)
+    assert found.num_frames == len(frames)
+
+
+def test_holes_beside_the_borders_as_stereo_leaves_them_change_nothing(frames: list[Frame]) -> None:
+    rng = np.random.default_rng(5)
+    torn = []
+    for frame in frames:
+        depth = registered(frame, 0.025, 0.0).depth_m.copy()
+        depth[rng.random(depth.shape) < 0.3] = np.nan
+        torn.append(replace(frame, depth_m=depth))
+    found = agreement(torn)
+    assert found is not None
+    assert found.is_off
+
+
+@pytest.mark.parametrize("what", ["black", "flat", "few", "coarse"])
+def test_where_nothing_tells_nothing_is_said(frames: list[Frame], what: str) -> None:
+    if what == "black":
+        given = [replace(frame, rgb=np.zeros_like(frame.rgb)) for frame in frames]
+    elif what == "flat":
+        given = [replace(frame, depth_m=np.full_like(frame.depth_m, 2.0)) for frame in frames]
+    elif what == "few":
+        given = frames[:3]
+    else:
+        coarse = Camera(width=480, height=360, fx=90.0, fy=90.0, cx=239.5, cy=179.5)
+        given = [replace(frame, camera=coarse) for frame in frames]
+    assert agreement(given) is None
