@@ -10,7 +10,7 @@ import pytest
 from hickory_stream.errors import InputError, RecordingError
 from tools.benchmarks.foreign import own_seeds
 from tools.benchmarks.foreign_figures import figures_of, of_map
-from tools.benchmarks.foreign_logs import worlds_folder
+from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
 from tools.benchmarks.foreign_parts import OWN, WORLDS, Part, Store, all_parts, chosen_parts
 from tools.benchmarks.intervals import bootstrap, wilson
 
@@ -177,6 +177,50 @@ def test_a_folder_without_worlds_is_named(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("HICKORY_WORLDS", str(tmp_path))
     with pytest.raises(RecordingError, match="--worlds or HICKORY_WORLDS"):
         worlds_folder(None)
+
+
+_PROGRAM = """
+import pathlib, sys
+world, out = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
+if (world / "broken").exists():
+    sys.exit("the walk comes too close to something")
+(out / "truth").mkdir()
+(out / "truth" / "truth.json").write_text("{}")
+(out / "log.mcap").write_text(" ".join(sys.argv[3:]))
+with (world / "runs").open("a") as runs:
+    runs.write("1")
+"""
+
+
+@pytest.fixture
+def worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of worlds whose program writes its arguments for a log."""
+    monkeypatch.setenv("HICKORY_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "worlds"
+    for name in ("home", "service-office"):
+        (folder / name).mkdir(parents=True)
+        (folder / name / "world.json").write_text("{}")
+    (folder / "make_world_log.py").write_text(_PROGRAM)
+    return folder
+
+
+def test_a_log_is_rendered_once_and_again_when_its_world_changes(worlds: Path) -> None:
+    first = foreign_log(worlds, "office", "B", "robot")
+    assert first.log.read_text() == "--trajectory B --seconds 60 --hz 5 --camera-height 0.45"
+    assert foreign_log(worlds, "office", "B", "robot") == first
+    assert (worlds / "service-office" / "runs").read_text() == "1"
+    (worlds / "service-office" / "world.json").write_text('{"objects": []}')
+    assert foreign_log(worlds, "office", "B", "robot").key != first.key
+    assert (worlds / "service-office" / "runs").read_text() == "11"
+
+
+def test_a_world_that_cannot_be_rendered_is_named_and_nothing_of_it_is_kept(worlds: Path, tmp_path: Path) -> None:
+    (worlds / "home" / "broken").touch()
+    with pytest.raises(RecordingError, match="too close to something"):
+        foreign_log(worlds, "home", "A", "hand")
+    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
+    with pytest.raises(RecordingError, match="bookstore is no world"):
+        foreign_log(worlds, "bookstore", "A", "hand")
 
 
 def test_wilsons_interval_is_that_of_the_textbook() -> None:

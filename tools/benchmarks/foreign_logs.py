@@ -15,6 +15,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from hickory_stream import caches
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE
 from hickory_stream.evaluation.worlds.cache import cache_folder, cached_recording
@@ -70,6 +71,7 @@ def foreign_log(worlds: Path, world: str, walk: str, camera: str, seconds: float
     folder = cache_folder() / f"foreign-{world}-{walk}-{camera}-{key}"
     found = WorldLog(log=folder / "log.mcap", truth=folder / "truth", key=key)
     if found.log.is_file() and (found.truth / TRUTH_FILE).is_file():
+        caches.mark_used(folder)
         return found
     print(f"rendering {world}, walk {walk}, {camera}: minutes, once", flush=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
