@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
-from hickory_stream.geometry.rigid import from_rotation_translation, invert
+from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
 from players.decode import compressed_size
 from players.folder import FolderContent, FolderFrame, FolderSource
 from players.folder_text import (
@@ -267,7 +267,7 @@ class _Collector:
             self._fates["no_pose"] += 1
             self._unposed_ns.append(stamp_ns)
         else:
-            world_from_camera = self._world_from_log @ log_from_depth @ self._depth_from_color
+            world_from_camera = compose(self._world_from_log, log_from_depth, self._depth_from_color)
             self._frames.append(
                 FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=world_from_camera)
             )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
 from players.poses import PoseTrack, is_pose_row, nearest_rigid, track_of, world_from_down
 from players.profile import Intrinsics
@@ -96,7 +97,7 @@ def read_world_from_log(folder: Path) -> NDArray[np.float64]:
     if not file.is_file():
         return np.eye(4)
     down = read_numbers(file)
-    if down.shape != (3,) or not 0.5 < np.linalg.norm(down) < 2.0:
+    if down.shape != (3,) or not 0.5 < portable.norm(down) < 2.0:
         raise RecordingError(f"{file} must hold the unit vector down in the world; found {down}")
     return world_from_down(down)
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
 from players.containers import UnreadableMessageError, deserialize
 from players.counts import Ledger
@@ -245,7 +245,7 @@ class LogSource:
         """Return how the depth of a pair gets into its colour: with the camera's way between their stamps, if known."""
         registration = self._setup.registration
         then = self._setup.plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
-        return registration if then is None else with_motion(registration, invert(world_from_camera) @ then)
+        return registration if then is None else with_motion(registration, compose(invert(world_from_camera), then))
 
     def _count_leftover(self, leftover: Leftover, ledger: Ledger) -> None:
         fate = _fate_of(leftover)

@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from hickory_stream.errors import InputError
+from hickory_stream.geometry.rigid import compose
 from hickory_stream.mapping.keyframes import Keyframe, KeyframeConfig, is_keyframe
 
 if TYPE_CHECKING:
@@ -233,7 +234,7 @@ class PlayedSource:
 
 def _joined(first: NDArray[np.float64] | None, second: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
     """Return two jumps of the odometry, one after the other, as one; None where there is none."""
-    return second if first is None else first if second is None else second @ first
+    return second if first is None else first if second is None else compose(second, first)
 
 
 def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import from_rotation_translation, interpolate, rotation_from_quaternion
 
@@ -73,7 +74,7 @@ def track_of(
 def is_pose_row(row: Sequence[float]) -> bool:
     """Return whether tx ty tz qx qy qz qw is a pose: finite, the quaternion of some length (it is normalised later)."""
     # Asked for every pose, several to a frame: of seven numbers Python is quicker than NumPy.
-    return all(map(math.isfinite, row)) and math.hypot(*row[3:]) > 1e-3
+    return all(map(math.isfinite, row)) and sum(x * x for x in row[3:]) > 1e-6
 
 
 def pose_of_row(row: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -88,19 +89,19 @@ def nearest_rigid(a_from_b: NDArray[Any], tolerance: float = 0.02) -> NDArray[np
     """
     if not np.isfinite(a_from_b).all():
         return None
-    u, singular, vt = np.linalg.svd(a_from_b[:3, :3])
-    rotation = u @ vt
-    if np.abs(singular - 1.0).max() > tolerance or np.linalg.det(rotation) < 0:
+    u, singular, vt = portable.svd3(a_from_b[:3, :3])
+    rotation = portable.matmul(u, vt)
+    if np.abs(singular - 1.0).max() > tolerance or portable.det3(rotation) < 0:
         return None
     return from_rotation_translation(rotation, a_from_b[:3, 3])
 
 
 def world_from_down(down: NDArray[Any]) -> NDArray[np.float64]:
     """Return the smallest rotation (4, 4) that takes the direction `down` (3,) to (0, 0, -1)."""
-    up = -np.asarray(down, dtype=np.float64) / np.linalg.norm(down)
+    up = -np.asarray(down, dtype=np.float64) / portable.norm(down)
     if up[2] < -1.0 + 1e-9:
         return np.diag([1.0, -1.0, -1.0, 1.0])
     # Rodrigues' formula for the rotation from `up` to z, written without the angle: 1 / (1 + cos).
     cross = np.array([[0.0, 0.0, -up[0]], [0.0, 0.0, -up[1]], [up[0], up[1], 0.0]])
-    rotation = np.eye(3) + cross + cross @ cross / (1.0 + up[2])
+    rotation = np.eye(3) + cross + portable.matmul(cross, cross) / (1.0 + up[2])
     return from_rotation_translation(rotation, np.zeros(3))

@@ -13,6 +13,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import compose
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,7 +49,7 @@ def with_motion(registration: Registration, color_from_then: NDArray[np.float64]
 
     `color_from_then` (4, 4) takes what the colour camera would have seen then into what it saw at its own stamp.
     """
-    return replace(registration, color_from_depth=color_from_then @ registration.color_from_depth)
+    return replace(registration, color_from_depth=compose(color_from_then, registration.color_from_depth))
 
 
 def register_depth(depth_m: NDArray[np.float32], registration: Registration) -> NDArray[np.float32]:

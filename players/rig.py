@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.rigid import compose, invert
 from players.containers import UnreadableMessageError, deserialize
 from players.messages import CAMERA_INFO, TF, CameraInfo, StampedPose, camera_info_of, poses_of
 from players.peek import peek_stamp_ns
@@ -101,7 +101,7 @@ class PosePlan:
             pose = link.static if link.key is None else _moving(link, stamp_ns, epoch, reader)
             if pose is None:
                 return None
-            world_from_camera = world_from_camera @ (invert(pose) if link.is_inverted else pose)
+            world_from_camera = compose(world_from_camera, invert(pose) if link.is_inverted else pose)
         return world_from_camera
 
     def reaches(self, stamp_ns: int, epoch: int, reader: RigReader) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.rigid import compose, invert
 from players.poses import PoseTrack
 from players.tracks import GrowingTrack
 
@@ -63,7 +63,7 @@ class Chain:
             pose = link if isinstance(link, np.ndarray) else link.at(stamp_ns)
             if pose is None:
                 return None
-            target_from_source = target_from_source @ (invert(pose) if is_downwards else pose)
+            target_from_source = compose(target_from_source, invert(pose) if is_downwards else pose)
         return target_from_source
 
 

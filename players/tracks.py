@@ -16,7 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import arccos, cos, sin
 from hickory_stream.geometry.rigid import (
+    compose,
     from_rotation_translation,
     interpolate,
     invert,
@@ -107,7 +110,7 @@ class GrowingTrack:
             odd_ns, odd = self._odd
             self._odd = None
             predicted = self._predicted(odd_ns)
-            self.jumps.append(Jump(stamp_ns=odd_ns, after_from_before=_pose(odd) @ invert(predicted)))
+            self.jumps.append(Jump(stamp_ns=odd_ns, after_from_before=compose(_pose(odd), invert(predicted))))
             self._keep(odd_ns, odd)
             self._keep(stamp_ns, pose)
         else:
@@ -154,7 +157,7 @@ class GrowingTrack:
         pose = _pose(self._rows[stamp_ns])
         for jump in reversed(self.jumps):
             if jump.stamp_ns <= stamp_ns:
-                pose = invert(jump.after_from_before) @ pose
+                pose = compose(invert(jump.after_from_before), pose)
         return pose
 
     def _cubic(self, after: int, stamp_ns: int) -> NDArray[np.float64]:
@@ -172,9 +175,10 @@ class GrowingTrack:
         origin = self._stamps_ns[after - 1]
         base = poses[after - 1 - first]
         times_s = np.array([(ns - origin) / 1e9 for ns in stamps_ns])
-        points = np.array([np.concatenate([p[:3, 3], rotation_vector(base[:3, :3].T @ p[:3, :3])]) for p in poses])
+        turns = [rotation_vector(portable.matmul(base[:3, :3].T, p[:3, :3])) for p in poses]
+        points = np.array([np.concatenate([p[:3, 3], turn]) for p, turn in zip(poses, turns, strict=True)])
         values = _hermite(times_s, points, after - 1 - first, (stamp_ns - origin) / 1e9)
-        return from_rotation_translation(base[:3, :3] @ rotation_of_vector(values[3:]), values[:3])
+        return from_rotation_translation(portable.matmul(base[:3, :3], rotation_of_vector(values[3:])), values[:3])
 
     def _keep(self, stamp_ns: int, row: tuple[float, ...]) -> None:
         if self._stamps_ns and self.is_constant:
@@ -213,7 +217,7 @@ class GrowingTrack:
         if velocity is None:
             return _distance(last, row) <= self._limits.jump_m + self._limits.speed_mps * dt_s
         predicted = tuple(p + v * dt_s for p, v in zip(last[:3], velocity, strict=True))
-        return _distance(predicted, row) <= self._limits.jump_m + 0.5 * self._limits.acceleration_mps2 * dt_s**2
+        return _distance(predicted, row) <= self._limits.jump_m + 0.5 * self._limits.acceleration_mps2 * dt_s * dt_s
 
     def _velocity(self) -> tuple[float, ...] | None:
         """Return the velocity before the newest pose, over at least 20 ms; None where it is not known."""
@@ -240,27 +244,27 @@ class GrowingTrack:
             return last
         before = _pose(self._rows[self._stamps_ns[i]])
         share = (stamp_ns - newest_ns) / (newest_ns - self._stamps_ns[i])
-        turn = rotation_vector(before[:3, :3].T @ last[:3, :3])
+        turn = rotation_vector(portable.matmul(before[:3, :3].T, last[:3, :3]))
         position = last[:3, 3] + share * (last[:3, 3] - before[:3, 3])
-        return from_rotation_translation(last[:3, :3] @ rotation_of_vector(share * turn), position)
+        return from_rotation_translation(portable.matmul(last[:3, :3], rotation_of_vector(share * turn)), position)
 
 
 def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation vector (3,) of a (3, 3) rotation."""
     skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    sine = float(np.linalg.norm(skew))
+    sine = portable.norm(skew)
     angle = rotation_angle_rad(rotation)
     return 0.5 * skew if sine < 1e-9 else skew * (angle / sine)
 
 
 def rotation_of_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (3, 3) rotation of a rotation vector, by Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
+    angle = portable.norm(vector)
     if angle < 1e-12:
         return np.eye(3)
     x, y, z = vector / angle
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return np.eye(3) + sin(angle) * cross + (1.0 - cos(angle)) * portable.matmul(cross, cross)
 
 
 def _hermite(times_s: NDArray[np.float64], points: NDArray[np.float64], i: int, time_s: float) -> NDArray[np.float64]:
@@ -277,10 +281,10 @@ def _hermite(times_s: NDArray[np.float64], points: NDArray[np.float64], i: int, 
     step = float(steps[i])
     t = (time_s - float(times_s[i])) / step
     return np.asarray(
-        (1 + 2 * t) * (1 - t) ** 2 * points[i]
-        + t * (1 - t) ** 2 * step * tangent(i)
-        + t**2 * (3 - 2 * t) * points[i + 1]
-        + t**2 * (t - 1) * step * tangent(i + 1)
+        (1 + 2 * t) * (1 - t) * (1 - t) * points[i]
+        + t * (1 - t) * (1 - t) * step * tangent(i)
+        + t * t * (3 - 2 * t) * points[i + 1]
+        + t * t * (t - 1) * step * tangent(i + 1)
     )
 
 
@@ -289,11 +293,11 @@ def _pose(row: Sequence[float]) -> NDArray[np.float64]:
 
 
 def _distance(a: Sequence[float], b: Sequence[float]) -> float:
-    return float(sum((x - y) ** 2 for x, y in zip(a[:3], b[:3], strict=True)) ** 0.5)
+    return math.sqrt(sum((x - y) * (x - y) for x, y in zip(a[:3], b[:3], strict=True)))
 
 
 def _angle(a: Sequence[float], b: Sequence[float]) -> float:
     """Return the angle between two rotations, by the quaternions themselves: this is asked for every pose."""
     dot = abs(sum(x * y for x, y in zip(a[3:], b[3:], strict=True)))
-    lengths = math.hypot(*a[3:]) * math.hypot(*b[3:])
-    return 2.0 * math.acos(min(1.0, dot / lengths))
+    lengths = math.sqrt(sum(x * x for x in a[3:]) * sum(x * x for x in b[3:]))
+    return float(2.0 * arccos(min(1.0, dot / lengths)))

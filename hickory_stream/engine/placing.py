@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry.rigid import compose
+
 if TYPE_CHECKING:
     from hickory_stream.records import FrameReport, MapSnapshot
 
@@ -18,6 +20,6 @@ def where_it_lies(report: FrameReport, snapshot: MapSnapshot | None) -> FrameRep
     world_from_submap = snapshot.submaps[-1].world_from_submap
     if np.array_equal(world_from_submap, np.eye(4)):
         return report
-    world_from_camera = world_from_submap @ report.world_from_camera
+    world_from_camera = compose(world_from_submap, report.world_from_camera)
     frame = None if report.frame is None else replace(report.frame, world_from_camera=world_from_camera)
     return replace(report, world_from_camera=world_from_camera, frame=frame)

@@ -16,7 +16,7 @@ from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.alignment.registration import differs
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def _located(stored: ObjectMap, here: ObjectMap, stamp_ns: int, last: Located | 
     before = last.answer if last is not None else None
     is_confirmed = has_jumped = False
     if isinstance(answer, Alignment) and isinstance(before, Alignment):
-        center_b = (invert(answer.a_from_b) @ np.append(answer.center_a, 1.0))[:3]
+        center_b = apply(invert(answer.a_from_b), answer.center_a)
         has_jumped = differs(answer.a_from_b, before.a_from_b, center_b, distance_m=_AGREE_M, angle_rad=_AGREE_RAD)
         is_confirmed = not has_jumped
     return Located(

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+from hickory_stream.geometry.portable_kernels import cos, sin
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,12 +56,12 @@ class OrientedBox:
     @property
     def diagonal_m(self) -> float:
         """The length of the space diagonal."""
-        return float(2.0 * np.linalg.norm(self.half_extents_m))
+        return 2.0 * portable.norm(self.half_extents_m)
 
     def corners_world(self) -> NDArray[np.float64]:
         """Return the (8, 3) corners in the world."""
         signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-        return (signs * self.half_extents_m) @ self.world_from_box[:3, :3].T + self.center
+        return apply(self.world_from_box, signs * self.half_extents_m)
 
     def contains(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the box grown by `margin_m`."""
@@ -75,7 +77,7 @@ class OrientedBox:
 
     def _near(self, points_world: NDArray[Any], margin_m: float, *, is_column: bool = False) -> NDArray[np.int64]:
         """Return the numbers of the points in the upright, unturned box around this one, or in its column."""
-        reach_m = np.abs(self.world_from_box[:3, :3]) @ (self.half_extents_m + margin_m) + _SLACK_M
+        reach_m = portable.matmul(np.abs(self.world_from_box[:3, :3]), self.half_extents_m + margin_m) + _SLACK_M
         if is_column:
             reach_m[2] = np.inf
         near: NDArray[np.int64] = _within(np.ascontiguousarray(points_world), self.center, reach_m)
@@ -84,9 +86,10 @@ class OrientedBox:
     def _holds(
         self, points_world: NDArray[Any], near: NDArray[np.int64], candidates: NDArray[Any], margin_m: float
     ) -> NDArray[np.bool_]:
-        local = np.abs((candidates - self.center) @ self.world_from_box[:3, :3]) <= self.half_extents_m + margin_m
+        local = np.abs(portable.matmul(candidates - self.center, self.world_from_box[:3, :3]))
+        inside = local <= self.half_extents_m + margin_m
         held = np.zeros(len(points_world), dtype=bool)
-        held[near] = local[:, 0] & local[:, 1] & local[:, 2]
+        held[near] = inside[:, 0] & inside[:, 1] & inside[:, 2]
         return held
 
     def grown(self, margin_m: float) -> OrientedBox:
@@ -123,8 +126,8 @@ def faced_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedB
     some = points[:: max(1, len(points) // _FACE_POINTS), :2]
     scores = np.empty(len(near))
     for n, i in enumerate(near):
-        c, s = np.cos(angles[i]), np.sin(angles[i])
-        along, across = some @ np.array([c, s]) - lows[0, i], some @ np.array([-s, c]) - lows[1, i]
+        c, s = cos(angles[i]), sin(angles[i])
+        along, across = some[:, 0] * c + some[:, 1] * s - lows[0, i], some[:, 1] * c - some[:, 0] * s - lows[1, i]
         away = np.minimum(np.minimum(along, sizes[0, i] - along), np.minimum(across, sizes[1, i] - across))
         scores[n] = (1.0 / np.maximum(away, 2 * min_half_extent_m)).sum()
     return _upright_box(points, hull, float(angles[near[int(np.argmax(scores))]]), min_half_extent_m)
@@ -133,15 +136,15 @@ def faced_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedB
 def _side_angles(hull: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the directions of a hull's sides, within a quarter of a turn."""
     edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
-    return np.unique(np.mod(np.arctan2(edges[:, 1], edges[:, 0]), np.pi / 2))
+    return np.unique(np.mod(portable.arctan2(edges[:, 1], edges[:, 0]), np.pi / 2))
 
 
 def _rectangles(
     hull: NDArray[np.float64], angles: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the (2, A) sizes along and across each of A directions, and where they begin."""
-    c, s = np.cos(angles), np.sin(angles)
-    along, across = hull @ np.stack([c, s]), hull @ np.stack([-s, c])
+    c, s = portable.cos(angles), portable.sin(angles)
+    along, across = portable.matmul(hull, np.stack([c, s])), portable.matmul(hull, np.stack([-s, c]))
     sizes = np.stack([np.ptp(along, axis=0), np.ptp(across, axis=0)])
     return sizes, np.stack([along.min(axis=0), across.min(axis=0)])
 
@@ -152,7 +155,7 @@ def _upright_box(
     sizes, lows = _rectangles(hull, np.array([angle]))
     rotation = yaw_rotation(angle)
     z_low, z_high = _ends(points[:, 2])
-    middle = rotation @ np.array([*(lows[:, 0] + sizes[:, 0] / 2), (z_low + z_high) / 2])
+    middle = portable.matmul(rotation, np.array([*(lows[:, 0] + sizes[:, 0] / 2), (z_low + z_high) / 2]))
     half = np.array([*sizes[:, 0], z_high - z_low]) / 2
     return OrientedBox(
         world_from_box=from_rotation_translation(rotation, middle),
@@ -171,8 +174,8 @@ def intersection_volume_m3(a: OrientedBox, b: OrientedBox, margin_m: float = 0.0
     half_a, half_b = a.half_extents_m + margin_m, b.half_extents_m + margin_m
     if _are_apart(a.world_from_box, half_a, b.world_from_box, half_b):
         return 0.0
-    rotation_ab = np.ascontiguousarray(a.world_from_box[:3, :3].T @ b.world_from_box[:3, :3])
-    offset_ab = a.world_from_box[:3, :3].T @ (b.center - a.center)
+    rotation_ab = portable.matmul(a.world_from_box[:3, :3].T, b.world_from_box[:3, :3])
+    offset_ab = portable.matmul(a.world_from_box[:3, :3].T, b.center - a.center)
     shared = _intersection_volume(half_a, half_b, rotation_ab, offset_ab)
     return float(min(max(shared, 0.0), _volume_m3(half_a), _volume_m3(half_b)))
 
@@ -321,14 +324,19 @@ def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tol
             for other_axis in range(3):
                 for other_sign in (-1.0, 1.0):
                     plane = other_sign * np.ascontiguousarray(other_rotation[:, other_axis])
-                    height = plane @ other_offset + other_half[other_axis]
+                    height = _dot(plane, other_offset) + other_half[other_axis]
                     if count:
                         count = _clip(polygon, count, plane, height, tolerance)
             area = np.zeros(3)
             for i in range(1, count - 1):
                 area += 0.5 * np.cross(polygon[i] - polygon[0], polygon[i + 1] - polygon[0])
-            total += abs(area @ normal) * (normal @ middle) / 3.0
+            total += abs(_dot(area, normal)) * _dot(normal, middle) / 3.0
     return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _dot(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @numba.njit(cache=True, nogil=True)

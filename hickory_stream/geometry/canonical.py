@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import power
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, taken, volumes_m3
 
@@ -55,10 +57,10 @@ def _canonical_one(
     if exponents[1] > 1 and abs(axes[0] - axes[1]) <= _ROUGHLY_EQUAL * axes[:2].max():
         dual = max(2 - float(exponents[1]), MIN_EXPONENT)
         if _dual_gap(float(exponents[1]), dual) <= DUAL_TOLERANCE:
-            axes[:2] *= 2 ** ((1 - exponents[1]) / 2)
+            axes[:2] *= power(2.0, (1 - exponents[1]) / 2)
             exponents[1] = dual
             c = np.sqrt(0.5)
-            rotation = rotation @ np.array([[c, -c, 0], [c, c, 0], [0, 0, 1.0]])
+            rotation = portable.matmul(rotation, np.array([[c, -c, 0], [c, c, 0], [0, 0, 1.0]]))
     orders = permutations(range(3)) if abs(exponents[0] - exponents[1]) <= _EQUAL else ((0, 1, 2), (1, 0, 2))
     forms = [(tuple(axes[list(order)]), order) for order in orders]
     largest = max(form for form, _ in forms)
@@ -70,7 +72,7 @@ def _canonical_one(
 def _closest_to_identity(candidates: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Return the candidate, with the signs of its columns that make it a rotation, of largest trace."""
     signed = [c * np.array(signs) for c in candidates for signs in product((1.0, -1.0), repeat=3)]
-    proper = [c for c in signed if np.linalg.det(c) > 0]
+    proper = [c for c in signed if portable.det3(c) > 0]
     return max(proper, key=lambda c: (round(float(np.trace(c)), 9), *np.round(c, 9).ravel()))
 
 
@@ -78,20 +80,20 @@ def _dual_gap(exponent: float, dual: float) -> float:
     """Return the largest relative difference of radius between an outline and its dual, over all directions."""
     angles = np.linspace(0, np.pi / 4, 17)
     first = _radius(angles, exponent)
-    second = 2 ** ((1 - exponent) / 2) * _radius(np.pi / 4 - angles, dual)
+    second = power(2.0, (1 - exponent) / 2) * _radius(np.pi / 4 - angles, dual)
     return float(np.abs(second / first - 1).max())
 
 
 def _radius(angles: NDArray[np.float64], exponent: float) -> NDArray[np.float64]:
-    power = 2 / exponent
-    return np.asarray((np.abs(np.cos(angles)) ** power + np.abs(np.sin(angles)) ** power) ** (-1 / power))
+    p = 2 / exponent
+    c, s = np.abs(portable.cos(angles)), np.abs(portable.sin(angles))
+    return portable.power(portable.power(c, p) + portable.power(s, p), -1 / p)
 
 
 def _order(primitives: Superquadrics) -> NDArray[np.int64]:
     # Six digits: what is equal but for rounding is ordered by the next rule.
     def rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        scale = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(values), 1e-300))) - 5)
-        return np.asarray(np.round(values / scale) * scale)
+        return np.array([float(f"{value:.5e}") for value in values.ravel().tolist()]).reshape(values.shape)
 
     keys = [rounded(volumes_m3(primitives)), *rounded(primitives.semi_axes_m).T]
     keys += [*rounded(primitives.exponents).T, *primitives.world_from_local[:, :3, 3].T]

@@ -51,7 +51,7 @@ def face_areas_m2(mesh: Mesh) -> NDArray[np.float64]:
 def volume_m3(mesh: Mesh) -> float:
     """Return the signed enclosed volume: meaningful for a closed mesh, positive when its faces look outwards."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+    return float((a * np.cross(b, c)).sum() / 6.0)
 
 
 def is_closed(mesh: Mesh) -> bool:

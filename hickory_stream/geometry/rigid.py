@@ -1,7 +1,7 @@
 """Rigid transforms as (4, 4) float64 matrices, named `a_from_b`.
 
-Plain matrices rather than a class: they compose with `@`, stack into `(..., 4, 4)` and need no conversion at any
-border.
+Plain matrices rather than a class: they multiply, stack into `(..., 4, 4)` and need no conversion at any border. On the
+way to a map they compose by `compose`, whose last bit does not depend on the processor, as that of `@` does.
 """
 
 from __future__ import annotations
@@ -10,15 +10,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import arccos, arctan2, cos, sin
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
 def apply(a_from_b: NDArray[Any], points_b: NDArray[Any]) -> NDArray[Any]:
     """Return `points_b` (..., 3) in frame a; the result has the dtype of the points when that is floating."""
-    dtype = points_b.dtype if np.issubdtype(points_b.dtype, np.floating) else np.float64
-    rotation = a_from_b[:3, :3].astype(dtype)
-    return points_b.astype(dtype, copy=False) @ rotation.T + a_from_b[:3, 3].astype(dtype)
+    return portable.moved(points_b, a_from_b[:3, :3], a_from_b[:3, 3])
+
+
+def compose(a_from_b: NDArray[Any], *others: NDArray[Any]) -> NDArray[np.float64]:
+    """Return `a_from_c` of `a_from_b`, `b_from_c` (4, 4), and so on; what is last may be a stack (..., 4, 4)."""
+    product = a_from_b
+    for other in others:
+        product = portable.matmul(product, other)
+    return product
 
 
 def invert(a_from_b: NDArray[Any]) -> NDArray[np.float64]:
@@ -26,7 +35,7 @@ def invert(a_from_b: NDArray[Any]) -> NDArray[np.float64]:
     rotation = np.asarray(a_from_b[:3, :3], dtype=np.float64)
     b_from_a = np.eye(4)
     b_from_a[:3, :3] = rotation.T
-    b_from_a[:3, 3] = -rotation.T @ a_from_b[:3, 3]
+    b_from_a[:3, 3] = portable.matmul(-rotation.T, a_from_b[:3, 3])
     return b_from_a
 
 
@@ -45,7 +54,7 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> NDArray[
         ValueError: the quaternion is not finite or has no length.
     """
     q = np.array([x, y, z, w], dtype=np.float64)
-    length = float(np.linalg.norm(q))
+    length = portable.norm(q)
     if not np.isfinite(length) or length < 1e-9:
         raise ValueError(f"quaternion ({x}, {y}, {z}, {w}) is no rotation")
     x, y, z, w = q / length
@@ -74,7 +83,7 @@ def quaternion_from_rotation(rotation: NDArray[Any]) -> NDArray[np.float64]:
         q[j] = m[j, i] + m[i, j]
         q[k] = m[k, i] + m[i, k]
         q[3] = m[k, j] - m[j, k]
-    q /= np.linalg.norm(q)
+    q /= portable.norm(q)
     return -q if q[3] < 0 else q
 
 
@@ -82,14 +91,14 @@ def interpolate(a_from_b0: NDArray[Any], a_from_b1: NDArray[Any], fraction: floa
     """Return the pose at `fraction` in 0..1 between two: translation linearly, rotation by slerp."""
     q0 = quaternion_from_rotation(a_from_b0[:3, :3])
     q1 = quaternion_from_rotation(a_from_b1[:3, :3])
-    cosine = float(q0 @ q1)
+    cosine = portable.dot(q0, q1)
     if cosine < 0:
         q1, cosine = -q1, -cosine
-    angle = float(np.arccos(min(cosine, 1.0)))
+    angle = float(arccos(min(cosine, 1.0)))
     if angle < 1e-8:
         q = (1 - fraction) * q0 + fraction * q1
     else:
-        q = (np.sin((1 - fraction) * angle) * q0 + np.sin(fraction * angle) * q1) / np.sin(angle)
+        q = (sin((1 - fraction) * angle) * q0 + sin(fraction * angle) * q1) / sin(angle)
     translation = (1 - fraction) * a_from_b0[:3, 3] + fraction * a_from_b1[:3, 3]
     return from_rotation_translation(rotation_from_quaternion(*(float(c) for c in q)), translation)
 
@@ -98,12 +107,12 @@ def rotation_angle_rad(rotation: NDArray[Any]) -> float:
     """Return the angle of a (3, 3) rotation, in 0..pi."""
     # atan2 of the two halves stays accurate near 0 and near pi, where arccos of the trace does not.
     skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    return float(np.arctan2(np.linalg.norm(skew), np.trace(rotation) - 1.0))
+    return float(arctan2(portable.norm(skew), float(np.trace(rotation)) - 1.0))
 
 
 def yaw_rotation(yaw_rad: float) -> NDArray[np.float64]:
     """Return the (3, 3) rotation by `yaw_rad` about z."""
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    c, s = cos(float(yaw_rad)), sin(float(yaw_rad))
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -113,7 +122,7 @@ def is_rigid(a_from_b: NDArray[Any], tolerance: float = 1e-3) -> bool:
         return False
     rotation = a_from_b[:3, :3]
     return bool(
-        np.abs(rotation @ rotation.T - np.eye(3)).max() < tolerance
-        and np.linalg.det(rotation) > 0
+        np.abs(portable.matmul(rotation, rotation.T) - np.eye(3)).max() < tolerance
+        and portable.det3(rotation) > 0
         and np.abs(a_from_b[3] - (0, 0, 0, 1)).max() < tolerance
     )

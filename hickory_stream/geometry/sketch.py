@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
@@ -55,9 +56,10 @@ def sketch(points_world: NDArray[Any], box: OrientedBox) -> Superquadrics | None
     thinnest = float(box.half_extents_m.min())
     upright = _best(points, box.world_from_box[:3, :3], box.center, box.half_extents_m)
     axes = _principal_axes(points)
-    local = points @ axes
+    local = portable.matmul(points, axes)
     low, high = local.min(axis=0), local.max(axis=0)
-    leaning = _best(points, axes, axes @ ((low + high) / 2), np.maximum((high - low) / 2, thinnest))
+    center = portable.matmul(axes, (low + high) / 2)
+    leaning = _best(points, axes, center, np.maximum((high - low) / 2, thinnest))
     chosen = leaning if leaning.cost < _CLEARLY * upright.cost else upright
     return canonical(_as_superquadrics(chosen.exponents, chosen.semi_axes_m, chosen.pose))
 
@@ -68,16 +70,16 @@ def _best(
     """Return the best primitive that just fits into a box: its axes (3, 3) as columns, its centre, its half extents."""
     offsets = points - center
     lengths = np.linalg.norm(offsets, axis=1)
-    logs = np.log(np.maximum(np.abs(offsets @ axes) / half, 1e-9))
-    costs, semi_axes_m = [], [half @ order for order in _ORDERS]
+    logs = portable.log(np.maximum(np.abs(portable.matmul(offsets, axes)) / half, 1e-9))
+    costs, semi_axes_m = [], [portable.matmul(half, order) for order in _ORDERS]
     for order, own_axes in zip(_ORDERS, semi_axes_m, strict=True):
-        own = logs @ order
-        size = np.cbrt(_volumes_m3(own_axes))
+        own = portable.matmul(logs, order)
+        size = portable.cbrt(_volumes_m3(own_axes))
         for i, e2 in enumerate(_EXPONENTS):
-            log_rho = e2 / 2 * np.logaddexp(2 / e2 * own[:, 0], 2 / e2 * own[:, 1])
+            log_rho = e2 / 2 * portable.logaddexp(2 / e2 * own[:, 0], 2 / e2 * own[:, 1])
             for j, e1 in enumerate(_EXPONENTS):
-                log_gauge = e1 / 2 * np.logaddexp(2 / e1 * log_rho, 2 / e1 * own[:, 2])
-                distance = float(np.abs(lengths * (1 - np.exp(-log_gauge))).mean())
+                log_gauge = e1 / 2 * portable.logaddexp(2 / e1 * log_rho, 2 / e1 * own[:, 2])
+                distance = float(np.abs(lengths * (1 - portable.exp(-log_gauge))).mean())
                 costs.append(distance * float(size[i, j]))
     best = int(np.argmin(costs))
     turn, of_e2, of_e1 = np.unravel_index(best, (len(_ORDERS), len(_EXPONENTS), len(_EXPONENTS)))
@@ -85,7 +87,7 @@ def _best(
         cost=costs[best],
         exponents=(_EXPONENTS[of_e1], _EXPONENTS[of_e2]),
         semi_axes_m=semi_axes_m[turn],
-        pose=from_rotation_translation(axes @ _ORDERS[turn], center),
+        pose=from_rotation_translation(portable.matmul(axes, _ORDERS[turn]), center),
     )
 
 
@@ -102,8 +104,8 @@ def _volumes_m3(semi_axes_m: NDArray[np.float64]) -> NDArray[np.float64]:
 def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (3, 3) right-handed columns."""
     centered = points - points.mean(axis=0)
-    _, axes = np.linalg.eigh(centered.T @ centered)
-    return np.asarray(axes * np.array([np.sign(np.linalg.det(axes)), 1.0, 1.0]))
+    _, axes = portable.eigh(portable.matmul(centered.T, centered))
+    return np.asarray(axes * np.array([np.sign(portable.det3(axes)), 1.0, 1.0]))
 
 
 def _as_superquadrics(

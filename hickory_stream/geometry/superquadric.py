@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import beta
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, invert, is_rigid
 
@@ -71,14 +72,14 @@ def log_implicit_value(primitives: Superquadrics, index: int, points_world: NDAr
     """Return (N,) ln G of Eq. (sq) of the paper for one primitive at (N, 3) points; finite everywhere."""
     local = apply(invert(primitives.world_from_local[index]), np.asarray(points_world, dtype=np.float64))
     e1, e2 = primitives.exponents[index]
-    logs = np.log(np.maximum(np.abs(local) / primitives.semi_axes_m[index], _TINY))
-    log_xy = e2 / e1 * np.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
-    return np.asarray(np.logaddexp(log_xy, 2 / e1 * logs[:, 2]))
+    logs = portable.log(np.maximum(np.abs(local) / primitives.semi_axes_m[index], _TINY))
+    log_xy = e2 / e1 * portable.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
+    return np.asarray(portable.logaddexp(log_xy, 2 / e1 * logs[:, 2]))
 
 
 def implicit_value(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
     """Return (N,) G of Eq. (sq) of the paper at (N, 3) points: below 1 inside, above 1 outside, at most e^700."""
-    return np.asarray(np.exp(np.minimum(log_implicit_value(primitives, index, points_world), _MAX_LOG)))
+    return np.asarray(portable.exp(np.minimum(log_implicit_value(primitives, index, points_world), _MAX_LOG)))
 
 
 def implicit_gradient(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
@@ -88,16 +89,16 @@ def implicit_gradient(primitives: Superquadrics, index: int, points_world: NDArr
     """
     pose = primitives.world_from_local[index]
     signs, logs = _log_gradient(primitives, index, points_world)
-    return np.asarray(signs * np.exp(np.minimum(logs, _MAX_LOG)) @ pose[:3, :3].T)
+    return portable.matmul(signs * portable.exp(np.minimum(logs, _MAX_LOG)), pose[:3, :3].T)
 
 
 def outward_normals(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
     """Return (N, 3) unit vectors along the gradient of G; 0 at the centre, where there is none."""
     signs, logs = _log_gradient(primitives, index, points_world)
     # Whatever the size of the gradient: only its components against the largest one count.
-    local = signs * np.exp(np.maximum(logs - logs.max(axis=1, keepdims=True), -_MAX_LOG))
+    local = signs * portable.exp(np.maximum(logs - logs.max(axis=1, keepdims=True), -_MAX_LOG))
     lengths = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), _TINY)
-    return np.asarray(local / lengths @ primitives.world_from_local[index, :3, :3].T)
+    return portable.matmul(local / lengths, primitives.world_from_local[index, :3, :3].T)
 
 
 def radial_distance_m(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
@@ -110,7 +111,7 @@ def radial_distance_m(primitives: Superquadrics, index: int, points_world: NDArr
     log_g = log_implicit_value(primitives, index, points_world)
     smallest = float(primitives.semi_axes_m[index].min())
     # The surface point on the ray is at |p| G^(-e1/2), and never nearer than a diamond's face is to the centre.
-    surface = np.exp(np.log(np.maximum(lengths, _TINY)) - primitives.exponents[index, 0] / 2 * log_g)
+    surface = portable.exp(portable.log(np.maximum(lengths, _TINY)) - primitives.exponents[index, 0] / 2 * log_g)
     return np.asarray(np.where(lengths > 1e-12 * smallest, lengths - surface, -smallest))
 
 
@@ -131,9 +132,9 @@ def second_moments_m5(primitives: Superquadrics) -> NDArray[np.float64]:
     across = e1 * e2 / 2 * beta(3 * e2 / 2, e2 / 2) * beta(e1 / 2, 2 * e1 + 1)
     along = e1 * e2 * beta(e2 / 2, e2 / 2) * beta(3 * e1 / 2, e1 + 1)
     axes = primitives.semi_axes_m
-    own = np.stack([across, across, along], axis=1) * axes**2 * axes.prod(axis=1, keepdims=True)
+    own = np.stack([across, across, along], axis=1) * np.square(axes) * axes.prod(axis=1, keepdims=True)
     rotations = primitives.world_from_local[:, :3, :3]
-    return np.asarray((rotations * own[:, None, :]) @ rotations.transpose(0, 2, 1))
+    return portable.matmul(rotations * own[:, None, :], rotations.transpose(0, 2, 1))
 
 
 def inertia_m5(primitives: Superquadrics) -> NDArray[np.float64]:
@@ -145,7 +146,7 @@ def inertia_m5(primitives: Superquadrics) -> NDArray[np.float64]:
 def centroid_world(primitives: Superquadrics) -> NDArray[np.float64]:
     """Return the (3,) mean of the centres, weighted by volume: the centroid as far as the primitives do not overlap."""
     weights = volumes_m3(primitives)
-    return np.asarray(weights @ primitives.world_from_local[:, :3, 3] / weights.sum())
+    return np.asarray(portable.matmul(weights, primitives.world_from_local[:, :3, 3]) / weights.sum())
 
 
 def sorted_by_volume(primitives: Superquadrics) -> Superquadrics:
@@ -176,7 +177,7 @@ def moved(primitives: Superquadrics, a_from_world: NDArray[np.float64]) -> Super
     return Superquadrics(
         exponents=primitives.exponents,
         semi_axes_m=primitives.semi_axes_m,
-        world_from_local=a_from_world @ primitives.world_from_local,
+        world_from_local=portable.matmul(a_from_world, primitives.world_from_local),
     )
 
 
@@ -187,16 +188,17 @@ def support(primitives: Superquadrics, index: int, directions_world: NDArray[Any
     """
     pose = primitives.world_from_local[index]
     directions = np.asarray(directions_world, dtype=np.float64)
-    scaled = np.abs(directions @ pose[:3, :3]) * primitives.semi_axes_m[index]
+    scaled = np.abs(portable.matmul(directions, pose[:3, :3])) * primitives.semi_axes_m[index]
     e1, e2 = primitives.exponents[index]
     reach = _dual_norm(_dual_norm(scaled[:, 0], scaled[:, 1], e2), scaled[:, 2], e1)
-    return np.asarray(directions @ pose[:3, 3] + reach)
+    return np.asarray(portable.matmul(directions, pose[:3, 3]) + reach)
 
 
 def support_reach(primitives: Superquadrics, directions_world: NDArray[Any]) -> NDArray[np.float64]:
     """Return (K, N) max of d . (p - centre) over each of K primitives, for (N, 3) directions of any length."""
     directions = np.asarray(directions_world, dtype=np.float64)
-    scaled = np.abs(directions @ primitives.world_from_local[:, :3, :3]) * primitives.semi_axes_m[:, None]
+    along = portable.matmul(directions, primitives.world_from_local[:, :3, :3])
+    scaled = np.abs(along) * primitives.semi_axes_m[:, None]
     e1, e2 = primitives.exponents[:, :1], primitives.exponents[:, 1:]
     return _dual_norm(_dual_norm(scaled[..., 0], scaled[..., 1], e2), scaled[..., 2], e1)
 
@@ -219,13 +221,13 @@ def _log_gradient(
     """Return (N, 3) the signs and the logarithms of the components of the gradient of G along the primitive's axes."""
     local = apply(invert(primitives.world_from_local[index]), np.asarray(points_world, dtype=np.float64))
     e1, e2 = primitives.exponents[index]
-    log_axes = np.log(primitives.semi_axes_m[index])
-    logs = np.log(np.maximum(np.abs(local), _TINY)) - log_axes
-    log_rho = np.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
+    log_axes = portable.log(primitives.semi_axes_m[index])
+    logs = portable.log(np.maximum(np.abs(local), _TINY)) - log_axes
+    log_rho = portable.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
     # dG/dx = 2 / (e1 a1) rho^(e2 / e1 - 1) |x / a1|^(2 / e2 - 1), and dG/dz = 2 / (e1 a3) |z / a3|^(2 / e1 - 1).
     level = (e2 / e1 - 1) * log_rho[:, None] + (2 / e2 - 1) * logs[:, :2]
     upright = (2 / e1 - 1) * logs[:, 2:]
-    return np.sign(local), np.log(2 / e1) - log_axes + np.concatenate([level, upright], axis=1)
+    return np.sign(local), portable.log(2 / e1) - log_axes + np.concatenate([level, upright], axis=1)
 
 
 def _dual_norm(a: NDArray[np.float64], b: NDArray[np.float64], exponent: Any) -> NDArray[np.float64]:
@@ -233,4 +235,4 @@ def _dual_norm(a: NDArray[np.float64], b: NDArray[np.float64], exponent: Any) ->
     largest = np.maximum(a, b)
     ratio = np.minimum(a, b) / np.maximum(largest, _TINY)
     q = 2 / np.maximum(2 - exponent, 1e-3)
-    return np.asarray(largest * (1 + ratio**q) ** (1 / q))
+    return np.asarray(largest * portable.power(1 + portable.power(ratio, q), 1 / q))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
 
@@ -38,7 +39,7 @@ def display_mesh(
     tolerance = max(largest / 100 if max_error_m is None else max_error_m, _MIN_ERROR * largest)
     x, y = _quarter(e2)
     kept = _polygon(x * axes[0], y * axes[1], 0.48 * tolerance)
-    reach = float(np.hypot(x * axes[0], y * axes[1]).max())
+    reach = float(portable.hypot(x * axes[0], y * axes[1]).max())
     radius, z = _quarter(e1)
     rings = _polygon(radius * reach, z * axes[2], 0.48 * tolerance)
     return _product_mesh(primitives, index, (x[kept], y[kept]), (radius[rings], z[rings]))
@@ -63,7 +64,7 @@ def surface_points(primitives: Superquadrics, index: int, count: int) -> NDArray
     pose = primitives.world_from_local[index]
     # The middle of a patch is a little below the surface: on along the ray from the centre.
     log_g = log_implicit_value(primitives, index, apply(pose, chosen))
-    return apply(pose, chosen * np.exp(-primitives.exponents[index, 0] / 2 * log_g)[:, None])
+    return apply(pose, chosen * portable.exp(-primitives.exponents[index, 0] / 2 * log_g)[:, None])
 
 
 def _quarter(exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -80,7 +81,7 @@ def _polygon(x: NDArray[np.float64], y: NDArray[np.float64], tolerance: float) -
         first, last = spans.pop()
         dx, dy = x[last] - x[first], y[last] - y[first]
         off = np.abs(dx * (y[first + 1 : last] - y[first]) - dy * (x[first + 1 : last] - x[first]))
-        if len(off) == 0 or off.max() <= tolerance * np.hypot(dx, dy):
+        if len(off) == 0 or off.max() <= tolerance * portable.hypot(dx, dy):
             continue
         middle = first + 1 + int(np.argmax(off))
         kept.append(middle)
@@ -113,7 +114,7 @@ def _lengths_m(primitives: Superquadrics, index: int) -> tuple[float, float]:
     """Return the lengths of the outlines around and from pole to pole, the latter where it is longest."""
     axes = primitives.semi_axes_m[index]
     (x, y), (radius, z) = (_quarter(e) for e in primitives.exponents[index, ::-1])
-    reach = float(np.hypot(x * axes[0], y * axes[1]).max())
+    reach = float(portable.hypot(x * axes[0], y * axes[1]).max())
     around = 4 * _arc(x * axes[0], y * axes[1])[-1]
     return float(around), float(2 * _arc(radius * reach, z * axes[2])[-1])
 
@@ -127,7 +128,7 @@ def _patches(
     """
     axes = primitives.semi_axes_m[index]
     (x, y), (radius, z) = (_quarter(e) for e in primitives.exponents[index, ::-1])
-    reach = float(np.hypot(x * axes[0], y * axes[1]).max())
+    reach = float(portable.hypot(x * axes[0], y * axes[1]).max())
     x, y = _evenly(x, y, _arc(x * axes[0], y * axes[1]), steps_around)
     radius, z = _evenly(radius, z, _arc(radius * reach, z * axes[2]), steps_upwards)
     corners = (
@@ -142,7 +143,7 @@ def _patches(
 
 def _arc(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the length of a polygon from its first to each of its points."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    return np.concatenate([[0.0], np.cumsum(portable.hypot(np.diff(x), np.diff(y)))])
 
 
 def _evenly(
@@ -166,9 +167,9 @@ def _along_curve(points: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def _unit_curve(angles: NDArray[np.float64], exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the points (c, s) of |c|^(2/e) + |s|^(2/e) = 1 in the directions of `angles`."""
-    c, s = np.cos(angles), np.sin(angles)
-    log_c, log_s = np.log(np.maximum(np.abs(c), _TINY)), np.log(np.maximum(np.abs(s), _TINY))
-    scale = np.exp(-exponent / 2 * np.logaddexp(2 / exponent * log_c, 2 / exponent * log_s))
+    c, s = portable.cos(angles), portable.sin(angles)
+    log_c, log_s = (portable.log(np.maximum(np.abs(side), _TINY)) for side in (c, s))
+    scale = portable.exp(-exponent / 2 * portable.logaddexp(2 / exponent * log_c, 2 / exponent * log_s))
     return c * scale, s * scale
 
 

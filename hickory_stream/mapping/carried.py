@@ -167,7 +167,7 @@ def _stands_on(small: Track, large: Track) -> bool:
     cells = np.unique(np.floor(around[:, :2] / _FOOT_CELL_M), axis=0)
     x, y = 2 * small.box.half_extents_m[:2]
     ring = 2 * _RING_M * float(x + y + 2 * _RING_M)
-    return len(cells) * _FOOT_CELL_M**2 > 0.2 * ring
+    return len(cells) * _FOOT_CELL_M * _FOOT_CELL_M > 0.2 * ring
 
 
 _ENDS_M: WeakKeyDictionary[Cloud, tuple[float, float]] = WeakKeyDictionary()

@@ -30,6 +30,7 @@ from hickory_stream.events import (
     SourceEnded,
     TimeJumped,
 )
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
 from hickory_stream.mapping.carried import is_inner_part
@@ -281,7 +282,7 @@ class MapperCore:
         The space is judged anew, and until an object is seen again it is judged by nothing: a few centimetres, by
         which the jump may be wrong, are enough to look through an object, or to put it in a wall.
         """
-        distance_m = float(np.linalg.norm(event.after_from_before[:3, 3]))
+        distance_m = portable.norm(event.after_from_before[:3, 3])
         self._settle()
         self._submaps = torn(self._submaps)
         self._parts = {}

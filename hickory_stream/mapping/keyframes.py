@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import rotation_angle_rad
 from hickory_stream.ranges import Ranged, number
 
@@ -50,6 +51,6 @@ def is_keyframe(
         return False
     if elapsed_ns >= config.max_interval_s * 1e9 - 1_000_000:
         return True
-    distance_m = float(np.linalg.norm(world_from_camera[:3, 3] - last.world_from_camera[:3, 3]))
-    turned_rad = rotation_angle_rad(last.world_from_camera[:3, :3].T @ world_from_camera[:3, :3])
+    distance_m = portable.norm(world_from_camera[:3, 3] - last.world_from_camera[:3, 3])
+    turned_rad = rotation_angle_rad(portable.matmul(last.world_from_camera[:3, :3].T, world_from_camera[:3, :3]))
     return bool(distance_m >= config.min_distance_m or turned_rad >= np.deg2rad(config.min_angle_deg))

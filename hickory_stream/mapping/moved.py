@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.geometry.boxes import OrientedBox
-from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.rigid import apply, compose
 from hickory_stream.geometry.superquadric import moved
 
 if TYPE_CHECKING:
@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
 def moved_object(item: TrackedObject, new_from_old: NDArray[np.float64]) -> TrackedObject:
     """Return an object, with everything that is known of it, in another world; `new_from_old` (4, 4) is rigid."""
-    views = tuple(replace(view, world_from_camera=new_from_old @ view.world_from_camera) for view in item.views)
+    views = tuple(replace(view, world_from_camera=compose(new_from_old, view.world_from_camera)) for view in item.views)
     best = None if item.best_view is None else views[[v.name for v in item.views].index(item.best_view.name)]
     return replace(
         item,
         points_world=apply(new_from_old, item.points_world),
-        box=OrientedBox(world_from_box=new_from_old @ item.box.world_from_box, half_extents_m=item.box.half_extents_m),
+        box=OrientedBox(
+            world_from_box=compose(new_from_old, item.box.world_from_box), half_extents_m=item.box.half_extents_m
+        ),
         views=views,
         best_view=best,
         shape=None if item.shape is None else moved_shape(item.shape, new_from_old),
@@ -35,7 +37,7 @@ def moved_shape(shape: ObjectShape, new_from_old: NDArray[np.float64]) -> Object
     """Return layers 2 to 4 in another world."""
     return replace(
         shape,
-        world_from_object=new_from_old @ shape.world_from_object,
+        world_from_object=compose(new_from_old, shape.world_from_object),
         fitted=moved(shape.fitted, new_from_old),
         inflated=moved(shape.inflated, new_from_old),
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
@@ -122,7 +123,7 @@ def support_height_m(track: Track, others: Iterable[Track], floor_z_m: float | N
 def _surrounds(points: NDArray[np.float32], box: OrientedBox) -> bool:
     """Return whether points lie on most sides of a box's middle: a neighbour beside it is no support."""
     x, y = (points[:, :2] - box.center[:2]).T
-    sectors = np.floor((np.arctan2(y, x) + np.pi) / (2 * np.pi) * 8).astype(np.int64) % 8
+    sectors = np.floor((portable.arctan2(y, x) + np.pi) / (2 * np.pi) * 8).astype(np.int64) % 8
     return int((np.bincount(sectors, minlength=8) > 0).sum()) >= _SUPPORT_SECTORS
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.voxels import contains, keys_of_points, places
 from hickory_stream.mapping.observed_space import SpaceState, add, add_structure, as_record, empty_space
@@ -91,7 +92,7 @@ def first_submap(voxel_m: float) -> Submaps:
 
 def travelled(submaps: Submaps, place_world: NDArray[np.float64], config: SubmapConfig) -> Submaps:
     """Return the submaps after the camera has come to a place (3,): with a new one where the way has become long."""
-    step_m = 0.0 if submaps.last_world is None else float(np.linalg.norm(place_world - submaps.last_world))
+    step_m = 0.0 if submaps.last_world is None else portable.norm(place_world - submaps.last_world)
     way_m = submaps.way_m + step_m
     if way_m < config.travel_m:
         return replace(submaps, way_m=way_m, last_world=place_world)

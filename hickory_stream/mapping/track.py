@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.voxels import in_company
@@ -200,5 +201,5 @@ def _mean_feature(views: tuple[View, ...]) -> NDArray[np.float32] | None:
     if not features:
         return None
     mean = np.mean(np.stack(features).astype(np.float64), axis=0)
-    length = float(np.linalg.norm(mean))
+    length = portable.norm(mean)
     return (mean / length).astype(np.float32) if length > 0 else None

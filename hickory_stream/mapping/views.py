@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, assert_never
 
+from hickory_stream.geometry.portable_kernels import arctan2, log1p, power
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class ViewConfig(Ranged):
 
 def s_score(variance: float, r_area: float, r_depth: float, config: ViewConfig) -> float:
     """Return S of a view that nothing cuts, from the variance of features of unit norm."""
-    return math.log1p(config.feature_norm2 * variance) * r_area**config.alpha * r_depth**config.beta
+    return float(log1p(config.feature_norm2 * variance) * power(r_area, config.alpha) * power(r_depth, config.beta))
 
 
 def score_bound(view: View, config: ViewConfig) -> float:
@@ -91,7 +92,7 @@ def better(a: View | None, b: View | None) -> View | None:
 def sector_of(view: View, center: np.ndarray[tuple[int], np.dtype[np.float64]]) -> int:
     """Return which of eight sectors around the object a view looks from."""
     dx, dy = view.world_from_camera[:2, 3] - center[:2]
-    return math.floor((math.atan2(dy, dx) + math.pi) / (2 * math.pi) * _SECTORS) % _SECTORS
+    return math.floor((arctan2(float(dy), float(dx)) + math.pi) / (2 * math.pi) * _SECTORS) % _SECTORS
 
 
 def usefulness(view: View) -> float:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.perception.parts import HEIGHT_BIN_M, grouped_pairs, grouped_parts
 from hickory_stream.perception.standing import standing_of
 
@@ -64,10 +65,10 @@ def _sizes(parts: Parts, axes_m: NDArray[np.float64]) -> dict[str, NDArray[np.fl
     per = np.maximum(parts.pixels, 1)
     extent = parts.high - parts.low
     return {
-        "pixels": np.log(per),
-        "area": np.log(parts.area_m2 + 1e-4),
+        "pixels": portable.log(per),
+        "area": portable.log(parts.area_m2 + 1e-4),
         "depth": parts.depth_m / per,
-        "width": np.hypot(extent[:, 0], extent[:, 1]),
+        "width": portable.hypot(extent[:, 0], extent[:, 1]),
         "in_plane": 1 - parts.planes[:, 0] / per,
         "level": parts.normals[:, 2] / per,
         "flat": np.linalg.norm(parts.normals, axis=1) / per,
@@ -83,12 +84,12 @@ def _colors(parts: Parts) -> dict[str, NDArray[np.float64]]:
     """Return the lightness and chroma of each part, and their spread."""
     per = np.maximum(parts.pixels, 1)[:, None]
     mean = parts.lab / per
-    spread = np.sqrt(np.maximum(parts.lab_squares / per - mean**2, 0))
+    spread = np.sqrt(np.maximum(parts.lab_squares / per - mean * mean, 0))
     return {
         "light": mean[:, 0],
-        "chroma": np.hypot(mean[:, 1], mean[:, 2]),
+        "chroma": portable.hypot(mean[:, 1], mean[:, 2]),
         "light_spread": spread[:, 0],
-        "chroma_spread": np.hypot(spread[:, 1], spread[:, 2]),
+        "chroma_spread": portable.hypot(spread[:, 1], spread[:, 2]),
     }
 
 
@@ -140,11 +141,11 @@ def _relations(
     foot = np.clip(overlap[:, :2], 0, None).prod(axis=1) / np.maximum(extent[small, 0] * extent[small, 1], 1e-4)
     volume = np.prod(extent + 0.01, axis=1)
     return {
-        "parallel": np.einsum("ij,ij->i", normal[large], normal[small]) / np.maximum(flat[large] * flat[small], 1e-3),
+        "parallel": (normal[large] * normal[small]).sum(axis=1) / np.maximum(flat[large] * flat[small], 1e-3),
         "same_plane": ((most[large] == most[small]) & (most[large] > 0)).astype(np.float64),
         "light_difference": np.abs(shade[:, 0]),
-        "chroma_difference": np.hypot(shade[:, 1], shade[:, 2]),
-        "aside": np.hypot(aside[:, 0], aside[:, 1]),
+        "chroma_difference": portable.hypot(shade[:, 1], shade[:, 2]),
+        "aside": portable.hypot(aside[:, 0], aside[:, 1]),
         "higher": aside[:, 2],
         "lows": low_m[small] - low_m[large],
         "highs": high_m[small] - high_m[large],
@@ -154,9 +155,9 @@ def _relations(
         "overlap_upright": overlap[:, 2],
         "overlap_foot": np.minimum(foot, 1.5),
         "inset": inset[:, :2].min(axis=1),
-        "joined_width": np.hypot(*(high - low)[:, :2].T),
+        "joined_width": portable.hypot(*(high - low)[:, :2].T),
         "joined_height": np.maximum(high_m[large], high_m[small]) - np.minimum(low_m[large], low_m[small]),
-        "joined_volume": np.log(np.prod(high - low + 0.01, axis=1) / (volume[large] + volume[small])),
+        "joined_volume": portable.log(np.prod(high - low + 0.01, axis=1) / (volume[large] + volume[small])),
         "joined_thickness": joined[:, 0],
         "joined_breadth": joined[:, 1],
         "thicker": joined[:, 0] - np.maximum(axes_m[large, 0], axes_m[small, 0]),
@@ -184,14 +185,14 @@ def _seams(
 
     nearer, above = (np.where(is_turned[:, None], v[:, ::-1], v) for v in (pairs.nearer, pairs.above))
     center = pairs.seam / touch[:, None]
-    spread = np.sqrt(np.maximum(pairs.seam_squares / touch[:, None] - center**2, 0))
+    spread = np.sqrt(np.maximum(pairs.seam_squares / touch[:, None] - center * center, 0))
     at_m = center[:, 2] + measures.middle[2]
     away = pairs.meet - pairs.touch
     height = np.maximum(high_m - low_m, _LEAST_HEIGHT_M)
     return {
         "meet_of_lesser": pairs.meet / np.maximum(np.minimum(parts.outline[large], parts.outline[small]), 1),
         "meet_of_small": pairs.meet / np.maximum(parts.outline[small], 1),
-        "touch": np.log1p(pairs.touch),
+        "touch": portable.log1p(pairs.touch),
         "touch_of_size": pairs.touch / np.sqrt(np.maximum(parts.pixels[small], 1)),
         "touch_share": of_meeting(pairs.touch),
         "lean": of_touching(pairs.lean),
@@ -200,7 +201,7 @@ def _seams(
         "seam_contrast": of_touching(pairs.contrast),
         "seam_step": of_touching(pairs.step_m),
         "far_contrast": np.where(away > 0, pairs.far_contrast / np.maximum(away, 1), np.nan),
-        "seam_width": of_touching(touch * np.hypot(spread[:, 0], spread[:, 1])),
+        "seam_width": of_touching(touch * portable.hypot(spread[:, 0], spread[:, 1])),
         "seam_height": of_touching(touch * spread[:, 2]),
         "seam_in_large": of_touching(touch * (at_m - low_m[large]) / height[large]),
         "seam_in_small": of_touching(touch * (at_m - low_m[small]) / height[small]),
@@ -221,4 +222,4 @@ def _axes(
     per = np.maximum(pixels, 1)[:, None]
     mean, second = place / per, products / per
     covariance = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]
-    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0)))
+    return np.asarray(np.sqrt(np.maximum(portable.eigenvalues(covariance), 0)))

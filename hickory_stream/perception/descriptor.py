@@ -14,6 +14,9 @@ import cv2
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import arctan2
+from hickory_stream.perception.gradients import gradients
 from hickory_stream.perception.pieces import lab_of
 
 if TYPE_CHECKING:
@@ -83,7 +86,7 @@ class ColorTextureDescriptor:
         small = cv2.resize(padded, (padded.shape[1] // 2, padded.shape[0] // 2), interpolation=cv2.INTER_AREA)
         lab = lab_of(small)
         light = np.ascontiguousarray(lab[..., 0])
-        pooled = _pooled(lab, *_gradients(light, 0.5), *_gradients(light, 1.0), self.patch_px // 2)
+        pooled = _pooled(lab, *gradients(light, 0.35), *gradients(light, 0.7), self.patch_px // 2)
         # Square roots make the inner product of two histograms their Bhattacharyya coefficient.
         features = np.sqrt(np.maximum(pooled, 0.0)) + 1e-4
         features /= np.linalg.norm(features, axis=-1, keepdims=True)
@@ -102,9 +105,9 @@ def mask_feature(observation: Observation, features: NDArray[np.float32], patch_
     used = weights > 0
     weight = weights[used] / weights.sum()
     values = features[used].astype(np.float64)
-    mean = weight @ values
-    variance = float(weight @ (values**2).sum(axis=1) - mean @ mean)
-    norm = float(np.linalg.norm(mean))
+    mean = portable.matmul(weight, values)
+    variance = portable.dot(weight, (values * values).sum(axis=1)) - portable.dot(mean, mean)
+    norm = portable.norm(mean)
     return MaskFeature(
         observation_index=observation.index,
         variance=min(max(variance, 0.0), 1.0),
@@ -121,11 +124,6 @@ def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):  # type: ignore[n
             if mask[y, x]:
                 out[(y + y0) // patch_px, (x + x0) // patch_px] += 1.0
     return out
-
-
-def _gradients(light: NDArray[np.float32], scale: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    small = cv2.GaussianBlur(light, (0, 0), 0.7 * scale)
-    return cv2.Sobel(small, cv2.CV_32F, 1, 0), cv2.Sobel(small, cv2.CV_32F, 0, 1)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -147,7 +145,7 @@ def _pooled(lab, fine_x, fine_y, coarse_x, coarse_y, side):  # type: ignore[no-u
                 bins[low + 1] += share * (position - low)
                 chroma = min(np.sqrt(a * a + b * b) / 40.0, 1.0)
                 if chroma > 0.0:
-                    _add(bins, _LIGHT_BINS, _HUE_BINS, np.arctan2(b, a) / (2 * np.pi), share * 2.0 * chroma)
+                    _add(bins, _LIGHT_BINS, _HUE_BINS, arctan2(b, a) / (2 * np.pi), share * 2.0 * chroma)
                 bins[grey] += share * (1.0 - chroma)
                 for scale in range(2):
                     gx = fine_x[row, column] if scale == 0 else coarse_x[row, column]
@@ -155,7 +153,7 @@ def _pooled(lab, fine_x, fine_y, coarse_x, coarse_y, side):  # type: ignore[no-u
                     strength = min(np.sqrt(gx * gx + gy * gy) / 40.0, 2.0)
                     if strength > 0.0:
                         first = grey + 1 + scale * _ORIENTATIONS
-                        _add(bins, first, _ORIENTATIONS, np.arctan2(gy, gx) / np.pi, share * 0.5 * strength)
+                        _add(bins, first, _ORIENTATIONS, arctan2(gy, gx) / np.pi, share * 0.5 * strength)
     return out
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.portable_kernels import cos
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def concave_creases(surface: Surface, config: FragmentConfig) -> NDArray[np.bool
         surface.normals_world,
         surface.sigma_m,
         config.crease_reach_px,
-        np.float32(np.cos(config.crease_rad)),
+        np.float32(cos(config.crease_rad)),
         np.float32(config.step_m),
     )
 

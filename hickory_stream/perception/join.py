@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.hidden import HiddenConfig, are_one_behind
 from hickory_stream.perception.parts import measure
@@ -130,7 +131,10 @@ def rounds(
         yield Round(numbers=numbers, pairs=pairs, features=features)
         # Seen so rarely that trees learn little of it, and certain.
         proven = are_one_behind(
-            features["bridged_level"], features["bridged_upright"], np.exp(features["small_pixels"]), config.hidden
+            features["bridged_level"],
+            features["bridged_upright"],
+            portable.exp(features["small_pixels"]),
+            config.hidden,
         )
         chosen = _closest(pairs, np.where(proven, 1.0, probabilities(features)), len(names), config.probability)
         if len(chosen) == 0 or i == config.rounds:

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.perception.pieces import label_boxes
 from hickory_stream.ranges import Ranged, number
@@ -248,7 +249,7 @@ def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surfac
         # Nothing of the larger mask is beside it: that one holds several things, unless it is nearly the same mask.
         return share < _WHOLE_SHARE
     normal, offset = _plane_of(points[ring].astype(np.float64))
-    distance = np.abs(points[seen] @ normal - offset)
+    distance = np.abs(portable.matmul(points[seen], normal) - offset)
     # Three tenths of it are enough: of a bowl it is the rim, of a cup behind its own handle the body.
     if np.quantile(distance, 0.7) > config.stands_out_m + 3 * float(np.median(sigma_m[seen])):
         return True
@@ -273,23 +274,24 @@ def _sampled(mask: InstanceMask, rows: range, columns: range, factor: int) -> ND
 def _plane_of(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Return the unit normal and offset of the plane of most of (N, 3) points: twice, without the worst third."""
     normal, offset = _least_squares_plane(points)
-    distance = np.abs(points @ normal - offset)
+    distance = np.abs(portable.matmul(points, normal) - offset)
     return _least_squares_plane(points[distance <= np.quantile(distance, 0.67)])
 
 
 def _least_squares_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     middle = points.mean(axis=0)
-    normal = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 0]
-    return normal, float(middle @ normal)
+    off = points - middle
+    normal = portable.eigh(portable.matmul(off.T, off))[1][:, 0]
+    return normal, portable.dot(middle, normal)
 
 
 def _area_m2(points: NDArray[np.float32], seen: NDArray[np.bool_], surface: Surface) -> float:
     """Return the area of a level part, from the pixels that show it and their depth."""
     camera = surface.camera
     place = points[seen] - surface.world_from_camera[:3, 3]
-    depth = place @ surface.world_from_camera[:3, 2]
+    depth = portable.matmul(place, surface.world_from_camera[:3, 2])
     slant = np.abs(place[:, 2]) / np.maximum(np.linalg.norm(place, axis=1), 1e-6)
-    return float((depth**2 / (camera.fx * camera.fy) / np.maximum(slant, 0.1)).sum())
+    return float((depth * depth / (camera.fx * camera.fy) / np.maximum(slant, 0.1)).sum())
 
 
 def _shared_pixels(masks: Sequence[InstanceMask]) -> NDArray[np.int64]:
@@ -339,7 +341,7 @@ def _why_no_objects(labels: NDArray[np.int32], surface: Surface, config: MaskCon
     hidden = hidden_shares(surface.depth_m, small, count)
     pixels = np.bincount(small.ravel(), minlength=count)
     boxes = label_boxes(small, count)
-    small_area = 12 * config.min_area_px / factor**2
+    small_area = 12 * config.min_area_px / (factor * factor)
     found = []
     for label in map(int, np.flatnonzero(pixels[1:]) + 1):
         why = why_no_object(surface, small, label, boxes[label], config.max_extent_m)

@@ -161,7 +161,7 @@ def voxel_means(
     """Return the mean point and colour of every occupied voxel, in the order of the keys, and the points in each."""
     groups, keys = groups_of(keys_of_points(points, voxel_m))
     means: tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.int64]]
-    means = _means_of_groups(groups, np.argsort(keys), points, colors)
+    means = _means_of_groups(groups, np.argsort(keys, kind="stable"), points, colors)
     return means
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
 from hickory_stream.perception.hidden import bridges
 from hickory_stream.perception.part_sums import PartSums, part_sums
 from hickory_stream.perception.seams import contacts_of
@@ -138,7 +139,7 @@ def grouped_parts(parts: Parts, numbers: NDArray[np.int64], count: int) -> Parts
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, numbers, parts.low)
     np.maximum.at(high, numbers, parts.high)
-    return Parts(low=low, high=high, **{name: member @ getattr(parts, name) for name in _PART_SUMS})
+    return Parts(low=low, high=high, **{name: portable.matmul(member, getattr(parts, name)) for name in _PART_SUMS})
 
 
 def grouped_pairs(pairs: Pairs, numbers: NDArray[np.int64]) -> Pairs:
@@ -202,7 +203,7 @@ def _pairs(
     across = (points[at_b] - points[at_a]).astype(np.float64)
     step_m = np.linalg.norm(across, axis=1) + 1e-6
     normal_a, normal_b = np.nan_to_num(normals[at_a]), np.nan_to_num(normals[at_b])
-    lean = np.einsum("ij,ij->i", across, normal_a - normal_b) / step_m
+    lean = (across * (normal_a - normal_b)).sum(axis=1) / step_m
     light, green, blue = (lab[at_b] - lab[at_a]).T.astype(np.float64)
     contrast = np.sqrt(0.25 * light * light + green * green + blue * blue)
     depth = surface.depth_m.ravel()
@@ -220,12 +221,12 @@ def _pairs(
         touch=total(touch),
         lean=total(touch * lean),
         concave=total(touch * (lean > _CONCAVE)),
-        parallel=total(touch * np.einsum("ij,ij->i", normal_a, normal_b)),
+        parallel=total(touch * (normal_a * normal_b).sum(axis=1)),
         contrast=total(touch * contrast),
         far_contrast=total((1 - touch) * contrast),
         step_m=total(touch * step_m),
         seam=columns(*seam.T),
-        seam_squares=columns(*(seam**2).T),
+        seam_squares=columns(*(seam * seam).T),
         nearer=columns((behind > limit).astype(np.float64), (behind < -limit).astype(np.float64)),
         above=columns((is_below & ~turned).astype(np.float64), (is_below & turned).astype(np.float64)),
         bridged=lines,

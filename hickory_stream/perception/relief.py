@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ def _window_mean(
 
 
 def _color_step(patch: NDArray[np.float32], plane: NDArray[np.float32]) -> float:
-    return float(np.linalg.norm(np.median(patch, axis=0) - np.median(plane, axis=0)))
+    return portable.norm(np.median(patch, axis=0) - np.median(plane, axis=0))
 
 
 _NEXT, _WIDE = np.ones((3, 3), dtype=np.uint8), np.ones((5, 5), dtype=np.uint8)

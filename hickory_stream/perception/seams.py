@@ -45,7 +45,7 @@ def contacts_of(surface: Surface, scene: NDArray[np.int32], reach_px: int) -> Co
     depth, points = surface.depth_m.ravel(), surface.points_world.reshape(-1, 3)
     step = np.where(is_below, (there_px - here_px) // scene.shape[1], there_px - here_px)
     delta = points[there_px] - points[here_px]
-    distance = np.sqrt(np.einsum("ij,ij->i", delta, delta))
+    distance = np.sqrt((delta * delta).sum(axis=1))
     z = depth[here_px]
     index = np.arange(scene.size).reshape(scene.shape)
     border = np.concatenate([index[-1], index[:-1, 0], index[:-1, -1]])

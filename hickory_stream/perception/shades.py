@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -82,14 +83,14 @@ def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32], config: Shade
     total = cv2.blur(lab * inside[..., None], side, borderType=cv2.BORDER_CONSTANT)
     colors = total[mask] / share[mask][:, None]
     centered = (colors - colors.mean(axis=0)).astype(np.float64)
-    variances, axes = np.linalg.eigh(centered.T @ centered / len(centered))
+    variances, axes = portable.eigh(portable.matmul(centered.T, centered) / len(centered))
     # Two means that far apart, of the smallest share that counts, already make this variance.
-    if variances[2] < 0.02 * config.min_step**2:
+    if variances[2] < 0.02 * config.min_step * config.min_step:
         return None
-    along = centered @ axes[:, 2]
+    along = portable.matmul(centered, axes[:, 2])
     threshold, separation = _otsu(along)
     high = along > threshold
-    step = float(np.linalg.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0)))
+    step = portable.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0))
     if separation < config.min_separation or step < config.min_step:
         return None
     out = np.zeros(mask.shape, dtype=bool)
@@ -103,10 +104,10 @@ def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
     middles = (edges[:-1] + edges[1:]) / 2
     below = np.cumsum(counts)[:-1]
     first = np.cumsum(counts * middles)[:-1]
-    above, last = len(values) - below, float(counts @ middles) - first
-    between = below * above * (last / np.maximum(above, 1) - first / np.maximum(below, 1)) ** 2
+    above, last = len(values) - below, portable.dot(counts, middles) - first
+    between = below * above * np.square(last / np.maximum(above, 1) - first / np.maximum(below, 1))
     best = int(np.argmax(between))
-    variance = float(values.var()) * len(values) ** 2
+    variance = float(values.var()) * len(values) * len(values)
     return float(edges[best + 1]), float(between[best]) / max(variance, 1e-12)
 
 

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import cos, sin
 from hickory_stream.perception.relief import NearPlane, ReliefConfig
 from hickory_stream.perception.structure_kernels import (
     areas_m2,
@@ -88,13 +90,13 @@ class Wall:
 
     def distance_m(self, surface: Surface) -> NDArray[np.float32]:
         """Return (h, w) how far each pixel lies before the wall."""
-        return np.asarray(surface.points_world[..., :2] @ self.normal - np.float32(self.offset))
+        return np.asarray(portable.matmul(surface.points_world[..., :2], self.normal) - np.float32(self.offset))
 
     def mask(
         self, surface: Surface, distance: NDArray[np.float32], tolerance: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
         """Return (h, w) the pixels that are of the wall, to a tolerance in m per pixel."""
-        facing = surface.normals_world[..., :2] @ self.normal
+        facing = portable.matmul(surface.normals_world[..., :2], self.normal)
         mask: NDArray[np.bool_] = on_wall(distance, facing, tolerance, self.cells is None)
         if self.cells is not None:
             mask[mask] = np.isin(_stretches(surface.points_world[mask][:, :2], self.normal), self.cells)
@@ -107,7 +109,7 @@ _SEEN_M2 = 0.03
 
 def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.int64]:
     """Return the number of the stretch along a wall in which each of (N, 2) points lies."""
-    along = at @ np.array([-normal[1], normal[0]], dtype=np.float32)
+    along = portable.matmul(at, np.array([-normal[1], normal[0]], dtype=np.float32))
     return np.floor(along / _STRETCH_M).astype(np.int64)
 
 
@@ -215,12 +217,12 @@ def _walls(
     left = np.ones(len(at), dtype=bool)
     for _ in range(8):
         normal = _dominant_direction(direction, weight, azimuths, left)
-        along, agreement = at @ normal, direction @ normal
+        along, agreement = portable.matmul(at, normal), portable.matmul(direction, normal)
         fits = left & (agreement > 0.97)
         left &= ~(agreement > 0.94)
         for peak in _peaks(taken(along, fits), taken(weight, fits), config.wall_area_m2):
             inward, offset = _refined(at, weight, normal, peak, wide, fits)
-            on_it = near_offset(at @ inward, np.float32(offset), narrow, fits)
+            on_it = near_offset(portable.matmul(at, inward), np.float32(offset), narrow, fits)
             if not on_it.any():
                 continue
             behind = _behind(all_at, all_weight, all_sigma, inward, offset)
@@ -229,7 +231,7 @@ def _walls(
                     walls.append(Wall(normal=inward, offset=offset, cells=None))
             elif _is_high(heights[on_it], pixels[on_it], width, floor_z_m, config):
                 cells = _seen_cells(at[on_it], weight[on_it], inward)
-                depth = offset - at[fits] @ inward
+                depth = offset - portable.matmul(at[fits], inward)
                 backing = float(weight[fits][(depth > 0.12 + sigma[fits]) & (depth < config.furniture_depth_m)].sum())
                 if len(cells) * _STRETCH_M > config.wall_width_m and backing < config.backing_m2:
                     walls.append(Wall(normal=inward, offset=offset, cells=cells))
@@ -246,7 +248,7 @@ def _behind(
     offset: float,
 ) -> float:
     """Return the area of the surface behind a plane, beyond the noise."""
-    return float(weight_below(weight, at @ normal, np.float32(offset - 0.12), sigma).sum())
+    return float(weight_below(weight, portable.matmul(at, normal), np.float32(offset - 0.12), sigma).sum())
 
 
 def _seen_cells(at: NDArray[np.float32], weight: NDArray[np.float64], normal: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -286,7 +288,7 @@ _AZIMUTHS = 120
 
 def _azimuths(direction: NDArray[np.float32]) -> NDArray[np.int64]:
     """Return in which of the bins of 3 degrees each of (N, 2) unit directions lies."""
-    azimuth = np.arctan2(direction[:, 1], direction[:, 0])
+    azimuth = portable.arctan2(direction[:, 1], direction[:, 0])
     return np.mod(((azimuth + np.pi) / (2 * np.pi) * _AZIMUTHS).astype(np.int64), _AZIMUTHS)
 
 
@@ -298,10 +300,10 @@ def _dominant_direction(
     smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
     direction, weight = taken_rows(direction, left), taken(weight, left)
     center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
-    near = direction @ np.array([np.cos(center), np.sin(center)], dtype=np.float32) > 0.98
+    near = portable.matmul(direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
     weight = taken(weight, near)
     mean = weighted_sum(taken_rows(direction, near), weight) / weight.sum()
-    return (mean / np.linalg.norm(mean)).astype(np.float32)
+    return (mean / portable.norm(mean)).astype(np.float32)
 
 
 def _refined(
@@ -314,18 +316,18 @@ def _refined(
 ) -> tuple[NDArray[np.float32], float]:
     """Return the line through what lies near a wall's line: least squares, twice; a degree is 9 cm on 5 m of wall."""
     for _ in range(2):
-        near = near_offset(at @ normal, np.float32(offset), tolerance_m, fits)
+        near = near_offset(portable.matmul(at, normal), np.float32(offset), tolerance_m, fits)
         at_near, share = taken_rows(at, near), taken(weight, near)
         if len(share) < 20:
             break
         share = share / share.sum()
-        middle = share @ at_near
+        middle = portable.matmul(share, at_near)
         spread = at_near - middle
-        _, axes = np.linalg.eigh((spread * share[:, None]).T @ spread)
-        across = axes[:, 0] * np.sign(axes[:, 0] @ normal)
-        if across @ normal < 0.98:
+        _, axes = portable.eigh(portable.matmul((spread * share[:, None]).T, spread))
+        across = axes[:, 0] * np.sign(portable.dot(axes[:, 0], normal))
+        if portable.dot(across, normal) < 0.98:
             break
-        normal, offset = across.astype(np.float32), float(across @ middle)
+        normal, offset = across.astype(np.float32), portable.dot(across, middle)
     return normal, offset
 
 

@@ -1,7 +1,4 @@
-"""The loops over pixels that looking for structure needs: what lies where, taken out of images in one walk.
-
-Products with a normal are left to NumPy, whose rounding depends on the processor; here are comparisons and copies.
-"""
+"""The loops over pixels that looking for structure needs: what lies where, taken out of images in one walk."""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.perception.pieces import lab_of
@@ -90,7 +91,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
         camera=camera,
         depth_m=depth,
         points_world=apply(frame.world_from_camera, backproject(depth, camera)),
-        normals_world=normals_camera @ frame.world_from_camera[:3, :3].T.astype(np.float32),
+        normals_world=portable.moved(normals_camera, frame.world_from_camera[:3, :3], np.zeros(3)),
         lab=lab_of(rgb),
         sigma_m=np.maximum(config.depth_noise_per_m * depth * depth, np.float32(1e-3)).astype(np.float32),
         world_from_camera=frame.world_from_camera,

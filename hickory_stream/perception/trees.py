@@ -15,6 +15,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.errors import ModelError
+from hickory_stream.geometry import portable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -50,7 +51,7 @@ class Trees:
         odds = self.baseline + _sums_of_leaves(
             rows, self.roots, self.feature, self.threshold, self.left, self.right, self.nan_left, self.value
         )
-        return np.asarray(1 / (1 + np.exp(-odds)))
+        return np.asarray(1 / (1 + portable.exp(-odds)))
 
     def save(self, path: Path) -> None:
         """Write the trees as a NumPy archive."""

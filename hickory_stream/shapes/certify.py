@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.portable_kernels import exp, log
 from hickory_stream.shapes.cover import NET, NET_FACTOR, log_gauge, log_gauge_of_ball
 from hickory_stream.shapes.sdf import distance_grid
 from hickory_stream.shapes.usable import used_surface
@@ -92,7 +93,7 @@ def certify(
     (V, 3) vertices, (F, 3) faces and (N, 3) points of layer 1 in the frame of the primitives.
     """
     arguments = (primitives.exponents, primitives.semi_axes_m, primitives.world_from_local)
-    log_g = float(np.log(g)) - NUMERICAL_MARGIN
+    log_g = float(log(g)) - NUMERICAL_MARGIN
     pieces, uncovered, worst = _triangles(vertices_world, faces, *arguments, r_safe_m, log_g, NET, NET_FACTOR)
     out_points, worst_point = _balls(points_world, *arguments, r_safe_m, log_g, NET, NET_FACTOR)
     out_cells = len(uncovered_cells(primitives, inside, g))
@@ -104,7 +105,7 @@ def certify(
         uncovered_triangles=uncovered,
         uncovered_points=out_points,
         uncovered_cells=out_cells,
-        max_g=float(np.exp(min(max(worst, worst_point), 700.0))),
+        max_g=float(exp(min(max(worst, worst_point), 700.0))),
         shell_m=inside.shell_m,
     )
 
@@ -149,7 +150,7 @@ def uncovered_cells(primitives: Superquadrics, inside: Inside, g: float) -> NDAr
     A cell that is not in one primitive as a whole is split in eight, a few times: at the seam of two primitives each
     part lies in one of them. Parts within the margin are dropped.
     """
-    log_g = float(np.log(g)) - NUMERICAL_MARGIN
+    log_g = float(log(g)) - NUMERICAL_MARGIN
     left = np.column_stack([inside.centers, inside.distances_m])
     half = inside.half_m
     for level in range(_CELL_LEVELS):

@@ -14,18 +14,19 @@ from __future__ import annotations
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.portable_kernels import exp, exp_each, log, log1p
 
 # Lines per side of the net over the octant: (n + 1)(n + 2) / 2 directions.
 _NET = 5
+# tan(k pi / 4 / 5)^0.86: about equal steps of angle along the sides make the facets nearly equal.
+_STEPS = (0.0, 0.204999481350814, 0.380300934986841, 0.559967288272018, 0.759774117910865, 1.0)
 _TINY = 1e-12
 
 
 def _net() -> tuple[np.ndarray, float]:
     """Return the (M, 3) unit directions of the net and the factor c that lets its facets enclose the octant."""
     places = [(i, j) for i in range(_NET + 1) for j in range(_NET + 1 - i)]
-    # Equal steps of angle along the sides: the facets become nearly equal.
-    weights = np.array([[i, j, _NET - i - j] for i, j in places]) / _NET
-    directions = np.tan(weights * np.pi / 4) ** 0.86
+    directions = np.array([[_STEPS[i], _STEPS[j], _STEPS[_NET - i - j]] for i, j in places])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     index = {place: n for n, place in enumerate(places)}
     nearest = 1.0
@@ -34,7 +35,7 @@ def _net() -> tuple[np.ndarray, float]:
             if all(corner in index for corner in corners):
                 a, b, c = (directions[index[corner]] for corner in corners)
                 normal = np.cross(b - a, c - a)
-                nearest = min(nearest, abs(float(normal @ a)) / float(np.linalg.norm(normal)))
+                nearest = min(nearest, abs(float((normal * a).sum())) / float(np.sqrt((normal * normal).sum())))
     return directions, 1.0 / nearest
 
 
@@ -45,11 +46,11 @@ NET_FACTOR = _factor * (1 + 1e-12)
 @numba.njit(cache=True, nogil=True)
 def log_gauge(x, y, z, axes, e1, e2):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return ln h at a local point with coordinates of at least 0; `axes` are semi-axes."""
-    u, v, w = np.log(max(x / axes[0], 1e-200)), np.log(max(y / axes[1], 1e-200)), np.log(max(z / axes[2], 1e-200))
+    u, v, w = log(max(x / axes[0], 1e-200)), log(max(y / axes[1], 1e-200)), log(max(z / axes[2], 1e-200))
     high = max(u, v)
-    log_rho = high + 0.5 * e2 * np.log1p(np.exp(2.0 / e2 * (min(u, v) - high)))
+    log_rho = high + 0.5 * e2 * log1p(exp(2.0 / e2 * (min(u, v) - high)))
     top = max(log_rho, w)
-    return top + 0.5 * e1 * np.log1p(np.exp(2.0 / e1 * (min(log_rho, w) - top)))
+    return top + 0.5 * e1 * log1p(exp(2.0 / e1 * (min(log_rho, w) - top)))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -78,8 +79,11 @@ def least_axes(points, before, e1, e2, limit):  # type: ignore[no-untyped-def] #
 
     A simplex search over the two ratios. Its result is exact in what it promises: the scale comes from the worst point.
     """
-    logs = np.log(np.maximum(points, 1e-200))
-    floor = np.log(before)
+    logs = np.empty((len(points), 3))
+    for n in range(len(points)):
+        for i in range(3):
+            logs[n, i] = log(max(points[n, i], 1e-200))
+    floor = np.array([log(before[0]), log(before[1]), log(before[2])])
     best = _scaled(logs, floor, floor, e1, e2, limit)
     if (best <= floor + 1e-12).all():
         return before.copy()
@@ -120,7 +124,7 @@ def least_axes(points, before, e1, e2, limit):  # type: ignore[no-untyped-def] #
     n = int(np.argmin(values))
     ratios = np.array([0.0, simplex[n, 0], simplex[n, 1]])
     found = _scaled(logs, ratios, floor, e1, e2, limit)
-    return np.exp(found if found.sum() < start.sum() else start)
+    return exp_each(found if found.sum() < start.sum() else start)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -135,9 +139,9 @@ def _scaled(logs, axes, floor, e1, e2, limit):  # type: ignore[no-untyped-def] #
     for n in range(len(logs)):
         u, v, w = logs[n, 0] - axes[0], logs[n, 1] - axes[1], logs[n, 2] - axes[2]
         high = max(u, v)
-        log_rho = high + 0.5 * e2 * np.log1p(np.exp(2.0 / e2 * (min(u, v) - high)))
+        log_rho = high + 0.5 * e2 * log1p(exp(2.0 / e2 * (min(u, v) - high)))
         top = max(log_rho, w)
-        worst = max(worst, top + 0.5 * e1 * np.log1p(np.exp(2.0 / e1 * (min(log_rho, w) - top))))
+        worst = max(worst, top + 0.5 * e1 * log1p(exp(2.0 / e1 * (min(log_rho, w) - top))))
     return np.maximum(axes + (worst - limit), floor)
 
 

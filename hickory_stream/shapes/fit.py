@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.canonical import canonical
+from hickory_stream.geometry.portable_kernels import exp, exp_each
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, log_implicit_value, moved, volumes_m3
@@ -96,7 +98,7 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
     offset = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     vertices = vertices - offset
     axes = object_axes(vertices, mesh.faces)
-    local = vertices @ axes
+    local = portable.matmul(vertices, axes)
     extent = np.ptp(local, axis=0)
     longest = float(extent.max())
     rows: list[NDArray[np.float64]] = []
@@ -161,8 +163,8 @@ def _cylinders_in(box: Superquadrics) -> list[Superquadrics]:
 
 def _cover_m3(primitive: Superquadrics, points: NDArray[np.float64]) -> float:
     """Return the volume of a superquadric scaled until it holds (N, 3) points: G grows with the power 2 / e1."""
-    scale = np.exp(float(log_implicit_value(primitive, 0, points).max()) * primitive.exponents[0, 0] / 2)
-    return float(volumes_m3(primitive)[0] * scale**3)
+    scale = exp(float(log_implicit_value(primitive, 0, points).max()) * primitive.exponents[0, 0] / 2)
+    return float(volumes_m3(primitive)[0] * (scale * scale * scale))
 
 
 def _surface_samples(vertices: NDArray[np.float64], faces: NDArray[np.int32], count: int = 500) -> NDArray[np.float64]:
@@ -377,7 +379,7 @@ def _best_by_gain(
 
 
 # Cyclic orders of the axes: each lets another one be the axis of a cylinder.
-_ORDERS = tuple(np.roll(np.eye(3), shift, axis=1) for shift in range(3))
+_ORDERS = ([0, 1, 2], [2, 0, 1], [1, 2, 0])
 
 
 def _component_starts(cells: NDArray[np.int64]) -> list[NDArray[np.float64]]:
@@ -385,11 +387,11 @@ def _component_starts(cells: NDArray[np.int64]) -> list[NDArray[np.float64]]:
     cells = cells[:: len(cells) // 5000 + 1]
     starts = []
     for axes in (np.eye(3), principal_axes(cells)):
-        local = cells @ axes
+        local = portable.matmul(cells, axes)
         low, high = local.min(axis=0) - 0.5, local.max(axis=0) + 0.5
-        center = axes @ ((low + high) / 2)
+        center = portable.matmul(axes, (low + high) / 2)
         half = (high - low) / 2
-        starts += [row_of((0.6, 0.9), half @ order, center, axes @ order) for order in _ORDERS]
+        starts += [row_of((0.6, 0.9), half[order], center, axes[:, order]) for order in _ORDERS]
     return starts
 
 
@@ -397,7 +399,7 @@ def _box_starts(box: NDArray[np.int64]) -> list[NDArray[np.float64]]:
     """Return box-like starts over a grown box: one per order that the exponents tell apart."""
     half = (box[1] - box[0] + 1) / 2.0
     center = box.mean(axis=0)
-    return [row_of((0.4, 0.6), half @ order, center, order.copy()) for order in _ORDERS]
+    return [row_of((0.4, 0.6), half[order], center, np.eye(3)[:, order]) for order in _ORDERS]
 
 
 def _touch(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
@@ -409,16 +411,16 @@ def _touch(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
 def _enclosing(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a start with the orientation and exponents of `a` around the boxes of both."""
     axes = a[8:17].reshape(3, 3)
-    center_a, center_b = a[5:8] @ axes, b[5:8] @ axes
-    reach_a, reach_b = np.exp(a[2:5]), _reach(b, axes)
+    center_a, center_b = portable.matmul(a[5:8], axes), portable.matmul(b[5:8], axes)
+    reach_a, reach_b = exp_each(a[2:5]), _reach(b, axes)
     low = np.minimum(center_a - reach_a, center_b - reach_b)
     high = np.maximum(center_a + reach_a, center_b + reach_b)
-    return row_of((a[0], a[1]), (high - low) / 2, axes @ ((low + high) / 2), axes)
+    return row_of((a[0], a[1]), (high - low) / 2, portable.matmul(axes, (low + high) / 2), axes)
 
 
 def _reach(row: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the half extents of a primitive's box along the columns of `axes`."""
-    return np.asarray(np.abs(axes.T @ row[8:17].reshape(3, 3)) @ np.exp(row[2:5]))
+    return portable.matmul(np.abs(portable.matmul(axes.T, row[8:17].reshape(3, 3))), exp_each(row[2:5]))
 
 
 def _superquadrics(rows: list[NDArray[np.float64]], grid: DistanceGrid) -> Superquadrics:
@@ -427,5 +429,5 @@ def _superquadrics(rows: list[NDArray[np.float64]], grid: DistanceGrid) -> Super
     poses[:, :3, :3] = stacked[:, 8:17].reshape(-1, 3, 3)
     poses[:, :3, 3] = grid.origin + grid.step_m * stacked[:, 5:8]
     return Superquadrics(
-        exponents=stacked[:, :2], semi_axes_m=np.exp(stacked[:, 2:5]) * grid.step_m, world_from_local=poses
+        exponents=stacked[:, :2], semi_axes_m=portable.exp(stacked[:, 2:5]) * grid.step_m, world_from_local=poses
     )

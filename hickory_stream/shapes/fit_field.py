@@ -8,6 +8,8 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import exp, exp_each, log, log1p, power
 from hickory_stream.shapes.quadric_lm import distances_to, refined, tangent_distance
 from hickory_stream.shapes.seeds import chessboard_depth
 from hickory_stream.shapes.tangent_planes import BLOCK, DISTANCE, X, Y, Z, fill_distances, new_block
@@ -60,7 +62,7 @@ class FitField:
     @property
     def max_log_axis(self) -> float:
         """The logarithm of the longest semi-axis that makes sense, in cells."""
-        return float(np.log(max(self._object.shape)))
+        return float(log(max(self._object.shape)))
 
     def unexplained(self) -> float:
         """Return the volume of the object that no primitive explains, in cells."""
@@ -143,12 +145,12 @@ class FitField:
         if len(inside) == 0:
             return row
         axes = row[8:17].reshape(3, 3)
-        local = (inside - row[5:8]) @ axes
-        half = np.exp(row[2:5])
+        local = portable.matmul(inside - row[5:8], axes)
+        half = portable.exp(row[2:5])
         first, last = np.maximum(local.min(axis=0) - 0.5, -half), np.minimum(local.max(axis=0) + 0.5, half)
         out = row.copy()
-        out[2:5] = np.log(np.maximum((last - first) / 2, 0.25))
-        out[5:8] = row[5:8] + axes @ ((first + last) / 2)
+        out[2:5] = portable.log(np.maximum((last - first) / 2, 0.25))
+        out[5:8] = row[5:8] + portable.matmul(axes, (first + last) / 2)
         return out
 
     def _window(self, row: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -162,7 +164,7 @@ def _window(row, margin, shape):  # type: ignore[no-untyped-def] # pragma: no co
     for i in range(3):
         reach = margin
         for j in range(3):
-            reach += abs(row[8 + 3 * i + j]) * np.exp(row[2 + j])
+            reach += abs(row[8 + 3 * i + j]) * exp(row[2 + j])
         low[i] = min(max(int(np.floor(row[5 + i] - reach)), 0), shape[i] - 1)
         high[i] = min(max(int(np.ceil(row[5 + i] + reach)) + 1, low[i] + 1), shape[i])
     return low, high
@@ -212,14 +214,14 @@ def _bound(row, x, y, z, axes, within):  # type: ignore[no-untyped-def] # pragma
 @numba.njit(cache=True, nogil=True)
 def _inscribed(row):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return s such that the box of s times the semi-axes touches the primitive with its corners."""
-    return np.exp(-0.5 * row[0] * np.log1p(2.0 ** (row[1] / row[0])))
+    return exp(-0.5 * row[0] * log1p(power(2.0, row[1] / row[0])))
 
 
 @numba.njit(cache=True, nogil=True)
 def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty((high[0] - low[0], high[1] - low[1], high[2] - low[2]), np.float32)
     local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
-    axes, within = np.exp(row[2:5]), _inscribed(row)
+    axes, within = exp_each(row[2:5]), _inscribed(row)
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
             k = low[2]
@@ -234,7 +236,7 @@ def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no c
 
 @numba.njit(cache=True, nogil=True)
 def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
-    axes, within = np.exp(row[2:5]), _inscribed(row)
+    axes, within = exp_each(row[2:5]), _inscribed(row)
     block = new_block()
     shares, befores = np.empty(BLOCK), np.empty(BLOCK)
     total, count = 0.0, 0

@@ -7,9 +7,13 @@ its fixed point (that of symmetric FastICA) raises the sum, since it is convex.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import cos, sin
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,20 +49,22 @@ def _manhattan(
     normals: NDArray[np.float64], areas: NDArray[np.float64], middles: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     # One number for the three of a bin, in the same order: sorting rows takes ten times as long.
-    places = (np.round(normals / _BIN).astype(np.int64) + _BINS) @ [4 * _BINS**2, 2 * _BINS, 1]
+    i, j, k = (np.round(normals / _BIN).astype(np.int64) + _BINS).T
+    places = (2 * _BINS * i + j) * 2 * _BINS + k
     _, bins = np.unique(places, return_inverse=True)
     sums = [np.bincount(bins, areas * normals[:, i]) for i in range(3)]
     pooled: NDArray[np.float64] = np.stack(sums, axis=1).astype(np.float64)
     weights = np.linalg.norm(pooled, axis=1)
     pooled /= np.maximum(weights, 1e-300)[:, None]
-    centered = middles - areas @ middles
-    starts = [np.linalg.eigh((normals.T * areas) @ normals)[1], np.linalg.eigh((centered.T * areas) @ centered)[1]]
-    axes = np.concatenate([start @ _TURNS for start in starts])
+    centered = middles - portable.matmul(areas, middles)
+    starts = [portable.eigh(portable.matmul(rows.T * areas, rows))[1] for rows in (normals, centered)]
+    axes = np.concatenate([portable.matmul(start, _turns()) for start in starts])
     for _ in range(_ITERATIONS):
         before, axes = axes, _raised(axes, pooled, weights)
         if np.abs(axes - before).max() < _AT_REST:
             break
-    contrast = (weights @ np.abs(pooled @ axes) ** 4).sum(axis=1)
+    squares = np.square(portable.matmul(pooled, axes))
+    contrast = portable.matmul(weights, squares * squares).sum(axis=1)
     best = axes[int(np.argmax(np.round(contrast, 9)))][None]
     step = max(1, len(normals) // _MAX_FINAL)
     for _ in range(_FINAL_STEPS):
@@ -72,10 +78,14 @@ def _raised(
     axes: NDArray[np.float64], normals: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return (S, 3, 3) frames after one step of the fixed point."""
-    along = normals @ axes
-    raised = (normals * weights[:, None]).T @ (along * along * along)
-    left, _, right = np.linalg.svd(raised)
-    return np.asarray(left @ right)
+    along = portable.matmul(normals, axes)
+    raised = portable.matmul((normals * weights[:, None]).T, along * along * along)
+    return np.stack([_nearest_frame(one) for one in raised])
+
+
+def _nearest_frame(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    left, _, right = portable.svd3(matrix)
+    return portable.matmul(left, right)
 
 
 def _ordered(
@@ -84,25 +94,24 @@ def _ordered(
     middles: NDArray[np.float64],
     areas: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    extents = np.ptp(vertices @ axes, axis=0)
+    extents = np.ptp(portable.matmul(vertices, axes), axis=0)
     axes = axes[:, np.argsort(-extents, kind="stable")]
-    local = middles @ axes
-    centered = local - areas @ local
-    skew = areas @ centered**3
+    local = portable.matmul(middles, axes)
+    centered = local - portable.matmul(areas, local)
+    cubes = centered * centered * centered
+    skew = portable.matmul(areas, cubes)
     # What is symmetric has a skew of rounding errors, which must not decide.
-    axes = axes * np.where(skew < -1e-4 * (areas @ np.abs(centered) ** 3), -1.0, 1.0)
+    axes = axes * np.where(skew < -1e-4 * portable.matmul(areas, np.abs(cubes)), -1.0, 1.0)
     # The third axis is whatever makes it right-handed.
     return np.column_stack([axes[:, 0], axes[:, 1], np.cross(axes[:, 0], axes[:, 1])])
 
 
+@cache
 def _turns() -> NDArray[np.float64]:
     """Return (T, 3, 3) rotations, spread over those that a cube tells apart."""
     turns = [np.eye(3)]
     for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1)):
         for angle in (np.pi / 8, np.pi / 4, 3 * np.pi / 8) if sum(np.abs(axis)) == 1 else (np.pi / 3,):
-            k = np.cross(np.eye(3), np.array(axis) / np.linalg.norm(axis))
-            turns.append(np.eye(3) - np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k))
+            k = np.cross(np.eye(3), np.array(axis) / portable.norm(axis))
+            turns.append(np.eye(3) - sin(angle) * k + (1 - cos(angle)) * portable.matmul(k, k))
     return np.stack(turns)
-
-
-_TURNS = _turns()

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import faced_box, gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
-from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.shapes.complete import CompletionConfig, classify, solid_of
@@ -124,7 +125,8 @@ def view_of(crop: Crop) -> DepthView:
 def moved_views(views: list[DepthView], motion: NDArray[np.float64], trust: float) -> list[DepthView]:
     """Return what the views would show of an object that a (4, 4) turn or reflection maps to itself, trusted less."""
     return [
-        replace(view, camera_from_world=view.camera_from_world @ motion, trust=trust * view.trust) for view in views
+        replace(view, camera_from_world=compose(view.camera_from_world, motion), trust=trust * view.trust)
+        for view in views
     ]
 
 
@@ -144,7 +146,7 @@ def seen_points(crop: Crop, noise_per_m: float) -> tuple[NDArray[np.float64], ND
 def noise_m(points_world: NDArray[np.float64], view: DepthView, volume: VolumeConfig) -> float:
     """Return three sigma of the depth of (N, 3) points in a view, at least two voxels."""
     median_z = float(np.median(apply(view.camera_from_world, points_world)[:, 2]))
-    return max(3 * volume.noise_per_m * median_z**2, 2 * volume.min_voxel_m)
+    return max(3 * volume.noise_per_m * median_z * median_z, 2 * volume.min_voxel_m)
 
 
 def reconstruct_views(
@@ -195,7 +197,7 @@ def block_over(
     low = np.array([-half[0], -half[1], low_z]) - _MARGIN_VOXELS * voxel
     counts = [int(n) for n in np.ceil((half - low) / voxel) + _MARGIN_VOXELS + 1]
     world_from_grid = box.world_from_box.copy()
-    world_from_grid[:3, 3] += box.world_from_box[:3, :3] @ low
+    world_from_grid[:3, 3] += portable.matmul(box.world_from_box[:3, :3], low)
     support_index = None
     if rests and support_z_m is not None:
         support_index = max(int(np.ceil((support_z_m - world_from_grid[2, 3]) / voxel - 1e-6)), 0)

@@ -14,10 +14,13 @@ on its own, and edges may become rounder, as those of the Minkowski sum are.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Literal, assert_never
 
 import numpy as np
 
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import exp, log, power
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, joined, volumes_m3
 from hickory_stream.ranges import Ranged, number
@@ -149,7 +152,7 @@ def box_around(points_world: NDArray[np.float64], config: InflateConfig) -> Supe
     half = (high - low) / 2
     # Thicker than nothing, and wide enough for the corners: G = 3 (1 / s)^(2 / e) there.
     half = np.maximum(half, 1e-3 * max(float(half.max()), 1e-9))
-    axes = half * (3.0 / config.g) ** (MIN_EXPONENT / 2) * (1 + 1e-7)
+    axes = half * power(3.0 / config.g, MIN_EXPONENT / 2) * (1 + 1e-7)
     return Superquadrics(
         exponents=np.full((1, 2), MIN_EXPONENT),
         semi_axes_m=axes[None],
@@ -207,7 +210,7 @@ class _Share:
     ) -> _Share:
         everything = np.concatenate([vertices_world, points_world])
         offset = everything.mean(axis=0)
-        diagonal = float(np.linalg.norm(np.ptp(everything, axis=0)))
+        diagonal = portable.norm(np.ptp(everything, axis=0))
         unit = max(diagonal, float(fitted.semi_axes_m.max())) / _UNIT_CELLS
         rows = np.stack(
             [
@@ -335,9 +338,9 @@ class _Share:
             assert_never(self.config.rule)
         # The farthest points in many directions decide nearly alone; the rest is looked for as it sticks out.
         scale = np.maximum(points.max(axis=0) + radii.max(), before)
-        far = extremes(points / scale, _DIRECTIONS)
+        far = extremes(points / scale, _octant_directions())
         binding = with_net(points[far], radii[far], NET, NET_FACTOR)
-        binding = binding[extremes(binding / scale, _DIRECTIONS)]
+        binding = binding[extremes(binding / scale, _octant_directions())]
         candidates = _candidates(exponents)
         sizes = [_size_around(binding, before, rounder, self.config.g) for rounder in candidates]
         best = candidates[int(np.argmin(sizes))]
@@ -372,8 +375,8 @@ def _size_around(
 ) -> float:
     """Return the logarithm of the volume, up to a constant, of the least primitive around (N, 3) points."""
     e1, e2 = float(exponents[0]), float(exponents[1])
-    axes = least_axes(binding, before, e1, e2, e1 / 2 * float(np.log(g)) - _SLACK)
-    return float(np.log(axes).sum()) + _log_share(exponents)
+    axes = least_axes(binding, before, e1, e2, e1 / 2 * float(log(g)) - _SLACK)
+    return float(portable.log(axes).sum()) + _log_share(exponents)
 
 
 def _axes_around(
@@ -386,7 +389,7 @@ def _axes_around(
 ) -> NDArray[np.float64]:
     """Return the (3,) semi-axes of about the least volume that hold all balls; `binding` are points to begin with."""
     e1, e2 = float(exponents[0]), float(exponents[1])
-    limit = e1 / 2 * float(np.log(g)) - _SLACK
+    limit = e1 / 2 * float(log(g)) - _SLACK
     axes = before
     for _ in range(_ROUNDS):
         axes = least_axes(binding, before, e1, e2, limit)
@@ -406,7 +409,7 @@ def _by_one_factor(
 ) -> NDArray[np.float64]:
     """Return the semi-axes times the paper's gamma = (G_max / g)^(e1 / 2), at least 1, over all balls."""
     e1, e2 = float(exponents[0]), float(exponents[1])
-    limit = e1 / 2 * float(np.log(g)) - _SLACK
+    limit = e1 / 2 * float(log(g)) - _SLACK
     around = with_net(points, radii, NET, NET_FACTOR)
     return np.asarray(np.maximum(_scaled_by_worst(around, axes, e1, e2, limit), axes))
 
@@ -414,31 +417,30 @@ def _by_one_factor(
 def _scaled_by_worst(
     points: NDArray[np.float64], axes: NDArray[np.float64], e1: float, e2: float, limit: float
 ) -> NDArray[np.float64]:
-    logs = np.log(np.maximum(points / axes, 1e-200))
-    log_rho = e2 / 2 * np.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
-    worst = float((e1 / 2 * np.logaddexp(2 / e1 * log_rho, 2 / e1 * logs[:, 2])).max())
-    return np.asarray(axes * np.exp(worst - limit))
+    logs = portable.log(np.maximum(points / axes, 1e-200))
+    log_rho = e2 / 2 * portable.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
+    worst = float((e1 / 2 * portable.logaddexp(2 / e1 * log_rho, 2 / e1 * logs[:, 2])).max())
+    return np.asarray(axes * exp(worst - limit))
 
 
 def _gauge_of(primitives: Superquadrics, index: int, points_world: NDArray[np.float64]) -> NDArray[np.float64]:
     points = local_abs(points_world, primitives.world_from_local[index])
     e1, e2 = primitives.exponents[index]
-    logs = np.log(np.maximum(points / primitives.semi_axes_m[index], 1e-200))
-    log_rho = e2 / 2 * np.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
-    return np.asarray(e1 / 2 * np.logaddexp(2 / e1 * log_rho, 2 / e1 * logs[:, 2]))
+    logs = portable.log(np.maximum(points / primitives.semi_axes_m[index], 1e-200))
+    log_rho = e2 / 2 * portable.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
+    return np.asarray(e1 / 2 * portable.logaddexp(2 / e1 * log_rho, 2 / e1 * logs[:, 2]))
 
 
 def _log_share(exponents: NDArray[np.float64]) -> float:
     """Return the logarithm of the share that a primitive fills of the product of its semi-axes."""
     unit = Superquadrics(exponents=exponents[None], semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
-    return float(np.log(volumes_m3(unit)[0]))
+    return float(log(volumes_m3(unit)[0]))
 
 
+@cache
 def _octant_directions() -> NDArray[np.float64]:
     steps = np.linspace(0, np.pi / 2, 8)
     a, b = np.meshgrid(steps, steps, indexing="ij")
-    directions = np.stack([np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)], axis=-1).reshape(-1, 3)
+    (cos_a, sin_a), (cos_b, sin_b) = ((portable.cos(angle), portable.sin(angle)) for angle in (a, b))
+    directions = np.stack([cos_a * cos_b, sin_a * cos_b, sin_b], axis=-1).reshape(-1, 3)
     return np.unique(np.round(directions, 12), axis=0)
-
-
-_DIRECTIONS = _octant_directions()

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import exp_each
 from hickory_stream.shapes.quadric_lm import OUTER_BAND, cut_distances, normal_step
 from hickory_stream.shapes.thinning import thinned
 
@@ -113,8 +115,8 @@ def _simple_rows(row: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 def _stays(row: NDArray[np.float64], before: NDArray[np.float64]) -> bool:
     """Return whether the box of a primitive, along the grid, is within two cells of what it was."""
-    reach = np.abs(row[8:17].reshape(3, 3)) @ np.exp(row[2:5])
-    room = np.abs(before[8:17].reshape(3, 3)) @ np.exp(before[2:5]) + 2.0
+    reach = portable.matmul(np.abs(row[8:17].reshape(3, 3)), exp_each(row[2:5]))
+    room = portable.matmul(np.abs(before[8:17].reshape(3, 3)), exp_each(before[2:5])) + 2.0
     return bool((np.abs(row[5:8] - before[5:8]) + reach <= 1.1 * room).all())
 
 
@@ -130,7 +132,7 @@ def _turned(row: NDArray[np.float64], turn: int) -> NDArray[np.float64]:
 def _near(row, points, band):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return which points may be within the band of a primitive: those near its box."""
     out = np.empty(len(points), np.bool_)
-    reach = np.exp(row[2:5]) + band + 1.0
+    reach = exp_each(row[2:5]) + band + 1.0
     for n in range(len(points)):
         dx, dy, dz = points[n, 0] - row[5], points[n, 1] - row[6], points[n, 2] - row[7]
         out[n] = (

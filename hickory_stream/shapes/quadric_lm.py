@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import cos, exp, exp_each, log, sin, solve_in_place, times_3
 from hickory_stream.shapes.tangent_planes import (
     BLOCK,
     DISTANCE,
@@ -52,7 +54,7 @@ def row_of(
     rotation: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the (17,) row of a primitive; `rotation` (3, 3) turns local into grid directions."""
-    return np.concatenate([exponents, np.log(semi_axes), center, rotation.ravel()])
+    return np.concatenate([exponents, portable.log(semi_axes), center, rotation.ravel()])
 
 
 def refined(
@@ -98,7 +100,7 @@ def tangent_distance(  # type: ignore[no-untyped-def] # pragma: no cover
     px = px if abs(px) > 1e-6 else 1e-6
     py = py if abs(py) > 1e-6 else 1e-6
     pz = pz if abs(pz) > 1e-6 else 1e-6
-    log_x, log_y, log_z = np.log(abs(px)) - row[2], np.log(abs(py)) - row[3], np.log(abs(pz)) - row[4]
+    log_x, log_y, log_z = log(abs(px)) - row[2], log(abs(py)) - row[3], log(abs(pz)) - row[4]
     # ln of the gauge in the xy plane, and of all three: the shares are the softmax weights of the nested sums.
     log_rho, share_x, share_y = _softmax(log_x, log_y, row[1])
     log_h, share_r, share_z = _softmax(log_rho, log_z, row[0])
@@ -108,10 +110,10 @@ def tangent_distance(  # type: ignore[no-untyped-def] # pragma: no cover
     if log_h >= 0.0:
         if with_shape:
             _fill_shape(share_x, share_y, share_r, share_z, shape)
-        return (1.0 - np.exp(-log_h)) / slope
-    h = max(np.exp(log_h), 1e-200)
+        return (1.0 - exp(-log_h)) / slope
+    h = max(exp(log_h), 1e-200)
     # The body holds the ellipsoid, or else the octahedron, of its semi-axes; 1 - h is the share of the way out.
-    smallest = np.exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
+    smallest = exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
     if (1.0 - h) * smallest > depth:
         return -(1.0 - h) * smallest
     best = (1.0 / h - 1.0) / slope
@@ -138,9 +140,9 @@ def tangent_distance(  # type: ignore[no-untyped-def] # pragma: no cover
 def _softmax(log_a, log_b, exponent):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return ln (a^(2/e) + b^(2/e))^(e/2) and the shares of both in the sum, without overflow."""
     gap = 2.0 / exponent * (log_b - log_a)
-    small = np.exp(-abs(gap))
+    small = exp(-abs(gap))
     total = 1.0 + small
-    log_sum = max(log_a, log_b) + 0.5 * exponent * np.log(total)
+    log_sum = max(log_a, log_b) + 0.5 * exponent * log(total)
     large = 1.0 / total
     return (log_sum, small * large, large) if gap > 0.0 else (log_sum, large, small * large)
 
@@ -157,7 +159,7 @@ def _fill_shape(share_x, share_y, share_r, share_z, shape):  # type: ignore[no-u
 
 @numba.njit(cache=True, nogil=True)
 def _entropy(p, q):  # type: ignore[no-untyped-def] # pragma: no cover
-    return -(p * np.log(max(p, 1e-300)) + q * np.log(max(q, 1e-300)))
+    return -(p * log(max(p, 1e-300)) + q * log(max(q, 1e-300)))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -166,16 +168,16 @@ def _nearest_along_axes(  # type: ignore[no-untyped-def] # pragma: no cover
 ):
     """Return where the surface is nearest to an inner point along its axes: the axis, how far, and the shares there."""
     e1, e2 = row[0], row[1]
-    whole = np.exp(2.0 / e1 * log_h)
+    whole = exp(2.0 / e1 * log_h)
     in_plane, along_z = share_r * whole, share_z * whole
     rest_z, rest_r = max(1.0 - in_plane, 1e-300), max(1.0 - along_z, 1e-300)
-    best_axis, best = 2, np.exp(row[4] + 0.5 * e1 * np.log(rest_z)) - abs(pz)
+    best_axis, best = 2, exp(row[4] + 0.5 * e1 * log(rest_z)) - abs(pz)
     # ln of the largest gauge in the plane at this height, and what the point's own is of it.
-    log_most = 0.5 * e1 * np.log(rest_r)
-    own = np.exp(min(2.0 / e2 * (log_rho - log_most), 0.0))
+    log_most = 0.5 * e1 * log(rest_r)
+    own = exp(min(2.0 / e2 * (log_rho - log_most), 0.0))
     rest_x, rest_y = max(1.0 - share_y * own, 1e-300), max(1.0 - share_x * own, 1e-300)
-    reach_x = np.exp(row[2] + log_most + 0.5 * e2 * np.log(rest_x)) - abs(px)
-    reach_y = np.exp(row[3] + log_most + 0.5 * e2 * np.log(rest_y)) - abs(py)
+    reach_x = exp(row[2] + log_most + 0.5 * e2 * log(rest_x)) - abs(px)
+    reach_y = exp(row[3] + log_most + 0.5 * e2 * log(rest_y)) - abs(py)
     if reach_x < best:
         best_axis, best = 0, reach_x
     if reach_y < best:
@@ -195,7 +197,7 @@ def _cost(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # 
     for n in range(len(d)):
         r = min(max(d[n], -band), OUTER_BAND) - targets[n]
         if r > 0.0:
-            total -= weights[n] * 2.0 * sigma2 * np.log((np.exp(-0.5 * r * r / sigma2) + OUTLIER) / (1.0 + OUTLIER))
+            total -= weights[n] * 2.0 * sigma2 * log((exp(-0.5 * r * r / sigma2) + OUTLIER) / (1.0 + OUTLIER))
         else:
             total += weights[n] * r * r
     return total
@@ -218,7 +220,7 @@ def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ign
             r = d - targets[first + n]
             w = weights[first + n]
             if r > 0.0:
-                gauss = np.exp(-0.5 * r * r / sigma2)
+                gauss = exp(-0.5 * r * r / sigma2)
                 w *= gauss / (gauss + OUTLIER)
             _add(a, b, block, n, jacobian, w, r)
     return a[:, :11].copy(), b
@@ -245,15 +247,15 @@ def _stepped(row, step, max_log_axis):  # type: ignore[no-untyped-def] # pragma:
         # No thinner than half a cell across, no longer than the object.
         out[2 + p] = min(max(row[2 + p] + min(max(step[2 + p], -0.5), 0.5), -1.4), max_log_axis)
     rotation = np.ascontiguousarray(row[8:17]).reshape(3, 3)
-    moved = rotation @ step[5:8]
-    out[5:8] += moved
+    for i in range(3):
+        out[5 + i] += rotation[i, 0] * step[5] + rotation[i, 1] * step[6] + rotation[i, 2] * step[7]
     angle = np.sqrt(step[8] ** 2 + step[9] ** 2 + step[10] ** 2)
     if angle > 1e-12:
         x, y, z = step[8] / angle, step[9] / angle, step[10] / angle
         turn = min(angle, 0.5)
-        s, c = np.sin(turn), 1.0 - np.cos(turn)
+        s, c = sin(turn), 1.0 - cos(turn)
         k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        rotation = rotation @ (np.eye(3) + s * k + c * (k @ k))
+        rotation = times_3(rotation, np.eye(3) + s * k + c * times_3(k, k))
         out[8:17] = rotation.ravel()
     return out
 
@@ -266,7 +268,7 @@ def _sigma2(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] 
         r = min(max(d[n], -band), OUTER_BAND) - targets[n]
         w = weights[n]
         if r > 0.0:
-            gauss = np.exp(-0.5 * r * r / sigma2)
+            gauss = exp(-0.5 * r * r / sigma2)
             w *= gauss / (gauss + OUTLIER)
         total += w * r * r
         count += w
@@ -289,7 +291,9 @@ def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
             lhs = a.copy()
             for p in range(11):
                 lhs[p, p] += damping * a[p, p] + 1e-6 * (a[0, 0] + a[5, 5] + 1.0)
-            candidate = _stepped(row, np.linalg.solve(lhs, b), max_log_axis)
+            step = b.copy()
+            solve_in_place(lhs, step)
+            candidate = _stepped(row, step, max_log_axis)
             d = distances_of(candidate, points, band)
             new_cost = _cost(d, targets, weights, band, sigma2)
             if new_cost < cost:
@@ -313,7 +317,7 @@ def _loss(r):  # type: ignore[no-untyped-def] # pragma: no cover
 def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the (N,) distances to a primitive, cut off at the band; what is outside its box is not looked at."""
     out = np.full(len(points), OUTER_BAND)
-    reach = np.exp(row[2:5]) + OUTER_BAND
+    reach = exp_each(row[2:5]) + OUTER_BAND
     block, which = new_block(), np.empty(BLOCK, np.int64)
     count = 0
     for n in range(len(points)):
@@ -366,7 +370,9 @@ def normal_step(  # type: ignore[no-untyped-def] # pragma: no cover
         lhs = a.copy()
         for p in range(11):
             lhs[p, p] += damping[k] * a[p, p] + 1e-6 * (a[0, 0] + a[5, 5] + 1.0)
-        candidate = _stepped(row, np.linalg.solve(lhs, b), max_log_axis)
+        step = b.copy()
+        solve_in_place(lhs, step)
+        candidate = _stepped(row, step, max_log_axis)
         again = cut_distances(candidate, points, band)
         new_cost = 0.0
         for n in range(len(points)):

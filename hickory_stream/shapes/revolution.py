@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.shapes.symmetry import shares_against
@@ -49,13 +50,13 @@ def half_turn_of(
     `points_world` (N, 3) are seen from `camera_world` (3,); `views` tell free space, `tolerance_m` is their noise.
     """
     forward = points_world[:, :2].mean(axis=0) - camera_world[:2]
-    distance = float(np.linalg.norm(forward))
+    distance = portable.norm(forward)
     if distance < 1e-6:
         return None
     forward /= distance
     sideways = np.array([-forward[1], forward[0]])
     seen = points_world[:, :2] - camera_world[:2]
-    axis = _axis(seen @ sideways, seen @ forward, config)
+    axis = _axis(portable.matmul(seen, sideways), portable.matmul(seen, forward), config)
     if axis is None:
         return None
     middle, depth = axis
@@ -84,11 +85,16 @@ def _axis(
     if len(fronts) < 0.8 * config.num_bins:
         return None
     front, offset = np.array(fronts), np.array(places)
-    arc = np.sqrt(np.maximum((1.02 * radius) ** 2 - offset**2, 0.0))
+    arc = np.sqrt(np.maximum(np.square(1.02 * radius) - np.square(offset), 0.0))
     depth = float(np.median(front + arc))
-    misfit = float(np.sqrt(np.mean((front + arc - depth) ** 2)))
-    line = np.polyval(np.polyfit(offset, front, 1), offset)
-    flat_misfit = float(np.sqrt(np.mean((front - line) ** 2)))
+    misfit = float(np.sqrt(np.mean(np.square(front + arc - depth))))
+    flat_misfit = float(np.sqrt(np.mean(np.square(_off_the_line(offset, front)))))
     if misfit > config.max_misfit * radius or misfit > config.max_ratio * flat_misfit:
         return None
     return float(middle), depth
+
+
+def _off_the_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far (N,) values y are off the line through (x, y) by least squares."""
+    x, y = x - x.mean(), y - y.mean()
+    return np.asarray(y - portable.dot(x, y) / max(portable.dot(x, x), 1e-300) * x)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.portable_kernels import cbrt
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,7 +54,7 @@ def distance_grid(
     # Half a cell off the bounds: the outer faces of a box fall between cells, not on them.
     origin = low + step * (0.5 - margin)
     corners = np.ascontiguousarray((vertices[faces] - origin) / step)
-    squared = np.full(tuple(int(n) for n in counts), np.float32(band_cells**2))
+    squared = np.full(tuple(int(n) for n in counts), np.float32(band_cells * band_cells))
     inside = winding_numbers(corners, squared.shape) > 0.5
     _band(corners, inside, squared, band_cells)
     values = np.sqrt(squared) * np.where(inside, np.float32(-step), np.float32(step))
@@ -84,7 +85,7 @@ def adapted_cells(
     below = np.cumsum(areas_of_patches[order])
     thinnest = thickness[order[int(np.searchsorted(below, 0.1 * below[-1]))]]
     factor = min(min_thickness_cells / max(float(thinnest), 0.5), max_cells / cells)
-    room = (1.5**3 * cells**3 / float(np.prod(shape))) ** (1 / 3)
+    room = float(cbrt(1.5 * 1.5 * 1.5 * cells * cells * cells / float(np.prod(shape))))
     return int(np.ceil(cells * max(min(factor, room), 1.0)))
 
 
@@ -99,7 +100,7 @@ def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDA
         turned = np.ascontiguousarray(np.roll(corners, -axis, axis=2))
         lines = np.zeros(tuple(np.roll(shape, -axis)), np.float32)
         _crossings(turned, lines)
-        winding += np.transpose(lines, np.argsort(np.roll(np.arange(3), -axis)))
+        winding += np.transpose(lines, np.roll(np.arange(3), axis))
     return np.asarray(np.sign(_signed_volume(corners)) * winding / 3)
 
 

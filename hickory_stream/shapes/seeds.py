@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,8 +31,8 @@ def chessboard_depth(solid: NDArray[np.bool_]) -> NDArray[np.int32]:
 def principal_axes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return (3, 3) right-handed columns, the principal axes of (N, 3) cells."""
     centered = cells - cells.mean(axis=0)
-    _, axes = np.linalg.eigh(centered.T @ centered / len(cells))
-    if np.linalg.det(axes) < 0:
+    _, axes = portable.eigh(portable.matmul(centered.T, centered) / len(cells))
+    if portable.det3(axes) < 0:
         axes[:, 0] = -axes[:, 0]
     return np.asarray(axes)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.shapes.complete import CompletionConfig
@@ -59,7 +59,7 @@ class SingleViewReconstructor:
             return NoShape(reason=f"{len(points)} pixels with depth; a surface needs at least {_MIN_POINTS}")
         views = with_mirrored(crop, points, config)
         around = np.concatenate(
-            [apply(invert(v.camera_from_world) @ views[0].camera_from_world, points) for v in views]
+            [apply(compose(invert(v.camera_from_world), views[0].camera_from_world), points) for v in views]
         )
         alone = ShapeInputs(
             crops=(crop,),

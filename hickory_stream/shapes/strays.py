@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -64,7 +65,7 @@ class _Group:
     ) -> _Group:
         points = corners[items].reshape(-1, 3)
         frames = (axes, _principal_axes(points))
-        triangles = np.stack([(points @ frame).reshape(-1, 3, 3) for frame in frames])
+        triangles = np.stack([portable.matmul(points, frame).reshape(-1, 3, 3) for frame in frames])
         lows, highs = triangles.min(axis=2), triangles.max(axis=2)
         volumes = (highs.max(axis=1) - lows.min(axis=1) + 2 * margin).prod(axis=1)
         best = int(np.argmin(volumes))
@@ -73,7 +74,10 @@ class _Group:
         return cls(
             items=items,
             box=Box(
-                held=items, center=frames[best] @ ((low + high) / 2), half_extents=(high - low) / 2, axes=frames[best]
+                held=items,
+                center=portable.matmul(frames[best], (low + high) / 2),
+                half_extents=(high - low) / 2,
+                axes=frames[best],
             ),
             volume=float(volumes[best]),
             is_before=is_before,
@@ -125,6 +129,6 @@ def _volumes_from_first(lows, highs, order, margin, out):  # type: ignore[no-unt
 def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (3, 3) principal axes of points as columns, right-handed."""
     off = points - points.mean(axis=0)
-    _, axes = np.linalg.eigh(off.T @ off)
+    _, axes = portable.eigh(portable.matmul(off.T, off))
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     return np.asarray(axes)

@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage, sparse
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import Reconstruction
+from hickory_stream.shapes.blur import gaussian_blurred
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,7 +33,7 @@ def surface_field(solid: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.fl
     """
     distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)
     rough = (distance - np.sign(distance) * 0.5).astype(np.float32)
-    smooth = ndimage.gaussian_filter(rough, 1.0, mode="nearest")
+    smooth = gaussian_blurred(rough, 1.0, mode="nearest")
     measured = (evidence.near > evidence.free) & (np.abs(evidence.distance) < 1.0) & ((evidence.distance <= 0) == solid)
     # Where both are known the nearer of the two surfaces counts: a measured front must not move a completed back.
     magnitude = np.where(measured, np.minimum(np.abs(evidence.distance), np.abs(rough)), np.abs(smooth))
@@ -51,15 +53,26 @@ def extract(field: NDArray[np.float32], grid: VoxelGrid) -> tuple[NDArray[np.flo
 
 def taubin_smoothed(vertices: NDArray[np.float64], faces: NDArray[np.int32], iterations: int) -> NDArray[np.float64]:
     """Return the vertices after Taubin's lambda-mu smoothing (0.5, -0.53), which does not shrink the shape."""
-    count = len(vertices)
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    ones = np.ones(len(edges))
-    neighbours = sparse.csr_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
-    averaging = sparse.diags(1 / np.maximum(np.asarray(neighbours.sum(axis=1)).ravel(), 1)) @ neighbours
     for _ in range(iterations):
         for factor in (0.5, -0.53):
-            vertices = vertices + factor * (averaging @ vertices - vertices)
+            vertices = vertices + factor * (_means_of_neighbours(vertices, faces) - vertices)
     return vertices
+
+
+@numba.njit(cache=True, nogil=True)
+def _means_of_neighbours(vertices, faces):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (V, 3) the mean of the vertices that follow each in a face; itself where it is in none."""
+    means, counts = np.zeros(vertices.shape), np.zeros(len(vertices), np.int64)
+    for f in range(len(faces)):
+        for corner in range(3):
+            here, there = faces[f, corner], faces[f, (corner + 1) % 3]
+            counts[here] += 1
+            for i in range(3):
+                means[here, i] += vertices[there, i]
+    for v in range(len(vertices)):
+        for i in range(3):
+            means[v, i] = means[v, i] / counts[v] if counts[v] else vertices[v, i]
+    return means
 
 
 def painted(

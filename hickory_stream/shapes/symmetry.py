@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import cos, sin
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ranges import Ranged, number
 
@@ -52,8 +54,8 @@ def mirror_plane(
     points = points_world[:: max(len(points_world) // config.max_points, 1)]
     best, best_score = None, min_score
     for yaw in np.pi * np.arange(config.num_yaws) / config.num_yaws:
-        normal = np.array([np.cos(yaw), np.sin(yaw), 0.0])
-        along = points @ normal
+        normal = np.array([cos(float(yaw)), sin(float(yaw)), 0.0])
+        along = portable.matmul(points, normal)
         low, high = np.quantile(along, [0.01, 0.99])
         for offset in _offsets(low, high, config.num_offsets):
             reflection = reflection_about(normal, offset)

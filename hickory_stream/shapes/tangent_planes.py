@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.portable_kernels import exp
 from hickory_stream.shapes.quick_math import quick_exp, quick_log
 
 BLOCK = 64
@@ -41,14 +42,14 @@ def fill_distances(block, count, row, depth):  # type: ignore[no-untyped-def] # 
     For points that are deeper than `depth` only the distance is right, and it may be a bound that is deeper, too.
     """
     _from_centre(block, row)
-    smallest = np.exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
+    smallest = exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
     which = np.empty(BLOCK, np.int64)
     num_inside = 0
     for n in range(count):
         if block[_LOG_H + n] >= 0.0:
             continue
         # The body holds the ellipsoid, or else the octahedron, of its semi-axes; 1 - h is the share of the way out.
-        bound = (1.0 - np.exp(block[_LOG_H + n])) * smallest
+        bound = (1.0 - exp(block[_LOG_H + n])) * smallest
         if bound > depth:
             block[DISTANCE + n] = -bound
             continue

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage
 
 from hickory_stream.compiled import numba
-from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.rigid import apply, compose
+from hickory_stream.shapes.blur import gaussian_blurred
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +38,9 @@ class VoxelGrid:
     def cells(self, points_world: NDArray[Any]) -> NDArray[np.int64]:
         """Return the (N, 3) cells of (N, 3) points, also outside the block."""
         rotation, origin = self.world_from_grid[:3, :3], self.world_from_grid[:3, 3]
-        return np.round((points_world.astype(np.float64) - origin) @ rotation / self.voxel_m).astype(np.int64)
+        return np.round(portable.matmul(points_world.astype(np.float64) - origin, rotation) / self.voxel_m).astype(
+            np.int64
+        )
 
     def points_world(self, cells: NDArray[Any]) -> NDArray[np.float64]:
         """Return the (N, 3) world points of (N, 3) cell coordinates, fractional ones included."""
@@ -81,7 +84,7 @@ def integrate(grid: VoxelGrid, views: list[DepthView], noise_per_m: float) -> Ev
     near = np.zeros(grid.shape, np.float32)
     free = np.zeros(grid.shape, np.float32)
     for view in views:
-        camera_from_grid = view.camera_from_world @ grid.world_from_grid
+        camera_from_grid = compose(view.camera_from_world, grid.world_from_grid)
         depth = smoothed_depth(view.depth_m, view.mask, noise_per_m)
         camera = view.camera
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
@@ -93,8 +96,8 @@ def integrate(grid: VoxelGrid, views: list[DepthView], noise_per_m: float) -> Ev
             depth, cosine, carve, view.mask, inner, intrinsics, noise_per_m, view.trust,
         )  # fmt: skip
     # Averaging over a voxel's neighbours takes the noise of few views out; it moves no plane and no plate's middle.
-    spread = ndimage.gaussian_filter(near, SMOOTHING_VOXELS)
-    distance = ndimage.gaussian_filter(total, SMOOTHING_VOXELS) / np.maximum(spread, np.float32(1e-9))
+    spread = gaussian_blurred(near, SMOOTHING_VOXELS)
+    distance = gaussian_blurred(total, SMOOTHING_VOXELS) / np.maximum(spread, np.float32(1e-9))
     return Evidence(distance=distance.astype(np.float32), near=near, free=free)
 
 

@@ -1,0 +1,168 @@
+"""Nothing between pixels and a map's digest computes with what rounds differently on another processor.
+
+What is allowed is named with its reason; what is not is done by `hickory_stream.geometry.portable`.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).resolve().parent.parent
+# Networks round as onnxruntime does: a run with them says so (`engine/processor.py`).
+PATHS = (
+    *sorted((ROOT / "hickory_stream" / "geometry").glob("*.py")),
+    *sorted((ROOT / "hickory_stream" / "perception").glob("*.py")),
+    *sorted((ROOT / "hickory_stream" / "mapping").glob("*.py")),
+    *sorted((ROOT / "hickory_stream" / "shapes").glob("*.py")),
+    *sorted((ROOT / "hickory_stream" / "engine").glob("*.py")),
+    *sorted((ROOT / "players").glob("*.py")),
+)
+# Not on the way from pixels to a digest.
+EXEMPT = {
+    "hickory_stream/geometry/framing.py": "from where a viewer looks at first",
+    "hickory_stream/geometry/components.py": "colours of features in the viewer",
+    "hickory_stream/geometry/shape_score.py": "scores for alignment and the papers' tables",
+    "hickory_stream/engine/time_travel.py": "what is shown of two moments of a map",
+}
+# Choose their code by the processor, or leave the order of their terms to a library that does.
+NUMPY = frozenset(
+    "dot vdot inner matmul tensordot einsum cov corrcoef polyfit "
+    "exp exp2 expm1 log log2 log10 log1p logaddexp logaddexp2 sin cos tan arcsin arccos arctan arctan2 "
+    "sinh cosh tanh arcsinh arccosh arctanh power float_power cbrt hypot argpartition".split()
+)
+MATH = frozenset(
+    "exp exp2 expm1 log log2 log10 log1p pow sin cos tan asin acos atan atan2 sinh cosh tanh cbrt hypot dist "
+    "gamma lgamma erf erfc sumprod fma".split()
+)
+# One loop in C without choice of code; the bench's `digest_variants` runs them under each variant.
+SCIPY = {
+    "ndimage": {
+        "label", "find_objects", "distance_transform_edt", "binary_fill_holes", "binary_dilation", "uniform_filter",
+        "correlate1d",
+    },
+    "spatial": {"cKDTree"},
+    "special": {"beta"},
+}  # fmt: skip
+# Integers, copies and comparisons, or single precision without products that could be fused: as measured, the same
+# with and without AVX2, FMA and IPP. Filters of floating-point images are not (`perception/gradients.py`).
+CV2 = frozenset(
+    "resize dilate erode morphologyEx blur connectedComponentsWithStats distanceTransformWithLabels copyMakeBorder "
+    "cvtColor imdecode imencode remap initUndistortRectifyMap fisheye".split()
+)
+
+
+def forbidden_in(source: str) -> Iterator[str]:
+    """Yield "line: what" for everything in a module that rounds as its processor does."""
+    tree = ast.parse(source)
+    kernels = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and _is_kernel(node)]
+    in_kernels = {id(inner) for kernel in kernels for inner in ast.walk(kernel)}
+    for node in ast.walk(tree):
+        found = _why_not(node, in_kernel=id(node) in in_kernels)
+        if found is not None:
+            yield f"{getattr(node, 'lineno', 0)}: {found}"
+
+
+def _is_kernel(function: ast.FunctionDef) -> bool:
+    return any("njit" in ast.unparse(decorator) for decorator in function.decorator_list)
+
+
+def _why_not(node: ast.AST, *, in_kernel: bool) -> str | None:
+    match node:
+        case ast.BinOp(op=ast.MatMult()) | ast.AugAssign(op=ast.MatMult()):
+            return "@: portable.matmul"
+        case ast.BinOp(left=left, op=ast.Pow(), right=right) if not (_is_count(left) and _is_count(right)):
+            # Numba turns a small whole power into products; Python and NumPy ask the C library.
+            return None if in_kernel and _is_count(right) else "**: products, np.square or portable.power"
+        case ast.ImportFrom(module=str(module)) if module.startswith("scipy"):
+            return _outside(module, {alias.name for alias in node.names})
+        case ast.Call(func=ast.Name() | ast.Attribute() as function, keywords=keywords):
+            # Of what is called on a result only the method's name counts.
+            name = ast.unparse(function)
+            name = name if name.replace(".", "").isidentifier() else f"_.{name.rpartition('.')[2]}"
+            return _why_no_call(name, {str(keyword.arg) for keyword in keywords}, in_kernel)
+        case _:
+            return None
+
+
+def _is_count(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, int)
+
+
+def _outside(module: str, names: set[str]) -> str | None:
+    part = module.removeprefix("scipy").removeprefix(".")
+    known = set(SCIPY) if not part else SCIPY.get(part, set())
+    return f"from {module} import {', '.join(sorted(names - known))}" if names - known else None
+
+
+def _why_no_call(name: str, keywords: set[str], in_kernel: bool) -> str | None:
+    first, _, rest = name.partition(".")
+    if name.endswith("njit") and keywords & {"fastmath", "parallel"}:
+        return f"{name}: the order of terms is the compiler's"
+    if name.endswith(".dot") and first not in ("np", "portable"):
+        return f"{name}: portable.dot"
+    if name.endswith("argsort") and not in_kernel and "kind" not in keywords:
+        return f"{name}: kind='stable', or ties are in the processor's order"
+    if name == "np.linalg.norm":
+        # Of a whole vector it is BLAS's; along an axis it is NumPy's sum of squares.
+        return None if "axis" in keywords and not in_kernel else f"{name}: portable.norm"
+    if first == "np" and (rest in NUMPY or rest.startswith("linalg.")):
+        return name
+    if first == "math" and rest in MATH:
+        return name
+    if first == "cv2" and rest.partition(".")[0] not in CV2:
+        return name
+    if first in SCIPY and rest not in SCIPY[first]:
+        return name
+    return None
+
+
+@pytest.mark.parametrize("path", PATHS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_the_way_to_a_map_rounds_in_one_way_only(path: Path) -> None:
+    if path.relative_to(ROOT).as_posix() not in EXEMPT:
+        assert list(forbidden_in(path.read_text(encoding="utf-8"))) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "c = a @ b",
+        "a @= b",
+        "x = np.linalg.solve(a, b)",
+        "x = np.linalg.norm(a)",
+        "x = np.exp(a)",
+        "x = math.pow(a, b)",
+        "x = a.dot(b)",
+        "x = a ** 3",
+        "x = np.argsort(a)",
+        "x = cv2.GaussianBlur(a, (0, 0), 1)",
+        "from scipy.linalg import eigh",
+        "x = ndimage.gaussian_filter(a, 1)",
+        "@numba.njit(fastmath=True)\ndef f(): ...",
+    ],
+)
+def test_what_rounds_as_its_processor_does_is_found(line: str) -> None:
+    assert len(list(forbidden_in(line))) == 1
+
+
+def test_every_exemption_is_of_a_file_that_needs_it() -> None:
+    for name in EXEMPT:
+        assert list(forbidden_in((ROOT / name).read_text(encoding="utf-8"))), f"{name} needs no exemption"
+
+
+def test_sums_and_norms_along_an_axis_go_from_first_to_last() -> None:
+    values = np.random.default_rng(0).normal(size=(50, 7)) * 10.0 ** np.arange(-3, 4)
+    for row in values:
+        total = squares = 0.0
+        for value in row.tolist():
+            total += value
+            squares += value * value
+        assert row.sum() == total
+        assert np.linalg.norm(row[None], axis=1)[0] == np.sqrt(squares)
