@@ -110,6 +110,14 @@ class Diagnosis(TypedDict):
     refusal: str | None
 
 
+class Demonstrated(TypedDict):
+    """What `demo` has made, after the outputs of `play` and `render`."""
+
+    log: str
+    map: str
+    pictures: list[str]
+
+
 class Rendered(TypedDict):
     """A picture of a map, in pixels."""
 
@@ -407,6 +415,7 @@ class ConfigChecked(TypedDict):
 
 
 OUTPUTS: dict[str, Any] = {
+    "demo": Demonstrated,
     "error": Error,
     "progress": Progress,
     "compiling": Compiling,

@@ -10,12 +10,12 @@ from hickory_stream.cli import main
 from hickory_stream.engine.session import open_map
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_a_demo_makes_a_log_its_map_and_its_pictures_and_replaces_only_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "demo"
-    assert main(["demo", "--out", str(folder), "--seconds", "1", "--json"]) == 0
+    assert main(["demo", "--out", str(folder), "--seconds", "2", "--json"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["map"] == str(folder / "map")
     saved = open_map(folder / "map")
@@ -29,7 +29,7 @@ def test_a_demo_makes_a_log_its_map_and_its_pictures_and_replaces_only_them(
 
     own = folder / "notes.txt"
     own.write_text("mine")
-    assert main(["demo", "--out", str(folder), "--seconds", "1"]) == 2
+    assert main(["demo", "--out", str(folder), "--seconds", "2"]) == 2
     assert "room.mcap is there; add --overwrite" in capsys.readouterr().err
     assert main(["demo", "--out", str(folder), "--overwrite", "--seconds", "0"]) == 2
     assert own.read_text() == "mine"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
+from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     pictures = {"1,2": folder / "map.png", "3,4": folder / "map-superquadrics.png"}
     steps = [
         ["play", str(log), "--out", str(saved), "--viewer", "none", *as_json],
-        ["inspect", str(saved), *as_json],
+        *([] if options.json else [["inspect", str(saved)]]),
         *(["render", str(saved), "--layers", layers, "-o", str(path), *as_json] for layers, path in pictures.items()),
     ]
     for step in steps:
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
             return status
     if options.json:
         made = {"log": str(log), "map": str(saved), "pictures": [str(path) for path in pictures.values()]}
-        print(dumps({"event": "demo", **made}))
+        print(output("demo", made))
     else:
         print(
             f"\nthe recording  {log}\nthe map        {saved}\nits pictures   {'  '.join(map(str, pictures.values()))}"
