@@ -77,13 +77,37 @@ class Saved(TypedDict):
 
 
 class Replayed(TypedDict):
-    """What the journal gives; `recorded_digest` is null where the run never ended."""
+    """What the journal gives; `recorded_digest` is null where the run never ended, `saved_digest` the folder's."""
 
     event: Literal["replayed"]
     digest: str
     recorded_digest: str | None
+    saved_digest: str
     is_same: bool
     objects: int
+
+
+class VerifyFinding(TypedDict):
+    """What came of one check, of the whole map where `object_id` is null."""
+
+    check: Literal["digest", "journal", "views", "layer 4"]
+    state: Literal["holds", "fails", "unknown"]
+    text: str
+    object_id: int | None
+
+
+class Verified(TypedDict):
+    """What holds of a map; `num_proven` objects have a layer 4 that was proven anew from their meshes."""
+
+    event: Literal["verified"]
+    map: str
+    is_sound: bool
+    is_mended: bool
+    digest: str
+    recorded_digest: str | None
+    num_objects: int
+    num_proven: int
+    findings: list[VerifyFinding]
 
 
 class Diagnosis(TypedDict):
@@ -128,11 +152,12 @@ class Rendered(TypedDict):
 
 
 class Exported(TypedDict):
-    """The file that was written, or the first of several `files`."""
+    """The file that was written, or the first of several `files`; `unproven` is why layer 4 is not, or null."""
 
     file: str
     format: str
     objects: int
+    unproven: str | None
     files: NotRequired[int]
 
 
@@ -158,10 +183,15 @@ class Blocker(TypedDict):
 
 
 class Planned(TypedDict):
-    """A path (points in metres, one posture and heading a leg), or the reason why there is none."""
+    """A path (points in metres, one posture and heading a leg), or the reason why there is none.
+
+    It rests on layer 4 of the objects, but on boxes of `objects_by_box`; `unproven` is why layer 4 is not, or null.
+    """
 
     robot: str
     objects_by_box: list[int]
+    objects_uncertified: list[int]
+    unproven: str | None
     cell_m: float
     found: bool
     length_m: NotRequired[float]
@@ -425,6 +455,7 @@ OUTPUTS: dict[str, Any] = {
     "replay": Replayed,
     "doctor": Diagnosis,
     "inspect": "hickory_stream.evaluation.inspect.MapSummary",
+    "verify": Verified,
     "render": Rendered,
     "export": Exported,
     "diff": Differences,

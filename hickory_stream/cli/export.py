@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.values import open_map_at, robot_of_option
+from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, robot_of_option
 from hickory_stream.errors import InputError
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.outputs import output
@@ -46,11 +47,12 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     export.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )
+    add_unproven_argument(export)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    saved = open_map_at(options.map, options.at)
+    saved, doubt = open_proven_map_at(options)
     ending = "yaml" if options.format == "nav2" else options.format
     out = options.out or options.map.with_suffix(f".{ending}")
     if options.format in _SEVERAL:
@@ -66,7 +68,10 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     if options.json:
         told = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
+        told |= {"unproven": doubt or None}
         print(output("export", told if len(files) == 1 else told | {"files": len(files)}))
+    elif doubt:
+        sys.stderr.write(f"note: layer 4 is not proven: {doubt}\n")
     return 0
 
 

@@ -31,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.cli.values import open_map_at
     from hickory_stream.engine.merged_map import outcome_text, write_merged_map
+    from hickory_stream.engine.session import check_unaltered
     from hickory_stream.merging.merge import merge_maps
 
     paths: list[Path] = options.maps
@@ -38,7 +39,10 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"found {len(paths)} map, expected at least two: merge A B [C ...] -o MAP")
     if options.out.resolve() in [path.resolve() for path in paths]:
         raise InputError(f"-o {options.out} is one of the inputs, which are never changed; choose another folder")
-    inputs = [open_map_at(path) for path in paths]
+    inputs = [open_map_at(path, warns=False) for path in paths]
+    for saved in inputs:
+        # Their certificates become those of the merged map, which has a digest of its own.
+        check_unaltered(saved)
     quiet = options.json
 
     def tell(text: str) -> None:

@@ -32,6 +32,7 @@ from hickory_stream.cli import (
     resume,
     schema,
     segment,
+    verify,
 )
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -43,6 +44,7 @@ _COMMANDS = (
     replay,
     doctor,
     inspect,
+    verify,
     render,
     export,
     diff,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_PATH
-from hickory_stream.cli.values import open_map_at, parse_place, robot_of_option
+from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, parse_place, robot_of_option
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -37,6 +38,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     plan.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )
+    add_unproven_argument(plan)
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,14 +57,14 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     import numpy as np
 
-    from hickory_stream.navigation.free_space import free_space_of, without_layer_four
+    from hickory_stream.navigation.free_space import free_space_of, uncertified, without_layer_four
     from hickory_stream.navigation.search import NoPath, SearchConfig, plan
 
     if options.out is not None and options.out.suffix not in (".png", ".rrd"):
         raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
     start, goal = (np.array(parse_place(text, option)) for text, option in _ends(options))
     robot = robot_of_option(options.robot, "--robot")
-    saved = open_map_at(options.map, options.at)
+    saved, doubt = open_proven_map_at(options)
     space = free_space_of(saved.snapshot, robot, cell_m=options.cell, unknown=options.unknown)
     if options.seed < 0:
         raise InputError(f"found --seed {options.seed}, expected 0 or more")
@@ -71,18 +73,41 @@ def run(options: argparse.Namespace) -> int:
     boxes = without_layer_four(saved.snapshot)
     if options.out is not None:
         _draw(options.out, saved.snapshot, space, answer, start, goal)
-    print(output("plan", _as_json(space, answer, boxes), indent=1) if options.json else _as_text(space, answer, boxes))
+    proof = Proof(boxes=boxes, uncertified=uncertified(saved.snapshot), doubt=doubt)
+    print(output("plan", _as_json(space, answer, proof), indent=1) if options.json else _as_text(space, answer, proof))
     return NO_PATH if isinstance(answer, NoPath) else 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Proof:
+    """What the answer rests on: objects avoided by `boxes`, those with an `uncertified` layer 4, why none is proven.
+
+    `doubt` is "" where the map is the one that was saved.
+    """
+
+    boxes: list[int]
+    uncertified: list[int]
+    doubt: str
+
+
+def _listed(ids: list[int]) -> str:
+    return ", ".join(map(str, ids[:10])) + (", ..." if len(ids) > 10 else "")
 
 
 def _ends(options: argparse.Namespace) -> tuple[tuple[str, str], tuple[str, str]]:
     return (options.start, "--start"), (options.goal, "--goal")
 
 
-def _as_json(space: FreeSpace, answer: Way | NoPath, boxes: list[int]) -> dict[str, Any]:
+def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, Any]:
     from hickory_stream.navigation.search import NoPath
 
-    told: dict[str, Any] = {"robot": space.robot.name, "objects_by_box": boxes, "cell_m": space.frame.cell_m}
+    told: dict[str, Any] = {
+        "robot": space.robot.name,
+        "objects_by_box": proof.boxes,
+        "objects_uncertified": proof.uncertified,
+        "unproven": proof.doubt or None,
+        "cell_m": space.frame.cell_m,
+    }
     if isinstance(answer, NoPath):
         blockers = [{"object": b.object_id, "distance_m": round(b.distance_m, 4)} for b in answer.blockers]
         return told | {"found": False, "reason": answer.reason.value, "text": answer.text, "blockers": blockers}
@@ -96,17 +121,23 @@ def _as_json(space: FreeSpace, answer: Way | NoPath, boxes: list[int]) -> dict[s
     }
 
 
-def _as_text(space: FreeSpace, answer: Way | NoPath, boxes: list[int]) -> str:
+def _as_text(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> str:
     from hickory_stream.navigation.search import NoPath
 
     notes = []
-    if boxes:
-        listed = ", ".join(map(str, boxes[:10])) + (", ..." if len(boxes) > 10 else "")
-        notes.append(f"note: {len(boxes)} objects have no layer 4 of their own, their box is avoided: {listed}")
+    if proof.boxes:
+        told = f"{len(proof.boxes)} objects have no layer 4 of their own, their box is avoided"
+        notes.append(f"note: {told}: {_listed(proof.boxes)}")
+    if proof.uncertified:
+        count = len(proof.uncertified)
+        notes.append(f"note: {count} objects have a layer 4 that is not certified: {_listed(proof.uncertified)}")
+    if proof.doubt:
+        notes.append(f"note: layer 4 is not proven: {proof.doubt}")
     if isinstance(answer, NoPath):
         return "\n".join([f"no path ({answer.reason.value}): {answer.text}", *notes])
     legs = f"{answer.length_m:.2f} m in {len(answer.points) - 1} legs"
-    lines = [f"{legs}, verified along the whole length for {space.robot.name}"]
+    how = "verified along the whole length" if not proof.doubt else "free of obstacles that are themselves NOT proven"
+    lines = [f"{legs}, {how} for {space.robot.name}"]
     for i, (x, y) in enumerate(answer.points):
         posture = space.robot.postures[int(answer.postures[min(i, len(answer.postures) - 1)])].name
         leg = f"  on, {posture}" if i < len(answer.points) - 1 else "  there"

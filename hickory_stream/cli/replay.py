@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.parser import Commands
+    from hickory_stream.engine.session import SavedMap
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
@@ -32,19 +33,26 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.sinks.rerun_viewer import parse_viewer
 
     settings = read_settings(options)
-    saved = open_map_at(options.map)
+    saved = open_map_at(options.map, warns=False)
     sinks = []
     if options.rrd is not None:
         sinks.append(RerunSink(settings.rerun, options.map, options.rrd, parse_viewer("none")))
     snapshot = replay(options.map, sinks)
     digest = map_digest(snapshot)
     recorded = saved.manifest.digest
+    is_same = digest == recorded and not saved.is_altered
     if options.json:
-        said = {"event": "replayed", "digest": digest, "recorded_digest": recorded, "is_same": digest == recorded}
-        print(output("replay", {**said, "objects": len(snapshot.objects)}))
+        said = {"event": "replayed", "digest": digest, "recorded_digest": recorded, "saved_digest": saved.digest}
+        print(output("replay", {**said, "is_same": is_same, "objects": len(snapshot.objects)}))
     elif recorded is None:
         print(f"{options.map}: {len(snapshot.objects)} objects; its run never ended, so that there is no digest yet")
     else:
-        told = "the same map" if digest == recorded else f"another map: {recorded[:16]} was recorded"
+        told = f"another map: {recorded[:16]} was recorded" if digest != recorded else _told(saved)
         print(f"{options.map}: {len(snapshot.objects)} objects, digest {digest[:16]}, {told}")
-    return 0 if recorded in (None, digest) else 1
+    return 0 if is_same or (recorded is None and not saved.is_altered) else 1
+
+
+def _told(saved: SavedMap) -> str:
+    if not saved.is_altered:
+        return "the same map"
+    return f"the map that was saved; what is in the folder now is another one, with the digest {saved.digest[:16]}"

@@ -39,8 +39,8 @@ def parse_workers(text: str) -> dict[str, Any]:
     return {"workers": int(text), "cluster": ""}
 
 
-def open_map_at(path: Path, at: str | None = None) -> SavedMap:
-    """Return the map in a folder, as it was known at a time (`--at`) where one is given.
+def open_map_at(path: Path, at: str | None = None, *, warns: bool = True) -> SavedMap:
+    """Return the map in a folder, as it was known at a time (`--at`) where one is given; `warns` as in `open_map`.
 
     Of a run that did not end it is said on standard error how to go on with it.
 
@@ -54,11 +54,37 @@ def open_map_at(path: Path, at: str | None = None) -> SavedMap:
     from hickory_stream.engine.session import open_map
     from hickory_stream.engine.time_travel import stamp_of
 
-    saved = open_map(path)
+    saved = open_map(path, warns=warns)
     note = unfinished_note(saved)
     if note is not None:
         sys.stderr.write(f"note: {note}\n")
     return saved if at is None else replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
+
+
+def add_unproven_argument(parser: argparse.ArgumentParser) -> None:
+    """Add what says that an altered map is taken all the same."""
+    parser.add_argument(
+        "--unproven", action="store_true", help="go on with a map that was altered after it was saved, and say so"
+    )
+
+
+def open_proven_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
+    """Return the map of `options.map` and `options.at`, and why its layer 4 is not proven, "" where it is.
+
+    Raises:
+        MapFolderError: there is no map, it keeps no history, or it was altered and `--unproven` is not given.
+        InputError: the time is none, or outside of the run.
+    """
+    from hickory_stream.errors import MapFolderError
+
+    saved = open_map_at(options.map, options.at, warns=False)
+    if saved.is_altered and not options.unproven:
+        told = f"`hickory-stream verify {saved.folder}` says what of it holds, --unproven goes on all the same"
+        raise MapFolderError(f"{saved.doubt}; {told}")
+    doubt = saved.doubt
+    if not doubt and options.at is not None:
+        doubt = f"what was known at {options.at} is from the journal, which only `hickory-stream verify` looks through"
+    return saved, doubt
 
 
 def robot_of_option(name: str | None, option: str) -> Robot:

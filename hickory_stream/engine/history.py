@@ -6,6 +6,7 @@ that is asked for.
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -26,11 +27,12 @@ from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.keyframes import Keyframe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from hickory_stream.engine.journal import Journal
     from hickory_stream.engine.step import JournalEntry, Step
     from hickory_stream.mapping.core import MappingConfig
+    from hickory_stream.records import MapSnapshot
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -42,10 +44,20 @@ class Replayed:
     published: Publish | None
 
 
-class Replay:
-    """The core of a recorded run as it was after some step; `run_to` moves it on."""
+# What the core may meet in events and states that are whole and of the right types, and yet make no sense together.
+_NONSENSE = (ValueError, LookupError, TypeError, AttributeError, AssertionError, ArithmeticError, MemoryError)
 
-    def __init__(self, journal: Journal, config: MappingConfig) -> None:
+
+class Replay:
+    """The core of a recorded run as it was after some step; `run_to` moves it on, `on_request` is told of its jobs."""
+
+    def __init__(
+        self,
+        journal: Journal,
+        config: MappingConfig,
+        on_request: Callable[[RequestShape], None] = lambda _: None,
+    ) -> None:
+        self._on_request = on_request
         self._journal = journal
         self._config = config
         self.core = MapperCore(config)
@@ -63,7 +75,7 @@ class Replay:
             after, checkpoint = found
             try:
                 self.core = MapperCore.from_state(self._config, checkpoint.core)
-            except ValueError:
+            except _NONSENSE:
                 pass  # a checkpoint of another version: the events are all that is needed
             else:
                 self.open_jobs = {job.ticket: job for job in checkpoint.open_jobs}
@@ -84,6 +96,25 @@ class Replay:
             self.num_steps += 1
             yield Replayed(index=self.num_steps - 1, entry=entry, published=published)
 
+    def snapshot(self) -> MapSnapshot:
+        """Return the map as it is now.
+
+        Raises:
+            MapFolderError: the journal is damaged.
+        """
+        with self._sense():
+            return self.core.snapshot()
+
+    @contextmanager
+    def _sense(self) -> Iterator[None]:
+        """Tell what the core cannot make sense of as damage of the journal."""
+        try:
+            yield
+        except _NONSENSE as error:
+            raise MapFolderError(
+                f"{self._journal.path} is damaged or does not fit this version: {error!r}; play the log again"
+            ) from error
+
     def _go_back(self, step: Step) -> None:
         """Take up what the run took up where somebody went back in the log."""
         if step.goes_back_to is None:
@@ -91,20 +122,18 @@ class Replay:
         then = Replay(self._journal, self._config)
         if step.goes_back_to > 0:
             then.seek(step.goes_back_to - 1)
-        self.core = then.core.going_on_after(self.core, step.lost_views)
+        with self._sense():
+            self.core = then.core.going_on_after(self.core, step.lost_views)
         self.open_jobs = then.open_jobs
 
     def _handle(self, event: Event) -> list[Effect]:
-        try:
+        with self._sense():
             effects = self.core.handle(event)
-        except (ValueError, KeyError) as error:
-            raise MapFolderError(
-                f"{self._journal.path} does not fit this version: {error}; play the log again"
-            ) from error
         if isinstance(event, ShapeReady | ShapeFailed):
             self.open_jobs.pop(event.ticket, None)
         for effect in effects:
             if isinstance(effect, RequestShape):
+                self._on_request(effect)
                 job = OpenJob(ticket=effect.ticket, object_id=effect.object_id, due_ns=effect.due_ns)
                 self.open_jobs[effect.ticket] = job
             elif isinstance(effect, CancelShape):

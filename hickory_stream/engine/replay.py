@@ -51,7 +51,7 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
                         sink.show(where_it_lies(report, report.snapshot or newest))
                 newest = replayed.published.snapshot if replayed.published is not None else newest
                 num_keyframes = step.num_keyframes
-            snapshot = again.core.snapshot()
+            snapshot = again.snapshot()
             if last is not None and camera is not None:
                 for sink in sinks:
                     final = FrameReport(

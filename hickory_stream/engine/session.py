@@ -19,6 +19,7 @@ as of its last complete save. No pickle is written or read.
 
 from __future__ import annotations
 
+import logging
 import shutil
 from collections import deque
 from dataclasses import dataclass, replace
@@ -54,6 +55,8 @@ if TYPE_CHECKING:
     from hickory_stream.engine.time_travel import Change
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.records import ObjectShape
+
+logger = logging.getLogger(__name__)
 
 _OBJECTS, _LEDGER, _TIMINGS = "objects.json", "ledger.json", "timings.json"
 _FILES = (_OBJECTS, _LEDGER, _TIMINGS, JOURNAL)
@@ -267,13 +270,36 @@ class MapFolder:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SavedMap:
-    """A map folder as it was opened."""
+    """A map folder as it was opened; `digest` is that of the objects in the folder, whatever the manifest says."""
 
     folder: Path
     manifest: Manifest
     snapshot: MapSnapshot
     ledger: Mapping[str, Any]
-    timings: Mapping[str, Any]
+    timings: Mapping[str, float]
+    digest: str
+
+    @property
+    def is_altered(self) -> bool:
+        """Whether the objects are others than those of which the manifest has the digest: nothing of them is proven.
+
+        A digest is no signature: who changes a map on purpose can change that, too. `engine.verify` proves it anew.
+        """
+        expected = self.manifest.digest
+        return self.manifest.finished_cleanly if expected is None else expected != self.digest
+
+    @property
+    def doubt(self) -> str:
+        """Why what the map says of its layer 4 may not hold, in a sentence; "" where its digest is as it must be."""
+        if self.is_altered:
+            expected = self.manifest.digest
+            told = f"its manifest says {expected[:16]}" if expected is not None else "its manifest has none"
+            return (
+                f"{self.folder} is not the map that was saved: its objects have the digest {self.digest[:16]}, {told}"
+            )
+        if self.manifest.digest is None:
+            return f"the run of {self.folder} has not finished, so that there is no digest to hold it against"
+        return ""
 
     @property
     def views(self) -> Path:
@@ -326,8 +352,10 @@ class SavedMap:
         return mesh
 
 
-def open_map(path: Path) -> SavedMap:
+def open_map(path: Path, *, warns: bool = True) -> SavedMap:
     """Return the map in a folder as of its last complete save; a run that saved nothing yet is an empty map.
+
+    A map that was altered since is opened all the same, with a warning unless `warns` is False: `is_altered`.
 
     Raises:
         MapFolderError: no map is there, its format is another, or a file is missing or damaged.
@@ -338,13 +366,50 @@ def open_map(path: Path) -> SavedMap:
         snapshot = _read_snapshot(path)
     else:
         snapshot = _EMPTY
-    return SavedMap(
+    saved = SavedMap(
         folder=path,
         manifest=manifest,
         snapshot=snapshot,
         ledger=read_json(path, _LEDGER) if (path / _LEDGER).exists() else {},
-        timings=read_json(path, _TIMINGS) if (path / _TIMINGS).exists() else {},
+        timings=_read_timings(path) if (path / _TIMINGS).exists() else {},
+        digest=map_digest(snapshot),
     )
+    if saved.is_altered and warns:
+        logger.warning("%s; `hickory-stream verify` says what of it holds", saved.doubt)
+    return saved
+
+
+def rewrite_objects(path: Path, snapshot: MapSnapshot, kept_meshes: Iterable[str]) -> str:
+    """Save a map anew in its folder, as its run did, with the meshes of earlier moments kept; return the digest.
+
+    Raises:
+        MapFolderError: a mesh is missing, another process writes the folder, or the disk refused.
+    """
+    manifest = read_manifest(path)
+    _check_links(path)
+    for tracked in snapshot.objects:
+        if tracked.shape is not None and not (path / "shapes" / tracked.shape.mesh_name).is_file():
+            raise MapFolderError(f"{path} lacks shapes/{tracked.shape.mesh_name} of object {tracked.id}")
+    with disk_errors(path):
+        folder = MapFolder(path, manifest, FolderLock(path))
+    try:
+        for name in kept_meshes:
+            folder.keep_shape(name)
+        folder.save(snapshot)
+        done = folder.finish(finished_cleanly=manifest.finished_cleanly, is_reproducible=manifest.is_reproducible)
+        return done.digest or ""
+    finally:
+        folder.close()
+
+
+def check_unaltered(saved: SavedMap) -> None:
+    """Refuse a map that is not the one that was saved.
+
+    Raises:
+        MapFolderError: saying what disagrees, and what to do.
+    """
+    if saved.is_altered:
+        raise MapFolderError(f"{saved.doubt}; `hickory-stream verify {saved.folder}` says what of it holds")
 
 
 def _check_links(path: Path) -> None:
@@ -356,6 +421,14 @@ def _check_links(path: Path) -> None:
 
 
 # ---- reading --------------------------------------------------------------------------------------------------------
+
+
+def _read_timings(path: Path) -> dict[str, float]:
+    timings = read_json(path, _TIMINGS)
+    wrong = [name for name, seconds in timings.items() if type(seconds) not in (int, float)]
+    if wrong:
+        raise MapFolderError(f"{path / _TIMINGS} is damaged: {wrong[0]!r} is no number; play the log again")
+    return timings
 
 
 def _read_snapshot(path: Path) -> MapSnapshot:

@@ -52,7 +52,7 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
             return MapSnapshot(revision=0, stamp_ns=stamp_ns, submaps=(), objects=())
         replay = Replay(journal, recorded_config(path).mapping)
         replay.seek(index)
-        return replay.core.snapshot()
+        return replay.snapshot()
 
 
 def seen_by(final: MapSnapshot, stamp_ns: int) -> MapSnapshot:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hickory_stream.engine.session import SavedMap
-    from hickory_stream.records import Containment, TrackedObject
+    from hickory_stream.records import Containment, ObjectShape, TrackedObject
 
 SortBy = Literal["id", "distance", "volume", "height", "sightings"]
 
@@ -69,6 +69,8 @@ class MapSummary:
 
     `num_objects` are in the map, `num_shaped` of them with layer 4; `objects` are those that were asked for.
     `num_certified` objects have a layer 4 that provably contains them; `num_fallbacks` of these are boxes instead.
+    `is_altered`: the objects are not those that were saved, and none of them counts as certified. `doubt` says why what
+    is said of layer 4 may not hold, "" where it does.
     """
 
     objects: tuple[ObjectSummary, ...]
@@ -83,6 +85,8 @@ class MapSummary:
     num_fallbacks: int
     num_objects: int
     num_shaped: int
+    is_altered: bool
+    doubt: str
 
 
 def summarize(saved: SavedMap) -> MapSummary:
@@ -102,6 +106,8 @@ def summarize(saved: SavedMap) -> MapSummary:
         num_fallbacks=sum(check.is_fallback for check in checks),
         num_objects=len(objects),
         num_shaped=sum(row.containment is not None for row in objects),
+        is_altered=saved.is_altered,
+        doubt=saved.doubt,
     )
 
 
@@ -185,9 +191,14 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject) -> ObjectSummary:
         reconstructor=shape.reconstructor if shape else None,
         layers=tuple(layer for layer, size in zip(LAYERS, sizes, strict=True) if size),
         layer_bytes=sizes,
-        containment=shape.containment if shape else None,
+        containment=_containment(saved, shape) if shape else None,
         is_sketched=tracked.sketch is not None,
     )
+
+
+def _containment(saved: SavedMap, shape: ObjectShape) -> Containment:
+    """Return the certificate that a shape came with; of an altered map none holds."""
+    return replace(shape.containment, is_certified=False) if saved.is_altered else shape.containment
 
 
 def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer: int) -> LayerSummary:
@@ -299,7 +310,18 @@ def _ending(summary: MapSummary) -> str:
 def _containment_line(summary: MapSummary) -> str:
     if not summary.num_checked:
         return "layer 4: nothing checked"
+    if summary.is_altered:
+        return f"layer 4: NOT PROVEN: {summary.doubt}"
     share = _share(summary.num_checked - summary.num_outside, summary.num_checked)
     certified = f"{summary.num_certified} of {summary.num_shaped} objects certified"
     boxes = f", {summary.num_fallbacks} as boxes" if summary.num_fallbacks else ""
-    return f"layer 4: {certified}{boxes}; {share} of {summary.num_checked} pieces checked are inside"
+    return f"layer 4: {certified}{boxes}; {share} of {summary.num_checked} pieces checked are inside{_margins(summary)}"
+
+
+def _margins(summary: MapSummary) -> str:
+    """Return the margins of the objects: one that is none proves little."""
+    margins = [row.containment.margin_m for row in summary.objects if row.containment]
+    if not margins:
+        return ""
+    ends = dict.fromkeys((min(margins), max(margins)))
+    return f", with a margin of {' to '.join(f'{margin:g}' for margin in ends)} m"

@@ -247,6 +247,15 @@ def without_layer_four(snapshot: MapSnapshot) -> list[int]:
     ]
 
 
+def uncertified(snapshot: MapSnapshot) -> list[int]:
+    """Return the ids of the obstacles whose layer 4, by its own record, is not proven to contain them."""
+    return [
+        tracked.id
+        for tracked in obstacles_of(snapshot)
+        if tracked.shape is not None and len(tracked.shape.inflated) and not tracked.shape.containment.is_certified
+    ]
+
+
 def layer_four_of(tracked: TrackedObject) -> Superquadrics:
     """Return the inflated superquadrics of an object, or one around its box and a margin of 2 cm."""
     if tracked.shape is not None and len(tracked.shape.inflated):
