@@ -8,7 +8,8 @@
     |   |-- CalibrationError        intrinsics or extrinsics that are missing or contradict the images
     |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
     |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
-    |   `-- ViewerError             a viewer that was asked for and cannot be had
+    |   |-- ViewerError             a viewer that was asked for and cannot be had
+    |   `-- OutputError             a file that was asked for and could not be written to its end
     `-- WorkerError                 a shape worker that could not be started or broke its protocol
 
 A message names what was found, what was expected, and what to do.
@@ -55,6 +56,10 @@ class ModelError(InputError):
 
 class ViewerError(InputError):
     """A viewer that was asked for and cannot be had."""
+
+
+class OutputError(InputError):
+    """A file that was asked for, and that could not be written to its end."""
 
 
 class WorkerError(HickoryError):

@@ -54,8 +54,20 @@ class Metrics(TypedDict):
     url: str
 
 
+class FailedShapes(TypedDict):
+    """Objects without a shape because their jobs failed for one reason; where the inputs of those jobs lie."""
+
+    reason: str
+    objects: list[int]
+    inputs: list[str]
+
+
 class Finished(TypedDict):
-    """What `play` and `resume` have made; `ledger` says what became of every message and frame."""
+    """What `play` and `resume` have made; `ledger` says what became of every message and frame.
+
+    `lost_outputs` says why a recording or costmap is not there to its end, `damage` where the log is damaged ("" where
+    it is sound), `resume` how a run goes on that was stopped.
+    """
 
     event: Literal["finished"]
     map: str
@@ -64,6 +76,10 @@ class Finished(TypedDict):
     digest: str | None
     objects: int
     objects_with_shape: int
+    failed_shapes: list[FailedShapes]
+    lost_outputs: list[str]
+    damage: str
+    resume: NotRequired[str]
     ledger: dict[str, Any]
 
 

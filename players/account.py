@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from players.containers import Log
     from players.counts import Ledger
     from players.log_source import LogSetup
+
+
+_FLAWS_TOLD = 5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,12 +50,15 @@ class TopicAccount:
 class Account:
     """The messages of a log by topic and bucket; `is_complete` where the pass went to the end.
 
+    `flaws` are the first damaged places, in words.
+
     Of a folder of images what is counted are files.
     """
 
     topics: tuple[TopicAccount, ...]
     is_complete: bool
     num_flaws: int = 0
+    flaws: tuple[str, ...] = ()
     explanation: str = ""
     unit: str = "messages"
 
@@ -75,6 +82,7 @@ class Account:
             "rejected": dict(sorted(rejected.items())),
             "is_complete": self.is_complete,
             "damaged_places": self.num_flaws,
+            "damage": list(self.flaws),
             "explanation": self.explanation,
             "topics": {
                 entry.topic: {
@@ -126,6 +134,7 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
         topics=tuple(entries),
         is_complete=ledger.is_complete,
         num_flaws=len(log.flaws),
+        flaws=tuple(f"{f.file} at byte {f.offset}: {f.what}" for f in islice(log.flaws, _FLAWS_TOLD)),
         explanation=_explanation(log, entries),
     )
 

@@ -100,6 +100,15 @@ def ledger_table(account: dict[str, Any]) -> str:
     return "\n".join(f"  {name:<10} {number!s:>9}  {detail}".rstrip() for name, number, detail in shown)
 
 
+def damage_line(account: dict[str, Any]) -> str:
+    """Return in one line that a log is damaged, and where; "" where it is sound."""
+    number = account["damaged_places"]
+    if not number:
+        return ""
+    places = "1 damaged place" if number == 1 else f"{number} damaged places"
+    return f"the log has {places}, and what lies outside was played; the first: {account['damage'][0]} (see `doctor`)"
+
+
 def _counts(counts: dict[str, int]) -> str:
     return ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_ALIGNMENT
+from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -152,6 +153,7 @@ def _draw(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | No
         if path.suffix == ".rrd":
             write_alignment(path, map_a, map_b, answer)
         else:
-            path.write_bytes(cv2.imencode(".png", render_alignment(map_a, map_b, answer)[..., ::-1])[1].tobytes())
+            picture = render_alignment(map_a, map_b, answer)
+            write_output(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
     except OSError as error:
         raise InputError(f"cannot write the picture {path}: {error.strerror}") from error

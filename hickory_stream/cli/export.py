@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, robot_of_option
+from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.outputs import output
@@ -63,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
         for path, data in files.items():
             if options.format in _SEVERAL:
                 path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
+            write_output(path, data)
     except OSError as error:
         raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     if options.json:

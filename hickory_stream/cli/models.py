@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, assert_never
 
+from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import ConfigError, InputError, ModelError
 from hickory_stream.outputs import output
 
@@ -134,7 +135,7 @@ def _check(options: argparse.Namespace) -> int:
     }
     if options.out is not None:
         try:
-            options.out.write_bytes(cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+            write_output(options.out, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
         except OSError as error:
             raise InputError(f"cannot write the picture {options.out}: {error.strerror}") from error
         told["picture"] = str(options.out)

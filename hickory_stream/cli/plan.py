@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_PATH
 from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, parse_place, robot_of_option
+from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -156,6 +157,6 @@ def _draw(path: Path, snapshot: Any, space: FreeSpace, answer: Way | NoPath, sta
             write_plan(path, snapshot, space, answer, start=start, goal=goal)
         else:
             picture = render_plan(snapshot, space, answer, start, goal)
-            path.write_bytes(cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+            write_output(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
     except OSError as error:
         raise InputError(f"cannot write the picture {path}: {error.strerror}") from error

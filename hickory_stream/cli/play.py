@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.cli.finish import finish
 from hickory_stream.cli.keys import HELP, Keys
 from hickory_stream.cli.source_options import add_source_options, source_options
-from hickory_stream.cli.status import STOPPED
 from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.cli.values import parse_rate, positive, read_settings, robot_of_option
 from hickory_stream.errors import InputError
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.parser import Commands
-    from hickory_stream.engine.play import Played
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.progress import Style
@@ -157,43 +155,6 @@ def _sinks_beside(options: argparse.Namespace, settings: Settings) -> list[Sink]
 def make_style(options: argparse.Namespace) -> Style:
     """Return how the progress is shown."""
     return "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
-
-
-def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
-    """Say what a run has made, and return the exit status."""
-    objects = played.snapshot.objects if played.snapshot is not None else ()
-    if options.json:
-        print(
-            output(
-                "play",
-                {
-                    "event": "finished",
-                    "map": str(out),
-                    "finished_cleanly": played.finished_cleanly,
-                    **({} if played.finished_cleanly else {"resume": resume_command(out)}),
-                    "is_reproducible": played.is_reproducible,
-                    "digest": played.digest,
-                    "objects": len(objects),
-                    "objects_with_shape": sum(o.shape is not None for o in objects),
-                    "ledger": json.loads((out / "ledger.json").read_text()),
-                },
-            )
-        )
-    else:
-        print(f"{out}: {len(objects)} objects, {sum(o.shape is not None for o in objects)} with all four layers")
-        _print_ledger(out)
-        if not played.finished_cleanly:
-            print(f"stopped, and saved; go on with: {resume_command(out)}")
-    return STOPPED if played.was_stopped else 0
-
-
-def _print_ledger(out: Path) -> None:
-    """Print what became of the messages of a log, or of the files of a folder."""
-    from players.doctor_text import ledger_table
-
-    messages = json.loads((out / "ledger.json").read_text(encoding="utf-8")).get("messages")
-    if messages:
-        print(ledger_table(messages))
 
 
 def make_sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None) -> list[tuple[Sink, bool]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import open_map_at, parse_layers, parse_size
+from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -40,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     picture = render_map(saved, layers, (width, height))
     encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
     try:
-        options.out.write_bytes(encoded)
+        write_output(options.out, encoded)
     except OSError as error:
         raise InputError(f"cannot write the picture {options.out}: {error.strerror}") from error
     if options.json:

@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.play import finish, make_sinks, make_style
+from hickory_stream.cli.finish import finish
+from hickory_stream.cli.play import make_sinks, make_style
 from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.cli.values import read_settings
 from hickory_stream.errors import MapFolderError

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.values import read_settings
+from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import CalibrationError, ConfigError, InputError, RecordingError
 from hickory_stream.outputs import output
 
@@ -61,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     picture = segmentation_picture(frame.rgb, perceived.segmentation, perceived.rejected, patches)
     encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
     try:
-        options.out.write_bytes(encoded)
+        write_output(options.out, encoded)
     except OSError as error:
         raise InputError(f"cannot write the picture {options.out}: {error.strerror}") from error
     masks = int(perceived.segmentation.instances.max(initial=0))

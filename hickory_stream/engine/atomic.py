@@ -63,6 +63,20 @@ def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
         raise
 
 
+def write_output(path: Path, data: bytes) -> None:
+    """Write a file that a person asked for: whole, or the one that was there before stays.
+
+    What is no file, like a pipe or a device, is written as it is, and a link goes on pointing to its file.
+
+    Raises:
+        OSError: the disk refused.
+    """
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+    else:
+        write_atomically(path.resolve(), data)
+
+
 def sync(path: Path) -> None:
     """Wait until a file, or the entries of a folder, have reached the disk.
 

@@ -29,7 +29,7 @@ from hickory_stream.engine.map_codec import decode_superquadrics, encode_superqu
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import glb_bytes, mesh_of_glb, sha256_of
-from hickory_stream.json_text import dumps_exactly
+from hickory_stream.json_text import dumps, dumps_exactly
 from hickory_stream.ports import BuiltShape, NoShape, ShapeInputs
 from hickory_stream.records import Containment, ObjectShape
 from hickory_stream.shapes.build import ShapeConfig
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from hickory_stream.events import RequestShape
 
 MESH, RESULT, JOB = "mesh.glb", "result.json", "job.json"
+FAILED, FAILURE = "failed", "failure.json"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -163,12 +164,16 @@ def remove_job(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def keep_input(folder: Path, failed: Path, object_id: int) -> None:
-    """Move the input of a job that failed to where a person can repeat it; the latest one of each object is kept."""
+def keep_input(folder: Path, failed: Path, object_id: int, reason: str) -> None:
+    """Move the input of a job that failed to where a person can repeat it, with why it did.
+
+    The latest one of each object is kept.
+    """
     kept = failed / f"{object_id:06d}"
     shutil.rmtree(kept, ignore_errors=True)
     try:
         folder.replace(kept)
+        write_atomically(kept / FAILURE, dumps({"reason": reason}).encode(), sync=False)
     except OSError:
         remove_job(folder)
 

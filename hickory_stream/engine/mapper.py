@@ -84,6 +84,8 @@ class Mapper:
         self._run: Run | None = None
         self._task: asyncio.Task[None] | None = None
         self.folder: MapFolder | None = None
+        self.lost_outputs: tuple[str, ...] = ()
+        """Once the run has ended: why files that were asked for beside the map are not there to their end."""
 
     @classmethod
     def resuming(
@@ -290,6 +292,7 @@ class Mapper:
             said = run.ledger(source), run.timings(), is_clean and failed is None, run.is_reproducible
             await asyncio.to_thread(_finish, folder, *said)
         await asyncio.gather(*(thread.close() for thread in threads if not thread.is_essential))
+        self.lost_outputs = tuple(thread.lost_output for thread in threads if thread.lost_output is not None)
         if failed is not None:
             raise failed
 

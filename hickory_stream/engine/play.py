@@ -23,13 +23,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Played:
-    """What a playback left: the last snapshot (None if it was stopped before the first), and how it ended."""
+    """What a playback left: the last snapshot (None if it was stopped before the first), and how it ended.
+
+    `lost_outputs` says why files that were asked for beside the map are not there to their end.
+    """
 
     snapshot: MapSnapshot | None
     finished_cleanly: bool
     was_stopped: bool
     is_reproducible: bool
     digest: str | None
+    lost_outputs: tuple[str, ...] = ()
 
 
 def play(
@@ -90,6 +94,7 @@ async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot], interrupt
         was_stopped=mapper.was_stopped,
         is_reproducible=manifest.is_reproducible,
         digest=manifest.digest,
+        lost_outputs=mapper.lost_outputs,
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.engine.jobs import (
+    FAILED,
     is_answered,
     is_complete,
     job_folder,
@@ -54,7 +55,7 @@ class ShapeQueue:
         self._config = config
         self._cache = cache
         self._open: dict[int, _Open] = {}
-        self._failed: dict[int, int] = {}
+        self._failed: dict[int, tuple[int, str]] = {}
         self.timings_s: defaultdict[str, float] = defaultdict(float)
         self.counts: Counter[str] = Counter()
 
@@ -125,7 +126,7 @@ class ShapeQueue:
         for ticket in tickets:
             folder = job_folder(self._folder.jobs, ticket)
             if ticket in self._failed:
-                keep_input(folder, self._folder.path / "failed", self._failed.pop(ticket))
+                keep_input(folder, self._folder.path / FAILED, *self._failed.pop(ticket))
             else:
                 remove_job(folder)
 
@@ -175,7 +176,7 @@ class ShapeQueue:
                     return ShapeReady(ticket=ticket, object_id=job.object_id, stamp_ns=stamp_ns, shape=answer.shape)
                 reason = answer.reason
         self.counts["failed"] += 1
-        self._failed[ticket] = job.object_id
+        self._failed[ticket] = job.object_id, reason
         return ShapeFailed(ticket=ticket, object_id=job.object_id, stamp_ns=stamp_ns, reason=reason)
 
 

@@ -12,6 +12,8 @@ import queue
 import threading
 from typing import TYPE_CHECKING
 
+from hickory_stream.errors import OutputError
+
 if TYPE_CHECKING:
     from hickory_stream.ports import Sink
     from hickory_stream.records import FrameReport
@@ -65,6 +67,11 @@ class SinkThread:
         self._raise_if_failed()
 
     @property
+    def lost_output(self) -> str | None:
+        """Why a file that was asked for is not there to its end; None where nothing was lost."""
+        return str(self._error) if isinstance(self._error, OutputError) else None
+
+    @property
     def backlog(self) -> int:
         """How many reports wait."""
         return self._queue.qsize()
@@ -83,7 +90,7 @@ class SinkThread:
                     return self._sink.close()
                 self._sink.show(report)
             except Exception as error:  # noqa: BLE001 -- a sink is foreign code: its failure is kept and judged above
-                self._error = error
+                self._error = self._error or error
                 if not self.is_essential:
                     logger.warning("%s failed and is set aside: %s", type(self._sink).__name__, error)
                 if report is None:

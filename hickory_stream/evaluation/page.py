@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.engine.atomic import write_atomically
+from hickory_stream.engine.atomic import write_output
 from hickory_stream.engine.crops import read_crop
 from hickory_stream.evaluation.close_up import close_up_of, draw
 from hickory_stream.evaluation.evaluate import placed_mesh, true_mesh_world
@@ -85,7 +85,7 @@ def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{html.escape(saved.folder.name)}: evaluation</title><style>{_STYLE}</style>{body}</html>"
     )
-    write_atomically(path, visible(page).encode(), sync=False)
+    write_output(path, visible(page).encode())
 
 
 def _card(

@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Any, BinaryIO, cast
 
 import numpy as np
 
-from hickory_stream.errors import InputError
+from hickory_stream.errors import InputError, OutputError
 from hickory_stream.navigation.costmap import Costmap, CostmapUpdate
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class CostmapSink:
     """Follows the snapshots, and hands what changed to `publish` and to a file.
 
     The file may be a named pipe: until somebody reads it nothing is written, and a reader that comes gets a whole grid
-    first; nobody waits for one. `show` raises OSError when the disk refuses.
+    first; nobody waits for one. `show` and `close` raise OutputError when the disk refuses.
 
     Raises:
         InputError: the file cannot be written.
@@ -51,7 +51,7 @@ class CostmapSink:
         path: Path | None = None,
         publish: Callable[[CostmapUpdate], None] | None = None,
     ) -> None:
-        self._robot, self._cell_m = robot, cell_m
+        self._robot, self._cell_m, self._path = robot, cell_m, path
         self._costmap = Costmap(robot, cell_m=cell_m)
         self._publish = publish
         self._pipe = path if path is not None and path.is_fifo() else None
@@ -76,10 +76,18 @@ class CostmapSink:
             self._write(self._file, update)
 
     def close(self) -> None:
-        """Finish the file."""
-        if self._file is not None:
-            with suppress(BrokenPipeError):
-                self._file.close()
+        """Finish the file; raises `OutputError` where the disk refuses, once."""
+        file, self._file = self._file, None
+        if file is not None:
+            try:
+                with suppress(BrokenPipeError):
+                    file.close()
+            except OSError as error:
+                raise self._cut_off(error) from error
+
+    def _cut_off(self, error: OSError) -> OutputError:
+        cause = error.strerror or type(error).__name__
+        return OutputError(f"the costmap {self._path} ends before the map does ({cause}); free space, and play again")
 
     def _connect(self, pipe: Path) -> None:
         """Open a pipe if somebody reads it."""
@@ -99,6 +107,11 @@ class CostmapSink:
             with suppress(BrokenPipeError):
                 file.abandon()
             self._file = None
+        except OSError as error:
+            self._file = None
+            with suppress(OSError):
+                file.abandon()
+            raise self._cut_off(error) from error
 
 
 def _opened(path: Path) -> BinaryIO:

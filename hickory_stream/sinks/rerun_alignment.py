@@ -14,6 +14,7 @@ from hickory_stream.alignment.answer import Alignment
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import moved
+from hickory_stream.sinks.piped_file import recorded_to
 from hickory_stream.sinks.rerun_items import new_stream
 
 if TYPE_CHECKING:
@@ -40,20 +41,18 @@ def write_alignment(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alig
 
     from hickory_stream.sinks.rerun_blueprint import side_by_side
 
-    path.open("wb").close()
     stream = new_stream(f"alignment-{path.stem}")
-    stream.save(path)
-    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    if isinstance(answer, Alignment):
-        views = _log_joined(stream, map_a, map_b, answer)
-    else:
-        b_from = _beside(map_a, map_b)
-        _log_map(stream, "world/a", map_a, np.eye(4), _BLUE, set(map_a.ids.tolist()), 255)
-        _log_map(stream, "world/b", map_b, b_from, _ORANGE, set(map_b.ids.tolist()), 255)
-        corners = np.concatenate([_corners(map_a, np.eye(4)), _corners(map_b, b_from)])
-        views = {"Not aligned: map a (blue), map b (orange)": (["/**"], corners)}
-    stream.send_blueprint(side_by_side(views), make_active=True, make_default=True)
-    stream.disconnect()
+    with recorded_to(path, stream):
+        stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        if isinstance(answer, Alignment):
+            views = _log_joined(stream, map_a, map_b, answer)
+        else:
+            b_from = _beside(map_a, map_b)
+            _log_map(stream, "world/a", map_a, np.eye(4), _BLUE, set(map_a.ids.tolist()), 255)
+            _log_map(stream, "world/b", map_b, b_from, _ORANGE, set(map_b.ids.tolist()), 255)
+            corners = np.concatenate([_corners(map_a, np.eye(4)), _corners(map_b, b_from)])
+            views = {"Not aligned: map a (blue), map b (orange)": (["/**"], corners)}
+        stream.send_blueprint(side_by_side(views), make_active=True, make_default=True)
 
 
 def _log_joined(

@@ -14,6 +14,7 @@ from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
 from hickory_stream.navigation.observed import rectangles
 from hickory_stream.navigation.search import NoPath
+from hickory_stream.sinks.piped_file import recorded_to
 from hickory_stream.sinks.rerun_items import new_stream
 
 if TYPE_CHECKING:
@@ -54,32 +55,34 @@ def write_plan(
     from hickory_stream.sinks.rerun_blueprint import one_map
     from hickory_stream.sinks.rerun_meshes import superquadric_mesh, tiles_mesh
 
-    path.open("wb").close()
     stream = new_stream(f"plan-{path.stem}")
-    stream.save(path)
-    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    for tracked in obstacles_of(snapshot):
-        # In one shade: the primitives of an object share many planes.
-        mesh = superquadric_mesh(layer_four_of(tracked), color_of_id(tracked.id), alpha=_ALPHA, is_shaded=False)
-        stream.log(f"world/layer4/{tracked.id}", mesh, static=True)
-    is_blocked = np.asarray(space.blocked().all(axis=(0, 1)))
-    for name, cells, color in (("free", ~is_blocked, _FREE), ("blocked", is_blocked, _BLOCKED)):
+    with recorded_to(path, stream):
+        stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for tracked in obstacles_of(snapshot):
+            # In one shade: the primitives of an object share many planes.
+            mesh = superquadric_mesh(layer_four_of(tracked), color_of_id(tracked.id), alpha=_ALPHA, is_shaded=False)
+            stream.log(f"world/layer4/{tracked.id}", mesh, static=True)
+        is_blocked = np.asarray(space.blocked().all(axis=(0, 1)))
+        for name, cells, color in (("free", ~is_blocked, _FREE), ("blocked", is_blocked, _BLOCKED)):
+            stream.log(
+                f"world/grid/{name}",
+                tiles_mesh(_tiles(space, cells), space.floor_z_m - _GRID_BELOW_M, color),
+                static=True,
+            )
+        ends = np.column_stack([[start, goal], np.full(2, space.floor_z_m + _PATH_ABOVE_M)])
         stream.log(
-            f"world/grid/{name}", tiles_mesh(_tiles(space, cells), space.floor_z_m - _GRID_BELOW_M, color), static=True
+            "world/ends",
+            rr.Points3D(
+                ends, colors=[(46, 170, 96), (226, 80, 50)], radii=2 * _PATH_RADIUS_M, labels=["start", "goal"]
+            ),
+            static=True,
         )
-    ends = np.column_stack([[start, goal], np.full(2, space.floor_z_m + _PATH_ABOVE_M)])
-    stream.log(
-        "world/ends",
-        rr.Points3D(ends, colors=[(46, 170, 96), (226, 80, 50)], radii=2 * _PATH_RADIUS_M, labels=["start", "goal"]),
-        static=True,
-    )
-    if not isinstance(answer, NoPath):
-        points = np.column_stack([answer.points, np.full(len(answer.points), space.floor_z_m + _PATH_ABOVE_M)])
-        stream.log("world/path", rr.LineStrips3D([points], colors=_PATH, radii=_PATH_RADIUS_M), static=True)
-        _drive(stream, space, answer)
-    corners = np.concatenate([ends, *(tracked.box.corners_world() for tracked in obstacles_of(snapshot))])
-    stream.send_blueprint(one_map("Plan", corners, timeline=TIMELINE), make_active=True, make_default=True)
-    stream.disconnect()
+        if not isinstance(answer, NoPath):
+            points = np.column_stack([answer.points, np.full(len(answer.points), space.floor_z_m + _PATH_ABOVE_M)])
+            stream.log("world/path", rr.LineStrips3D([points], colors=_PATH, radii=_PATH_RADIUS_M), static=True)
+            _drive(stream, space, answer)
+        corners = np.concatenate([ends, *(tracked.box.corners_world() for tracked in obstacles_of(snapshot))])
+        stream.send_blueprint(one_map("Plan", corners, timeline=TIMELINE), make_active=True, make_default=True)
 
 
 def _tiles(space: FreeSpace, cells: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import io
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from hickory_stream.errors import InputError
+from hickory_stream.errors import InputError, OutputError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.navigation.costmap import Costmap, CostmapUpdate
 from hickory_stream.navigation.free_space import obstacle_grid
@@ -20,9 +20,6 @@ from hickory_stream.navigation.robot import load_robot
 from hickory_stream.records import FrameReport, MapSnapshot
 from hickory_stream.sinks.costmap_sink import MAP_TOPIC, UPDATES_TOPIC, CostmapSink
 from tests.navigation.rooms import boxes, seen_room, snapshot, table, tracked
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.timeout(120)
 ROBOT = load_robot("point")
@@ -145,3 +142,11 @@ def test_a_reader_of_the_pipe_that_goes_is_waited_for_again(tmp_path: Path, capl
 def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot write the costmap"):
         CostmapSink(ROBOT, path=tmp_path / "no" / "such.mcap")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_costmap_that_the_disk_cut_short_is_told_once() -> None:
+    sink = CostmapSink(ROBOT, path=Path("/dev/full"))
+    with pytest.raises(OutputError, match="/dev/full ends before the map does"):
+        sink.show(report(snapshots()[0], 0))
+    sink.close()
