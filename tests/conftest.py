@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,15 @@ settings.register_profile("default", deadline=None, max_examples=50, derandomize
 settings.load_profile("default")
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile what has changed before the tests of the whole project, so that no test's time goes to the compiler."""
+    if session.config.args == session.config.getini("testpaths"):
+        from hickory_stream.engine.first_run import compile_kernels  # not for the single test that needs no kernel
+
+        asyncio.run(compile_kernels(lambda done, total: None))
+
 
 COARSE_SHAPES = """\
 [mapper.run]

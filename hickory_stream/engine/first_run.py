@@ -31,6 +31,7 @@ logger = logging.getLogger(__name__)
 _ROOT = Path(__file__).resolve().parents[1]
 _PACKAGES = ("geometry", "perception", "mapping", "shapes")
 _LEFT_OUT = "models"  # networks have kernels that few runs need
+_TELL_EVERY_S = 1.0
 _DECORATOR = "@numba.njit("
 
 
@@ -48,8 +49,17 @@ async def compile_kernels(tell: Callable[[int, int], None]) -> None:
         known.add(kernel)
         tell(min(len(known), total), total)
 
-    tell(0, total)
-    done = await asyncio.gather(*(_compile_part(part, add) for part in PARTS))
+    async def keep_telling() -> None:
+        while True:
+            tell(min(len(known), total), total)
+            await asyncio.sleep(_TELL_EVERY_S)
+
+    # A kernel takes seconds, and another process may be at them: time goes by all the same.
+    telling = asyncio.create_task(keep_telling(), name="tell")
+    try:
+        done = await asyncio.gather(*(_compile_part(part, add) for part in PARTS))
+    finally:
+        telling.cancel()
     if all(done):
         await asyncio.to_thread(_note_compiled)
 
