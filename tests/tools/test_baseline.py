@@ -61,6 +61,13 @@ def test_a_whole_run_must_have_every_figure_and_a_part_of_it_need_not(
     assert check(file, [figure("a", 0.6), figure("b", 0.5)], is_partial=True) == 1
 
 
+def test_figures_of_a_quick_run_are_judged_where_they_are_measured_and_missed_nowhere(tmp_path: Path) -> None:
+    file = tmp_path / "some.json"
+    file.write_text(json.dumps({"about": "", "figures": {"a": entry(0.6), "quick_a": entry(0.5)}}))
+    assert check(file, [figure("a", 0.6)], is_partial=False) == 0
+    assert check(file, [figure("quick_a", 0.4)], is_partial=True) == 1
+
+
 def test_a_baseline_is_set_without_its_goals_and_what_was_not_measured(tmp_path: Path) -> None:
     file = tmp_path / "some.json"
     file.write_text(json.dumps({"about": "", "figures": {"a": entry(0.6, goal=0.7), "b": entry(0.5)}}))
