@@ -73,6 +73,7 @@ class Finished(TypedDict):
     map: str
     finished_cleanly: bool
     is_reproducible: bool
+    processor: str | None
     digest: str | None
     objects: int
     objects_with_shape: int

@@ -35,6 +35,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             "finished_cleanly": played.finished_cleanly,
             **({} if played.finished_cleanly else {"resume": resume_command(out)}),
             "is_reproducible": played.is_reproducible,
+            "processor": played.processor or None,
             "digest": played.digest,
             "objects": len(objects),
             "objects_with_shape": num_shaped,
@@ -46,6 +47,8 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
         print(output("play", said))
     else:
         print(f"{out}: {len(objects)} objects, {num_shaped} with all four layers")
+        if played.is_reproducible and played.processor:
+            print(f"the same again on this kind of processor: {played.processor}")
         if ledger.get("messages"):
             from players.doctor_text import ledger_table
 

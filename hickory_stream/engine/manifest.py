@@ -26,7 +26,7 @@ _ENTRIES: dict[str, Any] = {
     "digest": (str, type(None)),
 }
 # Not in maps from before them.
-_LATER_ENTRIES: dict[str, Any] = {"run": dict, "is_reproducible": bool, "extractor": str}
+_LATER_ENTRIES: dict[str, Any] = {"run": dict, "is_reproducible": bool, "extractor": str, "processor": str}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -34,8 +34,9 @@ class Manifest:
     """What a map was made of and by; `digest` is None until the run has finished.
 
     `run` says how the run was asked for: `mode` ("playback" or "live"), `loops`, and under `source` whatever its caller
-    needs to open the source again. `is_reproducible`: nothing that depends on the machine decided anything. `extractor`
-    names what made the features, "" where that is not known.
+    needs to open the source again. `is_reproducible`: nothing but log and configuration decided anything; on
+    which kind of processor says `processor`, "" on every one. `extractor` names what made the features, "" where that
+    is not known.
     """
 
     config: Mapping[str, Any]
@@ -46,6 +47,7 @@ class Manifest:
     finished_cleanly: bool = False
     digest: str | None = None
     extractor: str = ""
+    processor: str = ""
 
 
 def manifest_json(manifest: Manifest) -> bytes:
@@ -57,6 +59,7 @@ def manifest_json(manifest: Manifest) -> bytes:
             "software_version": manifest.software_version,
             "finished_cleanly": manifest.finished_cleanly,
             "is_reproducible": manifest.is_reproducible,
+            "processor": manifest.processor,
             "digest": manifest.digest,
             "extractor": manifest.extractor,
             "run": manifest.run,
@@ -98,6 +101,7 @@ def read_manifest(folder: Path) -> Manifest:
         run=entry.get("run", {}),
         is_reproducible=entry.get("is_reproducible", True),
         extractor=entry.get("extractor", ""),
+        processor=entry.get("processor", ""),
     )
 
 

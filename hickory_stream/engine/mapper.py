@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from hickory_stream import caches
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.journal import JournalWriter
+from hickory_stream.engine.processor import processor_of_run
 from hickory_stream.engine.resume import reopen, resumed_config
 from hickory_stream.engine.run import Mode, Progress, Run
 from hickory_stream.engine.session import create_map_folder
@@ -76,6 +77,8 @@ class Mapper:
         self._overwrite = overwrite
         self._segmenter = segmenter or make_segmenter(self.config.perception)
         self._extractor = extractor or make_extractor(self.config.perception)
+        is_own = segmenter is None and extractor is None
+        self._processor = processor_of_run(self.config.perception, is_own=is_own)
         self._core = core or MapperCore(self.config.mapping)
         self._workers = workers or make_workers(self.config)
         self._resumes = False
@@ -324,6 +327,7 @@ class Mapper:
             source=dataclasses.asdict(source.info),
             run=asked,
             extractor=self.extractor_name,
+            processor=self._processor,
             overwrite=self._overwrite,
         )
         try:

@@ -17,6 +17,7 @@ from hickory_stream.confined import OutsideError, path_within
 from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.manifest import read_json
+from hickory_stream.engine.processor import processor_kind
 from hickory_stream.engine.session import create_map_folder
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
@@ -67,6 +68,7 @@ def write_merged_map(
         source=_source(merged, inputs),
         # Of several nothing is known.
         extractor=names.pop() if len(names) == 1 else "",
+        processor=processor_kind(),
         overwrite=overwrite,
     )
     shapes = from_dict(ShapeConfig, config["shapes"]) if isinstance(config.get("shapes"), dict) else ShapeConfig()

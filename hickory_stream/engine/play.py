@@ -32,6 +32,7 @@ class Played:
     finished_cleanly: bool
     was_stopped: bool
     is_reproducible: bool
+    processor: str
     digest: str | None
     lost_outputs: tuple[str, ...] = ()
 
@@ -93,6 +94,7 @@ async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot], interrupt
         finished_cleanly=manifest.finished_cleanly,
         was_stopped=mapper.was_stopped,
         is_reproducible=manifest.is_reproducible,
+        processor=manifest.processor,
         digest=manifest.digest,
         lost_outputs=mapper.lost_outputs,
     )

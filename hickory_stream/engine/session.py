@@ -71,18 +71,20 @@ def create_map_folder(
     source: Mapping[str, Any],
     run: Mapping[str, Any] | None = None,
     extractor: str = "",
+    processor: str = "",
     overwrite: bool = False,
 ) -> MapFolder:
     """Return a new, empty map folder; `overwrite` replaces a map that is there, but never anything else.
 
     `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be made of what JSON knows; `extractor`
-    names what makes the features. The folder is locked until it is closed.
+    names what makes the features, `processor` the kind that the map depends on. The folder is locked until it is
+    closed.
 
     Raises:
         MapFolderError: the place is taken or cannot be written; nothing is left behind.
     """
     _check_place(path, overwrite)
-    manifest = Manifest(config=config, source=source, run=run or {}, extractor=extractor)
+    manifest = Manifest(config=config, source=source, run=run or {}, extractor=extractor, processor=processor)
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     with disk_errors(path):
         try:

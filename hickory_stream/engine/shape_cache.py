@@ -1,7 +1,8 @@
 """Shapes that were built before, by what they were built from: a second playback of a log costs no reconstruction.
 
 The key is a hash of the whole input of a job (pixels, points, configuration), of the sources of the packages that build
-shapes, and of the versions of the libraries that they compute with: whatever could change a shape changes its key.
+shapes, of the versions of the libraries that they compute with, and of the kind of processor where shapes depend on it:
+whatever could change a shape changes its key.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from hickory_stream.caches import cache_folder, mark_used
+from hickory_stream.engine.processor import processor_of_shapes
 
 logger = logging.getLogger(__name__)
 
@@ -85,7 +87,8 @@ def _environment() -> str:
     for package in _CODE:
         for path in sorted((root / package).rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return f"{digest.hexdigest()} {sys.version_info[:2]} {' '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
+    libraries = " ".join(f"{name} {_version(name)}" for name in _LIBRARIES)
+    return f"{digest.hexdigest()} {sys.version_info[:2]} {libraries} {processor_of_shapes()}"
 
 
 def _version(library: str) -> str:

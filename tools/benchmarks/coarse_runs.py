@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _LOG = ROOT / "recordings" / "demo.mcap"
-_COARSE = (
+COARSE = (
     "mapper.shapes.fused.volume.cells=16",
     "mapper.shapes.fit.cells=16",
     "mapper.shapes.fit.num_seeds=1",
@@ -39,7 +39,7 @@ def play_coarsely(
     """Start `play` on the first frames of the embedded recording, in a process group of its own."""
     command = [sys.executable, "-m", "hickory_stream", "play", str(_LOG), "--out", str(out), "--overwrite"]
     command += ["--viewer", "none", "--json", "--frames", str(frames)]
-    for override in _COARSE:
+    for override in COARSE:
         command += ["--set", override]
     return subprocess.Popen(
         [*command, *arguments],

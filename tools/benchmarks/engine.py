@@ -27,6 +27,7 @@ from hickory_stream.errors import MapFolderError
 from tools.benchmarks.coarse_runs import die_with_parent, finished, play_coarsely
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT
+from tools.benchmarks.processors import digest_on, variants
 from tools.benchmarks.repetitions import Repetitions, measurement_folder
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ class Sample:
     soak_s: float
     soak_warm_s: float
     soak_record_s: float
+    # Frames that are played as on other processors; None: all of them, with whole shapes, on all processors.
+    variant_frames: int | None
 
 
 FULL = Sample(
@@ -60,6 +63,7 @@ FULL = Sample(
     soak_s=3600.0,
     soak_warm_s=300.0,
     soak_record_s=5.0,
+    variant_frames=None,
 )
 QUICK = Sample(
     runs=2,
@@ -71,6 +75,7 @@ QUICK = Sample(
     soak_s=9.0,
     soak_warm_s=4.0,
     soak_record_s=0.2,
+    variant_frames=6,
 )
 
 
@@ -162,6 +167,23 @@ def _slow_interpreter(path: Path) -> Path:
     path.write_text(f'#!/bin/sh\nsleep 0.$(od -An -N1 -tu1 /dev/urandom | tr -d " ")\nexec "{sys.executable}" "$@"\n')
     path.chmod(0o755)
     return path
+
+
+def _processors(sample: Sample, seed: int, repetitions: Repetitions, folder: Path) -> list[Figure]:
+    """Play as on other processors, and count the digests."""
+    del seed
+    every = variants()
+    chosen = every if sample.variant_frames is None else (every[0], *every[-3:-1])
+    for i in repetitions.missing(len(chosen)):
+        digest = digest_on(chosen[i], folder / "run", frames=sample.variant_frames)
+        print(f"{digest[:16]} {chosen[i].name}", flush=True)
+        repetitions.add(name=chosen[i].name, digest=digest)
+    if not repetitions.records:
+        return []
+    return [
+        _figure("digest_variants", len(repetitions.records), "", "higher"),
+        _figure("digest_variants_distinct", len({record["digest"] for record in repetitions.records}), "", "lower"),
+    ]
 
 
 # ---- kills and stops ------------------------------------------------------------------------------------------------
@@ -367,4 +389,5 @@ _PARTS: dict[str, Callable[[Sample, int, Repetitions, Path], list[Figure]]] = {
     "stops": _stops,
     "live": _live,
     "soak": _soak,
+    "processors": _processors,
 }
