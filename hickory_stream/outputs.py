@@ -508,14 +508,11 @@ def output(name: str, data: dict[str, Any], *, indent: int | None = None) -> str
 
 def output_schema(name: str) -> dict[str, Any]:
     """Return the JSON Schema of an output."""
-    from hickory_stream.evaluation.pose_error import PoseError
-    from hickory_stream.records import Containment
-
     kind = OUTPUTS[name]
     if isinstance(kind, str):
         module, _, attribute = kind.rpartition(".")
         kind = getattr(import_module(module), attribute)
-    schema = schema_of(kind, {"Containment": Containment, "PoseError": PoseError})
+    schema = schema_of(kind)
     head = {"output": {"const": name}, "version": {"const": VERSION}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
