@@ -67,8 +67,9 @@ class RrdFile:
         except OSError as error:
             self._is_lost = True
             cause = error.strerror or type(error).__name__
+            removed = "" if self._path.exists() else " and was removed"
             raise OutputError(
-                f"the recording {self._path} could not be written to its end ({cause}) and was removed; "
+                f"the recording {self._path} could not be written to its end ({cause}){removed}; "
                 "`hickory-stream replay MAP --rrd FILE` makes it from the map"
             ) from error
 

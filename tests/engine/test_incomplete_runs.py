@@ -17,8 +17,10 @@ from hickory_stream.cli import main
 from hickory_stream.cli.finish import failures_line
 from hickory_stream.engine.atomic import write_output
 from hickory_stream.engine.failures import FailedShapes, failed_shapes
+from hickory_stream.errors import OutputError
 from hickory_stream.sinks.piped_file import recorded_to
-from hickory_stream.sinks.rerun_items import new_stream
+from hickory_stream.sinks.rerun_file import RrdFile
+from hickory_stream.sinks.rerun_items import LogItem, Moment, new_stream
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -141,6 +143,19 @@ def test_a_full_disk_leaves_the_file_that_was_there(
     assert list(tmp_path.iterdir()) == [out]
 
 
+def test_a_recording_of_a_run_is_gone_where_the_disk_cut_it_short(tmp_path: Path) -> None:
+    import rerun as rr
+
+    recording = RrdFile(tmp_path / "run.rrd", recording_id="cut", cap_mb=100.0)
+    item = LogItem(path="points", archetypes=(rr.Points3D([[float(i), 0.0, 0.0] for i in range(10_000)]),))
+    with files_of_at_most(10_000):
+        recording.write(Moment(frame=0, stamp_ns=0, keyframe=0), [item])
+        with pytest.raises(OutputError, match=r"File too large.* and was removed; `hickory-stream replay"):
+            recording.close()
+    recording.close()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_recording_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     import rerun as rr
 
@@ -148,7 +163,7 @@ def test_a_recording_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     out.write_bytes(OLD)
     points = rr.Points3D([[float(i), 0.0, 0.0] for i in range(10_000)])
     stream = new_stream("cut")
-    with pytest.raises(OSError, match="File too large"), files_of_at_most(10_000), recorded_to(out, stream):
+    with pytest.raises(OSError, match=r"File too large"), files_of_at_most(10_000), recorded_to(out, stream):
         stream.log("points", points)
     assert out.read_bytes() == OLD
     assert list(tmp_path.iterdir()) == [out]

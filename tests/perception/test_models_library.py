@@ -100,3 +100,8 @@ def test_a_manifest_that_is_none_is_refused_by_its_path(tmp_path, text):
     (tmp_path / MANIFEST).write_text(text)
     with pytest.raises(ModelError, match=r"manifest\.json"):
         read_manifest(tmp_path)
+
+
+def test_a_home_that_is_no_folder_holds_no_models(tmp_path):
+    (tmp_path / "home").write_text("")
+    assert read_manifest(tmp_path / "home" / "models") == {}

@@ -88,7 +88,7 @@ def read_manifest(folder: Path) -> dict[str, ModelEntry]:
     path = folder / MANIFEST
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return {}
     except OSError as error:
         raise ModelError(f"cannot read {path}: {error.strerror}") from error
