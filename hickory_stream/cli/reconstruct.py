@@ -29,6 +29,9 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.shapes.build import build_shape, make_reconstructor
 
     folder: Path = options.view
+    if folder.is_symlink() or folder.parent.is_symlink():
+        # The answer is written there: a stranger's map must not say where.
+        raise InputError(f"{folder} is reached by a link; name the folder that it leads to: {folder.resolve()}")
     if not (folder / JOB).is_file():
         raise InputError(f"{folder} holds no {JOB}; name a folder of MAP/failed, which keeps the input of failed jobs")
     try:

@@ -85,7 +85,8 @@ def sync(path: Path) -> None:
     """
     if os.name != "posix" and path.is_dir():
         return  # only POSIX opens folders
-    descriptor = os.open(path, os.O_RDONLY)
+    # A pipe in the place of a file would be waited for.
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     try:
         os.fsync(descriptor)
     finally:

@@ -60,6 +60,7 @@ _EVENTS = (
     "PosesCorrected",
 )
 _CHANNELS = {name: 16 + i for i, name in enumerate(_EVENTS)}
+_EVENT_NAMES = {channel: name for name, channel in _CHANNELS.items()}
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
 _NO_LIMIT = 1 << 60
@@ -285,18 +286,23 @@ class Journal:
         Raises:
             MapFolderError: it is damaged.
         """
-        first, *others = self._messages(self._steps[index])
-        events = [message.data for message in others if message.channel_id in _CHANNELS.values()]
-        return JournalEntry(step=self._decoded(first.data), events=tuple(self._decoded(data) for data in events))
+        others = self._messages(self._steps[index])[1:]
+        events = [
+            self._decoded(message.data, _EVENT_NAMES[message.channel_id])
+            for message in others
+            if message.channel_id in _EVENT_NAMES
+        ]
+        return JournalEntry(step=self.step(index), events=tuple(events))
 
     def step(self, index: int) -> Step:
         """Return a step without its events."""
-        step: Step = self._decoded(self._messages(self._steps[index])[0].data)
+        step: Step = self._decoded(self._messages(self._steps[index])[0].data, "Step")
         return step
 
     def events(self, index: int, kind: str) -> list[Event]:
         """Return the events of one kind in a step."""
-        return [self._decoded(m.data) for m in self._messages(self._steps[index]) if m.channel_id == _CHANNELS[kind]]
+        channel = _CHANNELS[kind]
+        return [self._decoded(m.data, kind) for m in self._messages(self._steps[index]) if m.channel_id == channel]
 
     def color(self, index: int) -> bytes | None:
         """Return the compressed image of a step's keyframe, None where there is none."""
@@ -345,17 +351,28 @@ class Journal:
 
     def _checkpoint(self, chunk: int) -> Checkpoint:
         def part(other: int, number: int) -> NDArray[Any]:
-            array: NDArray[Any] = self._decoded(self._messages(other)[number].data)
+            if not 0 <= other <= chunk:
+                raise ValueError(f"a part is said to lie in chunk {other}")
+            array: NDArray[Any] = self._decoded(self._messages(other)[number].data, "ndarray")
             return array
 
-        checkpoint: Checkpoint = self._decoded(self._messages(chunk)[0].data, part)
-        return replace(checkpoint, core=unpacked(checkpoint.core))
-
-    def _decoded(self, data: bytes, part: Callable[[int, int], NDArray[Any]] | None = None) -> Any:
+        checkpoint: Checkpoint = self._decoded(self._messages(chunk)[0].data, "Checkpoint", part)
         try:
-            return decode(data, part)
+            return replace(checkpoint, core=unpacked(checkpoint.core))
+        except (ValueError, IndexError) as error:
+            raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
+
+    def _decoded(self, data: bytes, kind: str, part: Callable[[int, int], NDArray[Any]] | None = None) -> Any:
+        """Return a record of this kind, by the name of its type."""
+        try:
+            record = decode(data, part)
         except ValueError as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
+        if type(record).__name__ != kind:
+            raise MapFolderError(
+                f"{self.path} is damaged or of another version: found a {type(record).__name__}, expected a {kind}"
+            )
+        return record
 
     def _messages(self, chunk: int) -> list[Message]:
         cached = self._cache.get(chunk)
@@ -367,6 +384,8 @@ class Journal:
             record = Chunk.read(ReadDataStream(BytesIO(self._data[place.start : place.end])))
             _check_unpacked_size(record)
             messages = [m for m in breakup_chunk(record, validate_crc=True) if isinstance(m, Message)]
+            if not messages:
+                raise ValueError("a chunk without messages")
         except _DAMAGE as error:
             raise MapFolderError(
                 f"{self.path} is damaged at byte {place.start}: {error}; play the log again"

@@ -28,6 +28,8 @@ _HELPERS = {
     "intervals",
     "labelled_clouds",
     "live_scene",
+    "map_changes",
+    "map_damage",
     "mask_scores",
     "perception_models",
     "processes",
@@ -35,6 +37,7 @@ _HELPERS = {
     "shape_meshes",
     "shape_truth",
     "small_logs",
+    "small_maps",
     "swept_truth",
     "true_shapes",
 }
@@ -62,6 +65,7 @@ def main() -> int:
     parser.add_argument(
         "--set-baseline", metavar="ABOUT", help="write what was measured into the committed baseline, and what it is"
     )
+    parser.add_argument("--maps", action="store_true", help="damage: alter maps instead of logs")
     parser.add_argument("--render", type=Path, metavar="DIR", help="shapes: write a picture of each object")
     parser.add_argument(
         "--state",
@@ -95,6 +99,7 @@ def main() -> int:
         minutes=arguments.minutes,
         fresh=arguments.fresh,
         worlds=arguments.worlds,
+        maps=arguments.maps,
     )
     path = baseline_file(arguments.name)
     if arguments.check and not path.is_file():

@@ -20,6 +20,8 @@ from hickory_stream.errors import InputError
 from players.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors
 from players.opening import open_container
 from tools.benchmarks.figures import Figure, Options
+from tools.benchmarks.map_damage import figures_of as map_figures_of
+from tools.benchmarks.map_damage import run_map_cases
 from tools.benchmarks.repetitions import Repetitions, measurement_folder
 from tools.benchmarks.small_logs import write_small_logs
 
@@ -47,12 +49,19 @@ class Tally:
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures of all cases; prints the recovered share by container and kind."""
+    """Return the figures of all cases; of logs it prints the recovered share by container and kind."""
     repetitions = Repetitions()
     if not options.quick:
-        kept = measurement_folder(options.state, "damage", seed=options.seed, fresh=options.fresh) / "logs.jsonl"
+        name = "maps.jsonl" if options.maps else "logs.jsonl"
+        kept = measurement_folder(options.state, "damage", seed=options.seed, fresh=options.fresh) / name
         repetitions = Repetitions(kept, until=time.monotonic() + 60.0 * options.minutes)
         print(f"kept in {kept}; {len(repetitions.records)} cases were there", flush=True)
+    if options.maps:
+        with closing(repetitions):
+            altered = run_map_cases(_QUICK_CASES if options.quick else _CASES, options.seed, repetitions)
+        for text in (*altered.crashes[:20], *altered.outside[:20]):
+            print(f"  {text}")
+        return map_figures_of(altered)
     with closing(repetitions):
         tally = run_cases(_QUICK_CASES if options.quick else _CASES, options.seed, repetitions)
     for name, (recovered, expected) in sorted(tally.worst.items()):

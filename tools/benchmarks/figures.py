@@ -41,7 +41,8 @@ class Options:
     `quick` asks for a smaller sample in under 50 s; `scenes` are truth folders to measure on instead of its own,
     `meshes` a folder of meshes, `clouds` one of labelled clouds; pictures go to `render`. What has many repetitions
     keeps them under `state` (not when quick), does those alone that `only` names, begins none after `minutes`, and
-    forgets earlier ones when `fresh`. `worlds` is the folder of rooms that others made.
+    forgets earlier ones when `fresh`. `worlds` is the folder of rooms that others made;
+    `maps` asks for altered maps instead of damaged logs.
     """
 
     seed: int
@@ -55,6 +56,7 @@ class Options:
     minutes: float = math.inf
     fresh: bool = False
     worlds: Path | None = None
+    maps: bool = False
 
 
 def print_table(figures: list[Figure]) -> None:

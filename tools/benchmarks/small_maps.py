@@ -1,0 +1,72 @@
+"""A small map of an in-memory scene, with everything that a map folder can hold: what damage to maps is done to."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.config import MapperConfig, read_config
+from hickory_stream.engine.jobs import write_job
+from hickory_stream.engine.manifest import MANIFEST, manifest_json
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.session import open_map
+from hickory_stream.events import RequestShape
+from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, SceneSource
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_NUM_FRAMES = 6
+_COARSE = (
+    "shapes.fused.volume.cells=16",
+    "shapes.fit.cells=16",
+    "shapes.fit.num_seeds=1",
+    "shapes.fit.num_candidates=1",
+    "shapes.fit.max_primitives=1",
+    "shapes.fit.coarse_samples=100",
+    "shapes.fit.coarse_iterations=3",
+    "shapes.fit.fine_samples=300",
+    "shapes.fit.fine_iterations=4",
+    "shapes.fit.gain_samples=1000",
+    "mapping.requests.first_sightings=2",
+    "mapping.requests.latency_s=0.5",
+    "journal.checkpoint_keyframes=3",
+    "run.shape_cache=false",
+    "run.workers=1",
+)
+
+
+def write_small_map(path: Path) -> None:
+    """Write a finished map of a few objects, with the input of a shape job in `failed/`."""
+    config = read_config(MapperConfig, None, _COARSE)
+    asyncio.run(_map(config, path))
+    saved = open_map(path)
+    tracked = next(item for item in saved.snapshot.objects if item.shape is not None)
+    request = RequestShape(
+        ticket=1,
+        object_id=tracked.id,
+        views=tracked.views,
+        points_world=tracked.points_world,
+        colors=tracked.colors,
+        box=tracked.box,
+        support_z_m=0.0,
+        due_ns=0,
+    )
+    write_job(path / "failed" / f"{tracked.id:06d}", request, saved.views, config.shapes)
+
+
+def as_live_and_killed(path: Path) -> None:
+    """Make a map that of a live run that was killed, which `resume` saves as of its last step."""
+    manifest = open_map(path, warns=False).manifest
+    run = {**manifest.run, "mode": "live"}
+    killed = replace(manifest, finished_cleanly=False, digest=None, run=run)
+    (path / MANIFEST).unlink()
+    (path / MANIFEST).write_bytes(manifest_json(killed))
+
+
+async def _map(config: MapperConfig, path: Path) -> None:
+    segmenter = InstanceSegmenter(SceneSource(_NUM_FRAMES).instances)
+    async with Mapper(config, out=path, segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
+        async for _ in mapper.run(SceneSource(_NUM_FRAMES)):
+            pass
