@@ -16,7 +16,7 @@ import numpy as np
 from hickory_stream.confined import plain_name, read_within
 from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.errors import MapFolderError
-from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.camera import MOST_SIDE_PX, Camera
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import Crop
 
@@ -92,7 +92,7 @@ def _read_png(path: Path, dtype: np.dtype[Any], num_dimensions: int) -> NDArray[
     try:
         data = read_within(path.parent, path.name)
         width, height = _png_size(data)
-        if width * height > _MOST_PIXELS:
+        if not (1 <= width <= MOST_SIDE_PX and 1 <= height <= MOST_SIDE_PX and width * height <= _MOST_PIXELS):
             raise ValueError(f"{width} x {height} pixels, which no view has")
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except (OSError, ValueError, cv2.error) as error:

@@ -69,12 +69,18 @@ def figures_of(tally: MapTally) -> list[Figure]:
     ]
 
 
-def run_map_cases(num_cases: int, seed: int, repetitions: Repetitions | None = None) -> MapTally:
-    """Return what came of so many cases, spread over all kinds of files; those of `repetitions` are there."""
+def run_map_cases(
+    num_cases: int, seed: int, repetitions: Repetitions | None = None, sound: Path | None = None
+) -> MapTally:
+    """Return what came of so many cases, spread over all kinds of files; those of `repetitions` are there.
+
+    `sound` is the map that copies are altered of; one is made where there is none.
+    """
     repetitions = repetitions or Repetitions()
     with tempfile.TemporaryDirectory() as temporary:
-        sound = Path(temporary) / "sound"
-        write_small_map(sound)
+        if sound is None:
+            sound = Path(temporary) / "sound"
+            write_small_map(sound)
         _warm_up(sound, Path(temporary) / "warm")
         for i in repetitions.missing(num_cases):
             repetitions.add(**asdict(run_case(sound, Path(temporary) / "case", i, seed)))
