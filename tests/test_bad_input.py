@@ -291,7 +291,7 @@ def test_layers_that_there_are_not_are_refused(tmp_path: Path, run: Callable[...
     refusal(run("render", tmp_path / "map", "--layers", layers), f"found --layers {layers}", "1,2,3,4")
 
 
-@pytest.mark.parametrize("size", ["big", "10x10", "1600", "99999x100", "-1x100"])
+@pytest.mark.parametrize("size", ["big", "10x10", "479x240", "1600", "99999x100", "-1x100"])
 def test_a_picture_of_no_size_is_refused(tmp_path: Path, run: Callable[..., Ended], size: str) -> None:
     create_map_folder(tmp_path / "map", config={}, source={})
     refusal(run("render", tmp_path / "map", f"--size={size}"), f"found --size {size}", "WIDTHxHEIGHT")

@@ -15,11 +15,13 @@ import cv2
 import numpy as np
 import psutil
 import pytest
+import trimesh
 
 from hickory_stream.config import from_dict, read_config
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.play import play
 from hickory_stream.engine.session import open_map
+from hickory_stream.geometry.rigid import apply
 from hickory_stream.records import Phase
 from hickory_stream.settings import Settings
 from hickory_stream.testing import RememberingSink
@@ -283,6 +285,46 @@ def test_render_draws_the_layers_that_are_asked_for(made: Made, tmp_path: Path) 
     assert pictures[0].shape == pictures[1].shape == (320, 640, 3)
     assert (pictures[0] != pictures[1]).mean() > 0.01
     assert all(len(set(picture.reshape(-1, 3).mean(axis=1).round().tolist())) > 20 for picture in pictures)
+
+
+def test_what_is_written_is_told_and_is_replaced_only_when_asked_to(made: Made, tmp_path: Path) -> None:
+    for command, out in (
+        (("render", made.by_one, "--size", "480x240"), tmp_path / "map.png"),
+        (("export", made.by_one, "--format", "glb"), tmp_path / "map.glb"),
+        (("replay", made.by_one), tmp_path / "run.rrd"),
+    ):
+        option = "--rrd" if command[0] == "replay" else "-o"
+        first = run(*command, option, out)
+        assert first.status == 0, first.stderr
+        assert re.search(rf"^{re.escape(str(out))}: [\d.]+ (KiB|MiB)$", first.stdout, flags=re.MULTILINE)
+        written = out.read_bytes()
+        refused = run(*command, option, out)
+        assert (refused.status, refused.stdout) == (2, "")
+        assert f"{out} is there already; --overwrite replaces it" in refused.stderr
+        assert out.read_bytes() == written
+    out = tmp_path / "map.png"
+    assert run("render", made.by_one, "--size", "640x320", "-o", out, "--overwrite").status == 0
+    assert cv2.imread(str(out)).shape == (320, 640, 3)
+
+
+def test_an_exported_glb_is_y_up_and_keeps_which_surface_was_seen(made: Made, tmp_path: Path) -> None:
+    assert run("export", made.by_one, "--format", "glb", "-o", tmp_path / "map.glb").status == 0
+    scene = trimesh.load(tmp_path / "map.glb", force="scene")
+    content = (tmp_path / "map.glb").read_bytes()
+    document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    assert all("_SEEN" in mesh["primitives"][0]["attributes"] for mesh in document["meshes"])
+    saved = open_map(made.by_one)
+    shapes = {f"object-{t.id}": t.shape for t in saved.snapshot.objects if t.shape is not None}
+    assert set(scene.graph.nodes_geometry) == set(shapes)
+    for name, shape in shapes.items():
+        mesh = saved.mesh(shape)
+        pose, geometry = scene.graph[name]
+        x, y, z = apply(shape.world_from_object, np.asarray(mesh.vertices, dtype=np.float64)).T
+        exported = apply(pose, np.asarray(scene.geometry[geometry].vertices, dtype=np.float64))
+        # glTF: x right, y up, z towards us.
+        assert np.allclose(np.sort(exported, axis=0), np.sort(np.stack([x, z, -y], axis=1), axis=0), atol=1e-4)
+        seen = scene.geometry[geometry].vertex_attributes["_SEEN"]
+        assert int(np.asarray(seen).sum()) == int(mesh.is_seen.sum())
 
 
 @pytest.mark.parametrize("form", ["text", "json"])

@@ -104,14 +104,14 @@ def test_one_frame_is_segmented_and_drawn(tmp_path, capsys, color_shape):
 def test_a_profile_brings_the_intrinsics_of_both_cameras(tmp_path, capsys):
     files = frame_files(tmp_path, depth_shape=(480, 640), color_shape=(480, 640, 3))
     options = ("--profile", "seven_scenes", "--down", "-0.1,1,0", "-o", tmp_path / "s.png")
-    assert said(capsys, "segment", *files, *options)[0] == 0
+    assert said(capsys, "segment", *files, *options, "--overwrite")[0] == 0
     by_profile = (tmp_path / "s.png").read_bytes()
     # A folder of the data set has them in a file, which counts more; the same numbers give the same picture.
     (tmp_path / "camera-intrinsics.txt").write_text("585 0 320\n0 585 240\n0 0 1\n")
-    assert said(capsys, "segment", *files, *options)[0] == 0
+    assert said(capsys, "segment", *files, *options, "--overwrite")[0] == 0
     assert (tmp_path / "s.png").read_bytes() == by_profile
     (tmp_path / "camera-intrinsics.txt").write_text("300 0 320\n0 300 240\n0 0 1\n")
-    assert said(capsys, "segment", *files, *options)[0] == 0
+    assert said(capsys, "segment", *files, *options, "--overwrite")[0] == 0
     assert (tmp_path / "s.png").read_bytes() != by_profile
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from hickory_stream.cli.compile_notice import CompileNotice
 from hickory_stream.cli.parser import make_parser
 from hickory_stream.cli.status import STOPPED
+from hickory_stream.cli.written import outputs_of, refuse_taken, written_text
 from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.errors import HickoryError
 from hickory_stream.outputs import output
@@ -38,7 +39,12 @@ def _run(arguments: Sequence[str] | None) -> int:
     logging.basicConfig(level=logging.DEBUG if options.debug else logging.WARNING, format="%(levelname)s: %(message)s")
     told_no_more = tell_when_compiling(CompileNotice(as_json=getattr(options, "json", False)))
     try:
+        refuse_taken(outputs_of(options), overwrite=getattr(options, "overwrite", False))
         status: int = options.run(options)
+        if not getattr(options, "json", False):
+            for path in outputs_of(options):
+                if path.is_file():
+                    print(written_text(path))
     except HickoryError as error:
         _fail(str(error), options)
         return error.exit_status

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_ALIGNMENT
+from hickory_stream.cli.written import add_output
 from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -30,7 +31,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     align.add_argument("a", type=Path, metavar="A", help="the map whose frame the answer is in")
     align.add_argument("b", type=Path, metavar="B")
     align.add_argument("--method", choices=METHODS, default="sq", help="sq (default), or a rival for comparison")
-    align.add_argument("-o", "--out", type=Path, metavar="PNG|RRD", help="draw both maps joined by their pairs")
+    add_output(align, "-o", "--out", type=Path, metavar="PNG|RRD", help="draw both maps joined by their pairs")
 
 
 def run(options: argparse.Namespace) -> int:

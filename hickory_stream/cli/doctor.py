@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.source_options import add_source_options, source_options
+from hickory_stream.cli.written import add_output
 from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -25,7 +26,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     )
     doctor.set_defaults(run=run)
     doctor.add_argument("source", nargs="+", metavar="LOG", help="what play would be given")
-    doctor.add_argument("--html", type=Path, metavar="PAGE", help="write a page with plots")
+    add_output(doctor, "--html", type=Path, metavar="PAGE", help="write a page with plots")
     add_source_options(doctor)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.cli.written import add_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -21,7 +22,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     evaluate.add_argument("map", type=Path, metavar="MAP", nargs="?")
     evaluate.add_argument("--truth", type=Path, metavar="DIR", help="the truth folder of the log that was played")
     evaluate.add_argument("--explain", action="store_true", help="say what every figure means")
-    evaluate.add_argument("--html", type=Path, metavar="PAGE", help="write a page with pictures, worst objects first")
+    add_output(evaluate, "--html", type=Path, metavar="PAGE", help="write a page with pictures, worst objects first")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, robot_of_option
+from hickory_stream.cli.written import add_output, refuse_taken, written_text
 from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError
 from hickory_stream.json_text import dumps_exactly
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 # Structure above is ceiling to a robot.
 _WALL_HEIGHT_M = 2.0
+_MOST_TOLD = 3
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
@@ -33,11 +35,17 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         "--format",
         choices=sorted((*_WRITERS, *_SEVERAL)),
         default="json",
-        help="json (default): all records; ply: layer 1 of all objects; glb: layer 2, one named node an object; nav2: "
-        "a grid for map_server (YAML and PGM); mjcf, urdf: a folder for simulators, layer 2 to see, layer 4 to touch",
+        help="json (default): all records; ply: layer 1 of all objects; glb: layer 2, one named node an object, y up, "
+        "_SEEN per vertex; nav2: a grid for map_server (YAML and PGM); mjcf, urdf: a folder for simulators, layer 2 to "
+        "see, layer 4 to touch",
     )
-    export.add_argument(
-        "-o", "--out", type=Path, metavar="FILE", help="default: MAP with the ending of the format, yaml for nav2"
+    add_output(
+        export,
+        "-o",
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="default: MAP with the ending of the format, yaml for nav2",
     )
     export.add_argument(
         "--robot", metavar="NAME|FILE", help="nav2: whose heights count; its footprint does not. nav2 needs it"
@@ -56,10 +64,12 @@ def run(options: argparse.Namespace) -> int:
     saved, doubt = open_proven_map_at(options)
     ending = "yaml" if options.format == "nav2" else options.format
     out = options.out or options.map.with_suffix(f".{ending}")
+    refuse_taken([out], overwrite=options.overwrite)
     if options.format in _SEVERAL:
         files = _SEVERAL[options.format](saved, out, options)
     else:
         files = {out: _WRITERS[options.format](saved)}
+    refuse_taken(files, overwrite=options.overwrite)
     try:
         for path, data in files.items():
             if options.format in _SEVERAL:
@@ -71,8 +81,16 @@ def run(options: argparse.Namespace) -> int:
         told = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
         told |= {"unproven": doubt or None}
         print(output("export", told if len(files) == 1 else told | {"files": len(files)}))
-    elif doubt:
-        sys.stderr.write(f"note: layer 4 is not proven: {doubt}\n")
+    else:
+        if doubt:
+            sys.stderr.write(f"note: layer 4 is not proven: {doubt}\n")
+        # A file that was named is told of with those of all commands.
+        told_of = [path for path in files if path != options.out]
+        if len(told_of) > _MOST_TOLD:
+            size = sum(len(data) for data in files.values()) / 1024**2
+            print(f"{out}: {len(files)} files, {size:.2f} MiB")
+        else:
+            print("".join(f"{written_text(path)}\n" for path in told_of), end="")
     return 0
 
 
@@ -94,9 +112,11 @@ def _ply(saved: SavedMap) -> bytes:
 
 
 def _glb(saved: SavedMap) -> bytes:
+    """Return a scene of glTF, which is y up; `_SEEN` of a vertex is 1 where the surface was seen, 0 where completed."""
     import numpy as np
     import trimesh
 
+    gltf_from_world = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     scene = trimesh.Scene()
     for tracked in saved.snapshot.objects:
         if tracked.shape is not None:
@@ -105,8 +125,10 @@ def _glb(saved: SavedMap) -> bytes:
             shown = trimesh.Trimesh(
                 mesh.vertices, mesh.faces, vertex_colors=np.column_stack([mesh.colors, opaque]), process=False
             )
+            shown.vertex_attributes["_SEEN"] = mesh.is_seen.astype(np.float32)
             name = f"object-{tracked.id}"
-            scene.add_geometry(shown, node_name=name, geom_name=name, transform=tracked.shape.world_from_object)
+            pose = gltf_from_world @ tracked.shape.world_from_object
+            scene.add_geometry(shown, node_name=name, geom_name=name, transform=pose)
     if not scene.geometry:
         raise InputError(f"{saved.folder} holds no meshes; export --format ply writes the points")
     exported: bytes = scene.export(file_type="glb")

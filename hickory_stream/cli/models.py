@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, assert_never
 
+from hickory_stream.cli.written import add_output
 from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import ConfigError, InputError, ModelError
 from hickory_stream.outputs import output
@@ -44,7 +45,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     check = actions.add_parser("check", parents=[common, configured], help="run a model on a built-in picture")
     check.set_defaults(run=_check)
     check.add_argument("name", metavar="NAME")
-    check.add_argument("-o", "--out", type=Path, metavar="PNG", help="draw what it gives")
+    add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw what it gives")
 
 
 def _where(options: argparse.Namespace) -> int:

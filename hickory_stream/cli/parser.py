@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import re
 from pathlib import Path
+from textwrap import fill
 from typing import Any, TypeAlias
 
 from hickory_stream import __version__
 from hickory_stream.cli import (
     align,
     cache,
+    completion,
     config,
     demo,
     diff,
@@ -34,6 +36,7 @@ from hickory_stream.cli import (
     segment,
     verify,
 )
+from hickory_stream.cli.examples import TEXTS
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -62,6 +65,7 @@ _COMMANDS = (
     cache,
     config,
     schema,
+    completion,
 )
 
 
@@ -91,4 +95,11 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in _COMMANDS:
         command.add(commands, common, configured)
+    for path, command_parser in completion.commands_of(parser):
+        text = TEXTS.get(" ".join(path))
+        if text is not None:
+            command_parser.description = fill(text[0])
+            command_parser.epilog = f"example:\n  hickory-stream {text[1]}"
+            # An example is one line, to be copied.
+            command_parser.formatter_class = argparse.RawDescriptionHelpFormatter
     return parser

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_PATH
 from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, parse_place, robot_of_option
+from hickory_stream.cli.written import add_output
 from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -35,7 +36,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     add_robot_arguments(plan)
     plan.add_argument("--planner", choices=PLANNERS, default="rrt-connect")
     plan.add_argument("--seed", type=int, default=0, help="the same seed gives the same path")
-    plan.add_argument("-o", "--out", type=Path, metavar="PNG|RRD", help="draw the grid, the objects and the path")
+    add_output(plan, "-o", "--out", type=Path, metavar="PNG|RRD", help="draw the grid, the objects and the path")
     plan.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )

@@ -11,6 +11,7 @@ from hickory_stream.cli.keys import HELP, Keys
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.cli.values import parse_rate, positive, read_settings, robot_of_option
+from hickory_stream.cli.written import add_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -34,7 +35,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
         help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images; several logs are played as one",
     )
     play.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
-    play.add_argument("--overwrite", action="store_true", help="replace the map that is there")
+    play.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
     play.add_argument(
         "--live", action="store_true", help="as from a camera: in real time, and what comes too fast is left out"
@@ -53,9 +54,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
         help="child processes that build shapes, or dask=tcp://HOST:PORT; they do not change the map",
     )
     play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
-    play.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
-    play.add_argument(
-        "--costmap", type=Path, metavar="FILE", help="write the growing grid as ROS 2 messages (MCAP) for Nav2"
+    add_output(play, "--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
+    add_output(
+        play, "--costmap", type=Path, metavar="FILE", help="write the growing grid as ROS 2 messages (MCAP) for Nav2"
     )
     play.add_argument(
         "--costmap-robot", metavar="NAME|FILE", help="at whose heights obstacles count there; --costmap needs it"

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import open_map_at, parse_layers, parse_size
+from hickory_stream.cli.written import add_output
 from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -21,7 +22,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     render = commands.add_parser("render", parents=[common], help="draw a map; needs no screen")
     render.set_defaults(run=run)
     render.add_argument("map", type=Path, metavar="MAP")
-    render.add_argument("-o", "--out", type=Path, default=Path("map.png"), metavar="PNG")
+    add_output(render, "-o", "--out", type=Path, default=Path("map.png"), metavar="PNG")
     render.add_argument("--layers", default="1,2", help="which layers to draw, e.g. 1,2 (default) or 3,4")
     render.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.cli.written import add_output
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     )
     replay.set_defaults(run=run)
     replay.add_argument("map", type=Path, metavar="MAP")
-    replay.add_argument("--rrd", type=Path, metavar="FILE", help="write a Rerun recording of it")
+    add_output(replay, "--rrd", type=Path, metavar="FILE", help="write a Rerun recording of it")
 
 
 def run(options: argparse.Namespace) -> int:

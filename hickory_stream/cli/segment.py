@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.values import read_settings
+from hickory_stream.cli.written import add_output
 from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import CalibrationError, ConfigError, InputError, RecordingError
 from hickory_stream.outputs import output
@@ -30,7 +31,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     segment.set_defaults(run=run)
     segment.add_argument("image", type=Path, metavar="IMAGE", help="colour or grey, JPEG or PNG")
     segment.add_argument("depth", type=Path, metavar="DEPTH", help="16-bit PNG, 0 = no return, or .npy in metres")
-    segment.add_argument("-o", "--out", type=Path, default=Path("segments.png"), metavar="PNG")
+    add_output(segment, "-o", "--out", type=Path, default=Path("segments.png"), metavar="PNG")
     segment.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="in pixels; default: a camera of 60 degrees")
     segment.add_argument(
         "--profile",

@@ -152,6 +152,6 @@ def parse_layers(text: str) -> set[int]:
 def parse_size(text: str) -> tuple[int, int]:
     """Return width and height of a text like 1600x800, pixels; raises `InputError`."""
     width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit() and 64 <= int(width) <= 8192 and 64 <= int(height) <= 8192):
-        raise InputError(f"found --size {text}, expected WIDTHxHEIGHT of 64 to 8192 pixels, e.g. 1600x800")
+    if not (width.isdigit() and height.isdigit() and 480 <= int(width) <= 8192 and 240 <= int(height) <= 8192):
+        raise InputError(f"found --size {text}, expected WIDTHxHEIGHT of 480x240 to 8192x8192 pixels, e.g. 1600x800")
     return int(width), int(height)

@@ -1,0 +1,117 @@
+"""What `--help` of each command begins and ends with: a sentence, and a command line that works."""
+
+from __future__ import annotations
+
+TEXTS: dict[str, tuple[str, str]] = {
+    "play": (
+        "Map a recorded log: find its objects and write a map folder, which every other command reads.",
+        "play recordings/demo.mcap --out demo.map --rrd demo.rrd",
+    ),
+    "resume": (
+        "Go on with a playback that was killed, stopped or broken off, to the map that it would have become.",
+        "resume demo.map --source /mnt/logs/demo.mcap",
+    ),
+    "replay": (
+        "Repeat a recorded run from its journal alone, and compare the map that comes out.",
+        "replay demo.map --rrd again.rrd",
+    ),
+    "doctor": (
+        "Examine a log before it is mapped: what would be played, what is damaged, and what becomes of every message.",
+        "doctor camera.bag vio.bag --html page.html",
+    ),
+    "inspect": (
+        "Show what a map holds: every object with its layers, what they take and how long they took.",
+        "inspect demo.map --at 12.5",
+    ),
+    "render": (
+        "Draw a map from above and in perspective, without a screen.",
+        "render demo.map -o demo.png --layers 3,4",
+    ),
+    "export": (
+        "Write a map in a format that other programs read.",
+        "export demo.map --format glb -o demo.glb",
+    ),
+    "diff": (
+        "Tell what happened to the objects between two moments of a run.",
+        "diff demo.map 5 12.5",
+    ),
+    "plan": (
+        "Plan a path through a map for a robot, or say why there is none.",
+        "plan demo.map --start 1,1 --goal -1,-1 --robot jackal -o plan.png",
+    ),
+    "align": (
+        "Find where one map lies in another one, how sure that is, or why it cannot be said.",
+        "align monday.map tuesday.map -o join.png",
+    ),
+    "merge": (
+        "Make one map of several that overlap; the inputs are not changed.",
+        "merge monday.map tuesday.map -o both.map",
+    ),
+    "relocalise": (
+        "Play a log and find its place in a stored map while it plays.",
+        "relocalise all.map today.mcap --until-found",
+    ),
+    "reconstruct": (
+        "Repeat by hand a shape job that failed, from the input that the map kept.",
+        "reconstruct demo.map/failed/000012",
+    ),
+    "evaluate": (
+        "Compare a map with the truth of its log: objects, surfaces, containment, poses and masks.",
+        "evaluate demo.map --truth recordings/demo.truth --html demo.html",
+    ),
+    "evaluate-views": (
+        "Compare the ways to choose an object's view: each log is mapped once for each of them.",
+        "evaluate-views recordings/demo.mcap --truth recordings/demo.truth",
+    ),
+    "evaluate-alignment": (
+        "Align pairs of maps by several methods and compare with truth.",
+        "evaluate-alignment a.map b.map --truth a.truth b.truth --method sq bbox",
+    ),
+    "evaluate-navigation": (
+        "Plan on a map's boxes, meshes and layer 4, and compare with truth.",
+        "evaluate-navigation demo.map --truth recordings/demo.truth --robot point --trials 20",
+    ),
+    "segment": (
+        "Segment one frame and draw masks, rejected masks with their reasons, and features.",
+        "segment color.png depth.png --intrinsics 525,525,319.5,239.5 -o segments.png",
+    ),
+    "models": (
+        "Look after the networks of this machine; nothing is ever downloaded.",
+        "models list",
+    ),
+    "models where": ("Print the folder of models.", "models where"),
+    "models list": ("List the models, and whether their hashes are right.", "models list --json"),
+    "models add": (
+        "Copy an ONNX file to the folder of models, with an entry in its manifest.",
+        "models add my.onnx --kind semantic --labels names.txt",
+    ),
+    "models check": (
+        "Run a model on a built-in picture: provider, warm-up, time, and what it gives.",
+        "models check fastsam-s -o check.png",
+    ),
+    "config": ("Show or check a configuration.", "config dump"),
+    "config dump": (
+        "Print the whole configuration as TOML, with what was set.",
+        "config dump --set mapper.run.workers=4",
+    ),
+    "config check": ("Refuse a configuration file with misspelt keys or wrong values.", "config check my.toml"),
+    "cache": (
+        "Show or clear what is kept to save time, in $HICKORY_CACHE or the user's caches; nothing is lost with it.",
+        "cache show",
+    ),
+    "cache show": ("Print where the caches lie and how much is in them, by kind.", "cache show --json"),
+    "cache clear": ("Remove all caches, or some kinds of them.", "cache clear kernels shapes"),
+    "schema": ("Print the JSON Schema of what --json prints.", "schema inspect"),
+    "verify": (
+        "Prove anew what a map says of itself: digest, journal, files, and layer 4 from the meshes.",
+        "verify demo.map",
+    ),
+    "demo": (
+        "Make a small recording of a synthetic room, map it and draw the map.",
+        "demo --out my-demo",
+    ),
+    "completion": (
+        "Print a script that completes commands, options and their values in a shell.",
+        "completion bash > ~/.local/share/bash-completion/completions/hickory-stream",
+    ),
+}

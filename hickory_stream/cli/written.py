@@ -1,0 +1,48 @@
+"""What a command writes beside a map: never over a file that is there, unless asked to; and said when it is done."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterable
+    from pathlib import Path
+
+
+def add_output(command: argparse.ArgumentParser, *names: str, **options: Any) -> None:
+    """Add an option that names a file to write; with the first one of a command comes its `--overwrite`."""
+    dest = command.add_argument(*names, **options).dest
+    known = command.get_default("outputs") or ()
+    command.set_defaults(outputs=(*known, dest))
+    if not any("--overwrite" in action.option_strings for action in command._actions):
+        command.add_argument("--overwrite", action="store_true", help="replace files that are there")
+
+
+def outputs_of(options: argparse.Namespace) -> list[Path]:
+    """Return the files that the options name to be written."""
+    named = (getattr(options, dest) for dest in getattr(options, "outputs", ()))
+    return [path for path in named if path is not None]
+
+
+def refuse_taken(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Refuse to write over files; pipes and devices are there to be written.
+
+    Raises:
+        InputError: one is there, and it was not asked to be replaced.
+    """
+    for path in paths:
+        if path.is_file() and not overwrite:
+            raise InputError(f"{path} is there already; --overwrite replaces it, or choose another name")
+
+
+def written_text(path: Path) -> str:
+    """Return what is said of a file that was written."""
+    size = path.stat().st_size
+    return f"{path}: {size} bytes" if size < 1024 else f"{path}: {_large(size)}"
+
+
+def _large(size: int) -> str:
+    return f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"
