@@ -137,7 +137,7 @@ def test_a_full_disk_leaves_the_file_that_was_there(
     out.write_bytes(OLD)
     places = {"map": failed.folder, "out": out, "log": failed.folder.parent / "cut.mcap"}
     with files_of_at_most(1000):
-        assert main([argument.format(**places) for argument in arguments]) == 2
+        assert main([*(argument.format(**places) for argument in arguments), "--overwrite"]) == 2
     assert "File too large" in capsys.readouterr().err
     assert out.read_bytes() == OLD
     assert list(tmp_path.iterdir()) == [out]
