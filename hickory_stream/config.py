@@ -98,7 +98,7 @@ def read_config(kind: type[T], path: Path | None, overrides: tuple[str, ...] = (
             data = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise ConfigError(f"cannot read the configuration {path}: {error.strerror}") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (ValueError, RecursionError) as error:  # beside TOMLDecodeError: too many digits, too deep
             raise ConfigError(f"{path} is not TOML: {error}") from error
     for override in overrides:
         _override(data, override)
@@ -172,7 +172,7 @@ def _override(data: dict[str, Any], override: str) -> None:
         raise ConfigError(f"found the override {override!r}; expected SECTION.KEY=VALUE")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         value = text
     *sections, key = path.strip().split(".")
     for section in sections:
@@ -200,7 +200,10 @@ def _converted(hint: Any, value: Any, where: str) -> Any:
             raise ConfigError(f"{where} is {value!r}; expected a list")
         return tuple(_converted(get_args(hint)[0], item, where) for item in value)
     if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError as error:
+            raise ConfigError(f"{where} is a number of {len(str(value))} digits; expected float") from error
     if isinstance(hint, type) and isinstance(value, hint) and isinstance(value, bool) == (hint is bool):
         return value
     raise ConfigError(f"{where} is {value!r}; expected {getattr(hint, '__name__', hint)}")

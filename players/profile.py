@@ -128,7 +128,7 @@ def load_profile(name_or_path: str, topics: Sequence[Topic] = (), robot: str | N
         raise CalibrationError(
             f"no profile {name_or_path!r}; there are {', '.join(profile_names())}, or name a TOML file"
         ) from error
-    except (tomllib.TOMLDecodeError, TypeError, ValueError, KeyError, AttributeError) as error:
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         detail = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise CalibrationError(f"profile {path}: {detail}; compare it with {_FOLDER.name}/seven_scenes.toml") from error
 

@@ -357,3 +357,25 @@ def test_our_own_failure_exits_with_1_and_one_line_that_says_how_to_see_more(
     debugged = run(*command, "--overwrite", "--debug")
     assert debugged.status == 1
     assert "Traceback" in debugged.stderr
+
+
+@pytest.mark.parametrize("kind", ["config", "robot", "profile"])
+@pytest.mark.parametrize("value", ["1" + "0" * 400, "1" + "0" * 5000, "[" * 5000, "1e999", "{}", "[[]]"])
+def test_a_number_that_is_none_or_has_too_many_digits_is_refused_in_one_line(
+    log: Path, tmp_path: Path, run: Callable[..., Ended], kind: str, value: str
+) -> None:
+    file = tmp_path / f"{kind}.toml"
+    key = {
+        "config": "[mapper.run]\ngrace_s",
+        "robot": "[[posture]]\nname = 'up'\nlow_m = 0.0\nhigh_m",
+        "profile": "depth_units_per_m",
+    }[kind]
+    file.write_text(f"{key} = {value}\n")
+    folder = create_map_folder(tmp_path / "map", config={}, source={})
+    folder.close()
+    ended = {
+        "config": lambda: run("config", "check", file),
+        "robot": lambda: run("plan", tmp_path / "map", "--start", "0,0", "--goal", "1,1", "--robot", file),
+        "profile": lambda: run("play", log, "--profile", file, "--out", tmp_path / "out", "--viewer", "none"),
+    }[kind]()
+    refusal(ended)

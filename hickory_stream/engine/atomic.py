@@ -27,6 +27,7 @@ _ADVICE = {
     errno.EACCES: "no permission; choose a folder that you may write to",
     errno.EPERM: "no permission; choose a folder that you may write to",
     errno.EROFS: "the file system is read-only; choose another --out",
+    errno.ELOOP: "it is a link, which is not followed; replace it by what it points to",
     errno.ENOTDIR: "a part of the path is a file; choose another --out",
 }
 
@@ -85,7 +86,9 @@ def sync(path: Path) -> None:
     """
     if os.name != "posix" and path.is_dir():
         return  # only POSIX opens folders
-    # A pipe in the place of a file would be waited for.
+    # In a map that came from somebody else a link may lead out of it, and a pipe would be waited for.
+    if path.is_symlink() and not path.is_dir():
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     try:
         os.fsync(descriptor)

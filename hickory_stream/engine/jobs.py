@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.config import from_dict
-from hickory_stream.confined import plain_name, read_within
+from hickory_stream.confined import OutsideError, path_within, plain_name, read_within
 from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics, npy_array
-from hickory_stream.errors import WorkerError
+from hickory_stream.errors import MapFolderError, WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import glb_bytes, mesh_of_glb, sha256_of
 from hickory_stream.json_text import dumps, dumps_exactly
@@ -62,7 +62,7 @@ def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeCon
     """Write what a worker needs; `job.json` comes last, so that an input which has one is complete.
 
     Raises:
-        MapFolderError: the disk refused.
+        MapFolderError: the disk refused, or a view is a link that leads out of the map.
     """
     job = {
         "views": [view.name for view in request.views],
@@ -71,13 +71,16 @@ def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeCon
         "half_extents_m": request.box.half_extents_m.tolist(),
         "support_z_m": request.support_z_m,
     }
+    try:
+        sources = [path_within(views, file.name) for view in request.views for file in crop_files(views, view.name)]
+    except OutsideError as error:
+        raise MapFolderError(f"{error}: a map lies in its folder") from error
     with disk_errors(folder):
         # What a run left here that was killed and is continued.
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        for view in request.views:
-            for source in crop_files(views, view.name):
-                _link(source, folder / source.name)
+        for source in sources:
+            _link(source, folder / source.name)
         np.save(folder / "points.npy", request.points_world, allow_pickle=False)
         np.save(folder / "colors.npy", request.colors, allow_pickle=False)
         (folder / JOB).write_text(dumps_exactly(job))

@@ -161,7 +161,7 @@ def load_robot(name_or_path: str) -> Robot:
         raise ConfigError(f"found no robot {name_or_path}; known are {known}, or name a file FILE.toml")
     try:
         return robot_of(tomllib.loads(text), default_name=path.stem)
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         message = f"misses the key {error}" if isinstance(error, KeyError) else str(error)
         raise ConfigError(f"robot {name_or_path}: {message}; see the robots that come with the package") from error
 

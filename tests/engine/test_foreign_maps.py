@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from hickory_stream.cli import main
+from hickory_stream.engine.jobs import write_job
 from hickory_stream.engine.journal import JOURNAL
 from hickory_stream.engine.session import create_map_folder, open_map, reopen_map_folder
 from hickory_stream.errors import MapFolderError
+from hickory_stream.events import RequestShape
+from hickory_stream.shapes.build import ShapeConfig
 from tests.engine.snapshot_fixtures import make_snapshot
 
 if TYPE_CHECKING:
@@ -110,6 +113,31 @@ def test_a_mesh_and_a_view_that_are_links_out_of_the_map_are_not_read(path: Path
         saved.mesh(first.shape)
     with pytest.raises(MapFolderError, match="leads out of"):
         read_crop(saved.views, first.views[0].name)
+
+
+def test_a_view_that_is_a_link_out_of_the_map_is_neither_opened_nor_handed_to_a_worker(
+    path: Path, tmp_path: Path
+) -> None:
+    tracked = open_map(path).snapshot.objects[0]
+    view = path / f"views/{tracked.views[0].name}.color.png"
+    view.rename(tmp_path / "elsewhere.png")
+    view.symlink_to(tmp_path / "elsewhere.png")
+    request = RequestShape(
+        ticket=1,
+        object_id=tracked.id,
+        views=tracked.views,
+        points_world=tracked.points_world,
+        colors=tracked.colors,
+        box=tracked.box,
+        support_z_m=None,
+        due_ns=0,
+    )
+    with pytest.raises(MapFolderError, match="leads out of"):
+        write_job(path / "jobs/000001", request, path / "views", ShapeConfig())
+    folder = reopen_map_folder(path)
+    with pytest.raises(MapFolderError, match="it is a link, which is not followed"):
+        folder.save(replace(make_snapshot(), revision=7))
+    folder.close()
 
 
 @pytest.mark.timeout(20)
