@@ -44,7 +44,10 @@ def writers_in(source: str) -> list[str]:
 def test_nothing_else_writes_json() -> None:
     assert len(FILES) > 300
     assert writers_in(WRITER.read_text()) != []
-    assert [file for file in FILES if file != WRITER and writers_in(file.read_text())] == []
+    # What alters maps writes JSON that is wrong on purpose.
+    wrong = {"map_changes.py", "map_damage.py"}
+    found = [file for file in FILES if file != WRITER and file.name not in wrong and writers_in(file.read_text())]
+    assert found == []
 
 
 def test_what_has_no_value_is_null() -> None:

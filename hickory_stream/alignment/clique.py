@@ -32,7 +32,10 @@ def heaviest_clique(starts, neighbors, gains, incumbent, max_nodes):  # type: ig
                 later[size] = neighbors[e]
                 possible += gains[neighbors[e]]
                 size += 1
-        if possible <= best_gain or size == 0:
+        if possible <= best_gain:
+            continue
+        if size == 0:
+            best, best_gain = np.array([root]), gains[root]
             continue
         later = later[:size]
         linked = np.zeros((size, size), dtype=np.bool_)

@@ -5,7 +5,7 @@ from __future__ import annotations
 TEXTS: dict[str, tuple[str, str]] = {
     "play": (
         "Map a recorded log: find its objects and write a map folder, which every other command reads.",
-        "play recordings/demo.mcap --out demo.map --rrd demo.rrd",
+        "play demo.mcap --out demo.map --rrd demo.rrd",
     ),
     "resume": (
         "Go on with a playback that was killed, stopped or broken off, to the map that it would have become.",
@@ -57,11 +57,11 @@ TEXTS: dict[str, tuple[str, str]] = {
     ),
     "evaluate": (
         "Compare a map with the truth of its log: objects, surfaces, containment, poses and masks.",
-        "evaluate demo.map --truth recordings/demo.truth --html demo.html",
+        "evaluate demo.map --truth demo.truth --html demo.html",
     ),
     "evaluate-views": (
         "Compare the ways to choose an object's view: each log is mapped once for each of them.",
-        "evaluate-views recordings/demo.mcap --truth recordings/demo.truth",
+        "evaluate-views demo.mcap --truth demo.truth",
     ),
     "evaluate-alignment": (
         "Align pairs of maps by several methods and compare with truth.",
@@ -69,7 +69,7 @@ TEXTS: dict[str, tuple[str, str]] = {
     ),
     "evaluate-navigation": (
         "Plan on a map's boxes, meshes and layer 4, and compare with truth.",
-        "evaluate-navigation demo.map --truth recordings/demo.truth --robot point --trials 20",
+        "evaluate-navigation demo.map --truth demo.truth --robot point --trials 20",
     ),
     "segment": (
         "Segment one frame and draw masks, rejected masks with their reasons, and features.",
