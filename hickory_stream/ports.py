@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from hickory_stream.geometry.arrays import freeze
 
@@ -51,6 +51,41 @@ class Source(Protocol):
     def close(self) -> None:
         """Release files and devices."""
         ...
+
+
+class SourceAround:
+    """A `Source` that plays another one; what a subclass does not change is passed on."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+
+    @property
+    def info(self) -> SourceInfo:
+        """That of the other one."""
+        return self._source.info
+
+    def frames(self) -> Iterator[RawFrame]:
+        """Yield the frames of the other one."""
+        return self._source.frames()
+
+    def ledger(self) -> Mapping[str, int]:
+        """Return that of the other one."""
+        return self._source.ledger()
+
+    def account(self) -> Any:
+        """Return where the messages went, where the other source keeps account of them."""
+        account = getattr(self._source, "account", None)
+        return account() if account is not None else None
+
+    def interrupt(self) -> None:
+        """Wake the other source, where it may be waiting."""
+        interrupt = getattr(self._source, "interrupt", None)
+        if interrupt is not None:
+            interrupt()
+
+    def close(self) -> None:
+        """Close the other one."""
+        self._source.close()
 
 
 class Segmenter(Protocol):

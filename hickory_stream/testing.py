@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.ports import NoShape, Reconstruction
+from hickory_stream.ports import NoShape, Reconstruction, SourceAround
 from hickory_stream.records import Frame, RawFrame, Segmentation, SourceInfo
 
 if TYPE_CHECKING:
@@ -271,19 +271,14 @@ def parse_faults(text: str) -> Faults:
     return Faults(**values)
 
 
-class FaultySource:
+class FaultySource(SourceAround):
     """A `Source` that plays another one badly: the same faults at the same frames for the same seed."""
 
     def __init__(self, source: Source, faults: Faults, seed: int = 0) -> None:
-        self._source = source
+        super().__init__(source)
         self._faults = faults
         self._seed = seed
         self._injected: Counter[str] = Counter()
-
-    @property
-    def info(self) -> SourceInfo:
-        """That of the other one."""
-        return self._source.info
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames, some of them with faults; indices count what is yielded."""
@@ -354,21 +349,6 @@ class FaultySource:
         """Return that of the other one, and how often each fault was made, as `injected_NAME`."""
         made = {f"injected_{name}": number for name, number in sorted(self._injected.items()) if number}
         return {**self._source.ledger(), **made}
-
-    def account(self) -> Any:
-        """Return where the messages went, where the other source keeps account of them."""
-        account = getattr(self._source, "account", None)
-        return account() if account is not None else None
-
-    def interrupt(self) -> None:
-        """Wake the other source, where it may be waiting."""
-        interrupt = getattr(self._source, "interrupt", None)
-        if interrupt is not None:
-            interrupt()
-
-    def close(self) -> None:
-        """Close the other one."""
-        self._source.close()
 
 
 def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from hickory_stream.ports import SourceAround
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from hickory_stream.ports import Source
     from hickory_stream.records import RawFrame, SourceInfo
 
 
-class FirstFrames:
+class FirstFrames(SourceAround):
     """A source that ends after `count` frames of another one."""
 
     def __init__(self, source: Source, count: int) -> None:
         if count < 1:
             raise ValueError(f"the first {count} frames")
-        self._source = source
+        super().__init__(source)
         self._count = count
 
     @property
@@ -32,22 +34,3 @@ class FirstFrames:
     def frames(self) -> Iterator[RawFrame]:
         """Yield the first frames."""
         return islice(self._source.frames(), self._count)
-
-    def ledger(self) -> Mapping[str, int]:
-        """Return what the other source counted so far."""
-        return self._source.ledger()
-
-    def account(self) -> Any:
-        """Return where the messages went, where the other source keeps account of them."""
-        account = getattr(self._source, "account", None)
-        return account() if account is not None else None
-
-    def interrupt(self) -> None:
-        """Wake the other source, where it may be waiting."""
-        interrupt = getattr(self._source, "interrupt", None)
-        if interrupt is not None:
-            interrupt()
-
-    def close(self) -> None:
-        """Close the other source."""
-        self._source.close()

@@ -10,11 +10,12 @@ import threading
 import time
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import compose
 from hickory_stream.mapping.keyframes import Keyframe, KeyframeConfig, is_keyframe
+from hickory_stream.ports import SourceAround
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -130,7 +131,7 @@ class PlaybackClock:
         return f"at {seconds:.1f} s, {state}"
 
 
-class PlayedSource:
+class PlayedSource(SourceAround):
     """A `Source` that follows a clock; `start_s` and `end_s` are seconds from the first frame of the log."""
 
     def __init__(
@@ -142,7 +143,7 @@ class PlayedSource:
         end_s: float | None = None,
         keyframes: KeyframeConfig | None = None,
     ) -> None:
-        self._source = source
+        super().__init__(source)
         self._clock = clock
         self._start_s = start_s
         self._end_s = end_s
@@ -216,11 +217,6 @@ class PlayedSource:
         """Return that of the other one, the frames that were skipped over, and how often somebody sought."""
         own = {"frames_skipped": self._num_skipped, "seeks": self._num_seeks}
         return {**self._source.ledger(), **{name: count for name, count in own.items() if count}}
-
-    def account(self) -> Any:
-        """Return where the messages went, where the other source keeps account of them."""
-        account = getattr(self._source, "account", None)
-        return account() if account is not None else None
 
     def interrupt(self) -> None:
         """Wake whoever waits for a frame: the run is to end."""

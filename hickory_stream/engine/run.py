@@ -45,7 +45,6 @@ from hickory_stream.events import (
     Effect,
     Event,
     FeaturesReady,
-    FrameObserved,
     KeepView,
     PoseJumped,
     PosesCorrected,
@@ -439,14 +438,7 @@ class Run:
         if not np.isfinite(frame.depth_m).any():
             self.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
-        event = FrameObserved(
-            frame_index=frame.index,
-            stamp_ns=frame.stamp_ns,
-            world_from_camera=frame.world_from_camera,
-            observations=perceived.observations,
-            space=perceived.space,
-            rejected=perceived.rejected,
-        )
+        event = perceived.event(frame)
         self._patches = None
         published = await self._handle(event, frame, perceived.observations)
         ended = time.perf_counter()

@@ -15,7 +15,7 @@ import numpy as np
 from hickory_stream.compiled import kernels_folder
 from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.config import MapperConfig
-from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved, Publish
+from hickory_stream.events import ComputeFeatures, FeaturesReady, Publish
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
@@ -71,16 +71,7 @@ def warm_up_mapping() -> None:
             known = snapshot.objects if snapshot is not None else ()
             prepared = segmenter.prepare(frame)
             perceived = perceive(frame, prior, prepared, segmenter, config.perception, known)
-            waiting: list[Effect] = core.handle(
-                FrameObserved(
-                    frame_index=frame.index,
-                    stamp_ns=frame.stamp_ns,
-                    world_from_camera=frame.world_from_camera,
-                    observations=perceived.observations,
-                    space=perceived.space,
-                    rejected=perceived.rejected,
-                )
-            )
+            waiting: list[Effect] = core.handle(perceived.event(frame))
             while waiting:
                 effect = waiting.pop(0)
                 if isinstance(effect, ComputeFeatures):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from hickory_stream.events import FrameObserved
 from hickory_stream.perception.descriptor import mask_feature
 from hickory_stream.perception.geometric import GeometricConfig
 from hickory_stream.perception.known import KnownConfig, with_known
@@ -68,6 +69,17 @@ class Perceived:
     observations: tuple[Observation, ...]
     rejected: tuple[RejectedMask, ...]
     space: SpaceObservation
+
+    def event(self, frame: Frame) -> FrameObserved:
+        """Return what the core is told of the keyframe."""
+        return FrameObserved(
+            frame_index=frame.index,
+            stamp_ns=frame.stamp_ns,
+            world_from_camera=frame.world_from_camera,
+            observations=self.observations,
+            space=self.space,
+            rejected=self.rejected,
+        )
 
 
 def perceive(

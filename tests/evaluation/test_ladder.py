@@ -13,7 +13,7 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.ladder import RUNGS, TrueImages, TrueSegmenter, core_of, mapping_of, segmenter_of
 from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
-from hickory_stream.events import Event, FrameObserved, SourceEnded
+from hickory_stream.events import Event, SourceEnded
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.records import Phase, TrackedObject
 from hickory_stream.testing import PERIOD_NS, SCENE_CAMERA, START_NS, SceneBox, SceneSource, scene_pose
@@ -76,15 +76,7 @@ def mapped(rung: Rung, truth: Truth, frames: list[Frame]) -> tuple[TrackedObject
     assert segmenter is not None
     for frame in frames:
         seen = perceive(frame, core.observed_space(), None, segmenter, config.perception)
-        event = FrameObserved(
-            frame_index=frame.index,
-            stamp_ns=frame.stamp_ns,
-            world_from_camera=frame.world_from_camera,
-            observations=seen.observations,
-            space=seen.space,
-            rejected=seen.rejected,
-        )
-        drive(core, [event])
+        drive(core, [seen.event(frame)])
     last: list[Event] = [SourceEnded(stamp_ns=frames[-1].stamp_ns)]
     drive(core, last)
     return tuple(item for item in core.snapshot().objects if item.phase is not Phase.TENTATIVE)

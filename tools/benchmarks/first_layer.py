@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved, Publish, RequestShape, ShapeFailed
+from hickory_stream.events import ComputeFeatures, FeaturesReady, Publish, RequestShape, ShapeFailed
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
@@ -72,14 +72,7 @@ def play_first_layer(
         prior = snapshot.submaps[0].observed_space if snapshot is not None else None
         known = snapshot.objects if snapshot is not None else ()
         perceived = perceive(frame, prior, None, segmenter, config.perception, known)
-        event = FrameObserved(
-            frame_index=frame.index,
-            stamp_ns=frame.stamp_ns,
-            world_from_camera=frame.world_from_camera,
-            observations=perceived.observations,
-            space=perceived.space,
-            rejected=perceived.rejected,
-        )
+        event = perceived.event(frame)
 
         def features(effect: ComputeFeatures, frame: Frame = frame, perceived: Perceived = perceived) -> FeaturesReady:
             pooled, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
