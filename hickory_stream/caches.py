@@ -110,9 +110,8 @@ def entries() -> Iterator[CacheEntry]:
 
 def clear(kinds: Iterable[Kind] = KINDS) -> int:
     """Remove all of these kinds; return how many bytes that were."""
-    root, wanted, num_bytes = cache_root(), list(kinds), 0
-    for entry in list(entries()):
-        num_bytes += entry.num_bytes if entry.kind in wanted else 0
+    root, wanted = cache_root(), list(kinds)
+    num_bytes = sum(entry.num_bytes for entry in entries() if entry.kind in wanted)
     for kind in wanted:
         shutil.rmtree(root / kind, ignore_errors=True)
     return num_bytes
@@ -120,8 +119,9 @@ def clear(kinds: Iterable[Kind] = KINDS) -> int:
 
 def prune() -> int:
     """Remove what was not used for the longest time, where more is kept than may be; return how many bytes."""
+    cap = cap_mb() * 1e6
     kept = sorted(entries(), key=lambda entry: entry.used_s)
-    total, cap = sum(entry.num_bytes for entry in kept), cap_mb() * 1e6
+    total = sum(entry.num_bytes for entry in kept)
     if total <= cap:
         return 0
     removed = 0
@@ -132,7 +132,8 @@ def prune() -> int:
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):  # what cannot be removed is no reason to fail
+                    path.unlink(missing_ok=True)
         removed += entry.num_bytes
     return removed
 
@@ -156,7 +157,7 @@ def _two_levels(folder: Path) -> Iterator[tuple[Path, ...]]:
 def _by_stem(folder: Path) -> Iterator[tuple[Path, ...]]:
     """Yield the files and folders of one name, whatever comes after its first dot: a log and its truth."""
     groups: dict[str, list[Path]] = {}
-    for path in sorted(folder.iterdir() if folder.is_dir() else ()):
+    for path in sorted(folder.glob("*")):
         groups.setdefault(path.name.lstrip(".").partition(".")[0], []).append(path)
     yield from (tuple(paths) for paths in groups.values())
 

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.cli import main
+from hickory_stream.cli.verify import tell
 from hickory_stream.terminal import VisibleStream, clear_line, shown_safely, visible
 
 if TYPE_CHECKING:
@@ -128,3 +129,11 @@ def test_a_run_tells_the_topics_that_it_plays_without_obeying_them(
     out = ["--out", str(tmp_path / "map"), "--frames", "1", "--viewer", "none", "--config", str(coarse_config)]
     assert main(["play", str(hostile_log), *out]) == 0
     check(capsys, told="color: /zed/zed_node/r\\x1b]0;owned\\x07\\x9b31m\\u202eb<b>/color")
+
+
+def test_what_verify_is_at_is_drawn_over_what_it_was_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", VisibleStream(screen))
+    tell("object 3")
+    tell("object 4")
+    assert screen.getvalue() == "\r\x1b[Kobject 3\r\x1b[Kobject 4"

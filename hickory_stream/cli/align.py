@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_ALIGNMENT
-from hickory_stream.cli.written import add_output
-from hickory_stream.engine.atomic import write_output
+from hickory_stream.cli.written import add_output, disk_refusals, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -145,16 +144,11 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
 
 
 def _draw(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> None:
-    import cv2
-
     from hickory_stream.evaluation.render_alignment import render_alignment
     from hickory_stream.sinks.rerun_alignment import write_alignment
 
-    try:
-        if path.suffix == ".rrd":
+    if path.suffix == ".rrd":
+        with disk_refusals(path, "picture"):
             write_alignment(path, map_a, map_b, answer)
-        else:
-            picture = render_alignment(map_a, map_b, answer)
-            write_output(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
-    except OSError as error:
-        raise InputError(f"cannot write the picture {path}: {error.strerror}") from error
+    else:
+        write_picture(path, render_alignment(map_a, map_b, answer))

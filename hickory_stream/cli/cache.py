@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hickory_stream.caches import KINDS
+from hickory_stream.caches import KINDS, cache_root, cap_mb, clear, entries
+from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
@@ -19,21 +20,16 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     cache = commands.add_parser(
         "cache",
         help="show or clear what is kept to save time: compiled kernels, shapes, recordings",
-        description="What is kept to save time lies in $HICKORY_CACHE, or in the user's caches. It may be removed at "
-        "any moment. At most $HICKORY_CACHE_MB megabytes are kept (default 4000).",
-        epilog="example: hickory-stream cache clear shapes",
     )
     actions = cache.add_subparsers(required=True, metavar="ACTION")
     show = actions.add_parser("show", parents=[common], help="print where it lies and how much it is, by kind")
     show.set_defaults(run=_show)
-    clear = actions.add_parser("clear", parents=[common], help="remove all of it, or some kinds")
-    clear.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(KINDS)}; default: all")
-    clear.set_defaults(run=_clear)
+    cleared = actions.add_parser("clear", parents=[common], help="remove all of it, or some kinds")
+    cleared.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(KINDS)}; default: all")
+    cleared.set_defaults(run=_clear)
 
 
 def _show(options: argparse.Namespace) -> int:
-    from hickory_stream.caches import cache_root, cap_mb, entries
-
     totals = {kind: [0, 0] for kind in KINDS}
     for entry in entries():
         totals[entry.kind][0] += 1
@@ -51,9 +47,6 @@ def _show(options: argparse.Namespace) -> int:
 
 
 def _clear(options: argparse.Namespace) -> int:
-    from hickory_stream.caches import cache_root, clear
-    from hickory_stream.errors import InputError
-
     unknown = [kind for kind in options.kinds if kind not in KINDS]
     if unknown:
         raise InputError(f"there is no cache of {unknown[0]!r}; kinds are {', '.join(KINDS)}")

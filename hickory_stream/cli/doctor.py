@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.source_options import add_source_options, source_options
-from hickory_stream.cli.written import add_output
+from hickory_stream.cli.written import add_output, disk_refusals
 from hickory_stream.engine.atomic import write_output
-from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 from hickory_stream.terminal import clear_line, visible
 
@@ -44,9 +43,7 @@ def run(options: argparse.Namespace) -> int:
     if sys.stderr.isatty() and not options.json:
         clear_line()
     if options.html is not None:
-        try:
+        with disk_refusals(options.html, "page"):
             write_output(options.html, visible(diagnosis_page(found)).encode())
-        except OSError as error:
-            raise InputError(f"cannot write the page {options.html}: {error.strerror}") from error
     print(output("doctor", found.as_dict(), indent=1) if options.json else diagnosis_text(found))
     return found.status

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.written import add_output
+from hickory_stream.cli.written import add_output, disk_refusals
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -44,9 +44,7 @@ def run(options: argparse.Namespace) -> int:
     if options.html is not None:
         from hickory_stream.evaluation.page import write_page
 
-        try:
+        with disk_refusals(options.html, "page"):
             write_page(options.html, saved, truth, evaluation)
-        except OSError as error:
-            raise InputError(f"cannot write the page {options.html}: {error.strerror}") from error
     print(output("evaluate", as_json(evaluation), indent=1) if options.json else format_evaluation(evaluation))
     return 0

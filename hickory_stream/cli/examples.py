@@ -96,7 +96,8 @@ TEXTS: dict[str, tuple[str, str]] = {
     ),
     "config check": ("Refuse a configuration file with misspelt keys or wrong values.", "config check my.toml"),
     "cache": (
-        "Show or clear what is kept to save time, in $HICKORY_CACHE or the user's caches; nothing is lost with it.",
+        "Show or clear what is kept to save time, in $HICKORY_CACHE or the user's caches: at most "
+        "$HICKORY_CACHE_MB megabytes (default 4000). Nothing is lost with it.",
         "cache show",
     ),
     "cache show": ("Print where the caches lie and how much is in them, by kind.", "cache show --json"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -23,11 +22,12 @@ _IDS_TOLD = 5
 def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     """Say what a run has made, and return the exit status."""
     from hickory_stream.engine.failures import failed_shapes
+    from hickory_stream.engine.manifest import read_json
 
     objects = played.snapshot.objects if played.snapshot is not None else ()
     num_shaped = sum(tracked.shape is not None for tracked in objects)
     failures = failed_shapes(out, [tracked.id for tracked in objects if tracked.shape is None])
-    ledger = json.loads((out / "ledger.json").read_text(encoding="utf-8"))
+    ledger = read_json(out, "ledger.json")
     if options.json:
         said = {
             "event": "finished",

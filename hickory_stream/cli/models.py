@@ -6,9 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, assert_never
 
-from hickory_stream.cli.written import add_output
-from hickory_stream.engine.atomic import write_output
-from hickory_stream.errors import ConfigError, InputError, ModelError
+from hickory_stream.cli.written import add_output, write_picture
+from hickory_stream.errors import ConfigError, ModelError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
@@ -113,7 +112,6 @@ def _add(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    import cv2
 
     from hickory_stream.cli.values import read_settings
     from hickory_stream.perception.models.library import find_model, models_folder, read_manifest
@@ -135,10 +133,7 @@ def _check(options: argparse.Namespace) -> int:
         **told,
     }
     if options.out is not None:
-        try:
-            write_output(options.out, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
-        except OSError as error:
-            raise InputError(f"cannot write the picture {options.out}: {error.strerror}") from error
+        write_picture(options.out, picture)
         told["picture"] = str(options.out)
     if options.json:
         print(output("models-check", told))

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NO_PATH
 from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, parse_place, robot_of_option
-from hickory_stream.cli.written import add_output
-from hickory_stream.engine.atomic import write_output
+from hickory_stream.cli.written import add_output, disk_refusals, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -148,16 +147,11 @@ def _as_text(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> str:
 
 
 def _draw(path: Path, snapshot: Any, space: FreeSpace, answer: Way | NoPath, start: Any, goal: Any) -> None:
-    import cv2
-
     from hickory_stream.evaluation.render_navigation import render_plan
     from hickory_stream.sinks.rerun_path import write_plan
 
-    try:
-        if path.suffix == ".rrd":
+    if path.suffix == ".rrd":
+        with disk_refusals(path, "picture"):
             write_plan(path, snapshot, space, answer, start=start, goal=goal)
-        else:
-            picture = render_plan(snapshot, space, answer, start, goal)
-            write_output(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
-    except OSError as error:
-        raise InputError(f"cannot write the picture {path}: {error.strerror}") from error
+    else:
+        write_picture(path, render_plan(snapshot, space, answer, start, goal))

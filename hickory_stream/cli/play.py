@@ -110,6 +110,7 @@ def run(options: argparse.Namespace) -> int:
     keys = Keys(clock)
     if style == "bar" and sys.stdin.isatty():
         sys.stderr.write(f"{HELP}\n")
+    options.resumed_by = resume_command(out)
     try:
         with keys:
             played = play(
@@ -124,9 +125,6 @@ def run(options: argparse.Namespace) -> int:
                 loops=positive(options.loop, "--loop"),
                 progress=printer,
             )
-    except KeyboardInterrupt:
-        options.resumed_by = resume_command(out)
-        raise
     finally:
         printer.close()
         source.close()

@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import open_map_at, parse_layers, parse_size
-from hickory_stream.cli.written import add_output
-from hickory_stream.engine.atomic import write_output
-from hickory_stream.errors import InputError
+from hickory_stream.cli.written import add_output, write_picture
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
@@ -32,19 +30,13 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    import cv2
-
     from hickory_stream.evaluation.render import render_map
 
     layers = parse_layers(options.layers)
     width, height = parse_size(options.size)
     saved = open_map_at(options.map, options.at)
     picture = render_map(saved, layers, (width, height))
-    encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
-    try:
-        write_output(options.out, encoded)
-    except OSError as error:
-        raise InputError(f"cannot write the picture {options.out}: {error.strerror}") from error
+    write_picture(options.out, picture)
     if options.json:
         print(
             output("render", {"picture": str(options.out), "width": width, "height": height, "layers": sorted(layers)})

@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
         return make_sinks(folder, settings, viewer, None)
 
     printer = ProgressPrinter(make_style(options))
+    options.resumed_by = resume_command(options.map)
     try:
         played = play(
             source,
@@ -82,9 +83,6 @@ def run(options: argparse.Namespace) -> int:
             machine=settings.mapper.run,
             ignores_recorded_workers=options.own_workers,
         )
-    except KeyboardInterrupt:
-        options.resumed_by = resume_command(options.map)
-        raise
     finally:
         printer.close()
         source.close()

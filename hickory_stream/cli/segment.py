@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.values import read_settings
-from hickory_stream.cli.written import add_output
-from hickory_stream.engine.atomic import write_output
+from hickory_stream.cli.written import add_output, write_picture
 from hickory_stream.errors import CalibrationError, ConfigError, InputError, RecordingError
 from hickory_stream.outputs import output
 
@@ -48,7 +47,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    import cv2
     import numpy as np
 
     from hickory_stream.evaluation.show_perception import segmentation_picture
@@ -61,11 +59,7 @@ def run(options: argparse.Namespace) -> int:
     perceived = perceive(frame, None, segmenter.prepare(frame), segmenter, config)
     patches = extractor.extract(np.asarray(frame.rgb))
     picture = segmentation_picture(frame.rgb, perceived.segmentation, perceived.rejected, patches)
-    encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
-    try:
-        write_output(options.out, encoded)
-    except OSError as error:
-        raise InputError(f"cannot write the picture {options.out}: {error.strerror}") from error
+    write_picture(options.out, picture)
     masks = int(perceived.segmentation.instances.max(initial=0))
     if options.json:
         told: dict[str, Any] = {"picture": str(options.out), "masks": masks, "objects": len(perceived.observations)}

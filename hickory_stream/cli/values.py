@@ -75,12 +75,11 @@ def open_proven_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
         MapFolderError: there is no map, it keeps no history, or it was altered and `--unproven` is not given.
         InputError: the time is none, or outside of the run.
     """
-    from hickory_stream.errors import MapFolderError
+    from hickory_stream.engine.session import check_unaltered
 
     saved = open_map_at(options.map, options.at, warns=False)
-    if saved.is_altered and not options.unproven:
-        told = f"`hickory-stream verify {saved.folder}` says what of it holds, --unproven goes on all the same"
-        raise MapFolderError(f"{saved.doubt}; {told}")
+    if not options.unproven:
+        check_unaltered(saved, ", --unproven goes on all the same")
     doubt = saved.doubt
     if not doubt and options.at is not None:
         doubt = f"what was known at {options.at} is from the journal, which only `hickory-stream verify` looks through"

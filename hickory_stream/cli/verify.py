@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import NOT_SOUND
 from hickory_stream.outputs import output
+from hickory_stream.terminal import clear_line
 
 if TYPE_CHECKING:
     import argparse
@@ -39,9 +40,9 @@ def run(options: argparse.Namespace) -> int:
 
     is_told = not options.json and sys.stderr.isatty()
     is_mended = options.repair and _mend(options.map)
-    verdict = verify(options.map, _tell if is_told else lambda _: None)
+    verdict = verify(options.map, tell if is_told else lambda _: None)
     if is_told:
-        _tell("")
+        tell("")
     if options.json:
         print(output("verify", _as_json(options.map, verdict, is_mended=is_mended), indent=1))
     else:
@@ -65,8 +66,9 @@ def _mend(path: Path) -> bool:
     return True
 
 
-def _tell(what: str) -> None:
-    sys.stderr.write(f"\r\x1b[K{what}")
+def tell(what: str) -> None:
+    clear_line()
+    sys.stderr.write(what)
     sys.stderr.flush()
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import InputError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 def add_output(command: argparse.ArgumentParser, *names: str, **options: Any) -> None:
@@ -36,6 +40,29 @@ def refuse_taken(paths: Iterable[Path], *, overwrite: bool) -> None:
     for path in paths:
         if path.is_file() and not overwrite:
             raise InputError(f"{path} is there already; --overwrite replaces it, or choose another name")
+
+
+@contextmanager
+def disk_refusals(path: Path, what: str) -> Iterator[None]:
+    """Turn an `OSError` within the block into an `InputError` that says what cannot be written where, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write the {what} {path}: {error.strerror}") from error
+
+
+def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write an (H, W, 3) picture, red first, as PNG.
+
+    Raises:
+        InputError: the disk refused.
+    """
+    import cv2
+
+    from hickory_stream.engine.atomic import write_output
+
+    with disk_refusals(path, "picture"):
+        write_output(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
 
 
 def written_text(path: Path) -> str:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from hickory_stream.confined import open_new
+from hickory_stream.confined import OutsideError, open_new
 from hickory_stream.errors import MapFolderError
 
 if TYPE_CHECKING:
@@ -41,6 +42,27 @@ def disk_errors(path: Path) -> Iterator[None]:
         cause = error.strerror or type(error).__name__
         advice = _ADVICE.get(error.errno or 0, cause)
         raise MapFolderError(f"cannot write {error.filename or path}: {advice}") from error
+
+
+@contextmanager
+def outside_errors() -> Iterator[None]:
+    """Turn an `OutsideError` within the block into a `MapFolderError`."""
+    try:
+        yield
+    except OutsideError as error:
+        raise MapFolderError(f"{error}: a map lies in its folder") from error
+
+
+def link_or_copy(source: Path, target: Path) -> None:
+    """Make `target`, which is not there, the same file, or a copy where the file system has no hard links.
+
+    Raises:
+        OSError: the disk refused.
+    """
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:

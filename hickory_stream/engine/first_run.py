@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import llvmlite.binding
 
-from hickory_stream.caches import cache_root
+from hickory_stream.caches import cache_root, mark_used
 from hickory_stream.compiled import kernels_folder, numba, source_hash
 from hickory_stream.engine.warm_up import PARTS
 
@@ -66,7 +66,9 @@ async def compile_kernels(tell: Callable[[int, int], None]) -> None:
 
 def are_compiled() -> bool:
     """Return whether the kernels of this code, compiler and processor were compiled by an earlier run."""
-    return (kernels_folder() / _mark()).exists()
+    mark = kernels_folder() / _mark()
+    mark_used(mark)
+    return mark.exists()
 
 
 async def _compile_part(part: str, add: Callable[[str], None]) -> bool:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -22,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.config import from_dict
-from hickory_stream.confined import OutsideError, path_within, plain_name, read_within
-from hickory_stream.engine.atomic import disk_errors, write_atomically
+from hickory_stream.confined import path_within, plain_name, read_within
+from hickory_stream.engine.atomic import disk_errors, link_or_copy, outside_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics, npy_array
-from hickory_stream.errors import MapFolderError, WorkerError
+from hickory_stream.errors import WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import glb_bytes, mesh_of_glb, sha256_of
 from hickory_stream.json_text import dumps, dumps_exactly
@@ -71,16 +70,14 @@ def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeCon
         "half_extents_m": request.box.half_extents_m.tolist(),
         "support_z_m": request.support_z_m,
     }
-    try:
+    with outside_errors():
         sources = [path_within(views, file.name) for view in request.views for file in crop_files(views, view.name)]
-    except OutsideError as error:
-        raise MapFolderError(f"{error}: a map lies in its folder") from error
     with disk_errors(folder):
         # What a run left here that was killed and is continued.
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         for source in sources:
-            _link(source, folder / source.name)
+            link_or_copy(source, folder / source.name)
         np.save(folder / "points.npy", request.points_world, allow_pickle=False)
         np.save(folder / "colors.npy", request.colors, allow_pickle=False)
         (folder / JOB).write_text(dumps_exactly(job))
@@ -145,7 +142,7 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
         mesh_sha256 = sha256_of(mesh_of_glb(read_within(folder, MESH)))
         name = f"{object_id:06d}-{ticket:06d}.glb"
         (shapes / name).unlink(missing_ok=True)
-        _link(folder / MESH, shapes / name)
+        link_or_copy(folder / MESH, shapes / name)
         shape = ObjectShape(
             revision=ticket,
             reconstructor=result["reconstructor"],
@@ -179,10 +176,3 @@ def keep_input(folder: Path, failed: Path, object_id: int, reason: str) -> None:
         write_atomically(kept / FAILURE, dumps({"reason": reason}).encode(), sync=False)
     except OSError:
         remove_job(folder)
-
-
-def _link(source: Path, target: Path) -> None:
-    try:
-        os.link(source, target)
-    except OSError:  # a file system without hard links
-        shutil.copyfile(source, target)

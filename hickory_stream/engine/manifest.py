@@ -83,26 +83,16 @@ def read_manifest(folder: Path) -> Manifest:
     if entry.get("kind") != _KIND:
         raise MapFolderError(f"{folder} is no map folder: its {MANIFEST} is another program's; name one of `play`'s")
     _check_format(folder, entry.get("format"))
-    for name, kinds in {**_ENTRIES, **_LATER_ENTRIES}.items():
-        if name not in entry and name in _LATER_ENTRIES:
-            continue
+    kinds = {**_ENTRIES, **_LATER_ENTRIES}
+    for name in kinds:
         if name not in entry:
-            raise MapFolderError(f"{folder / MANIFEST} is damaged: it has no {name!r}; play the log again")
-        if not isinstance(entry[name], kinds):
+            if name in _ENTRIES:
+                raise MapFolderError(f"{folder / MANIFEST} is damaged: it has no {name!r}; play the log again")
+        elif not isinstance(entry[name], kinds[name]):
             raise MapFolderError(
                 f"{folder / MANIFEST} is damaged: its {name!r} is of {type(entry[name]).__name__}; play the log again"
             )
-    return Manifest(
-        config=entry["config"],
-        source=entry["source"],
-        software_version=entry["software_version"],
-        finished_cleanly=entry["finished_cleanly"],
-        digest=entry["digest"],
-        run=entry.get("run", {}),
-        is_reproducible=entry.get("is_reproducible", True),
-        extractor=entry.get("extractor", ""),
-        processor=entry.get("processor", ""),
-    )
+    return Manifest(**{name: entry[name] for name in kinds if name in entry})
 
 
 def is_map_folder(folder: Path) -> bool:

@@ -313,6 +313,7 @@ class Mapper:
     def _open(self, source: Source, asked: Mapping[str, Any]) -> tuple[MapFolder, JournalWriter, Continued | None]:
         """Return the map folder and its journal, new or to be continued."""
         flush_s = self.config.journal.flush_s
+        caches.cap_mb()  # what it refuses is refused before anything is played
         if self._resumes:
             assert self._out is not None
             self.folder, journal, continued = reopen(self._out, source.info, self.config, self.extractor_name)
@@ -375,8 +376,9 @@ def _finish(
     folder.write_json("timings.json", timings)
     if is_clean:
         shutil.rmtree(folder.jobs, ignore_errors=True)
-        caches.prune()
     folder.finish(finished_cleanly=is_clean, is_reproducible=is_reproducible)
+    if is_clean:
+        caches.prune()
 
 
 def _why_empty(source: Source, run: Run) -> str | None:

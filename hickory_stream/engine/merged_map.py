@@ -6,20 +6,17 @@ object the maps and ids that it was.
 
 from __future__ import annotations
 
-import os
-import shutil
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.config import from_dict
-from hickory_stream.confined import OutsideError, path_within
-from hickory_stream.engine.atomic import disk_errors, write_atomically
+from hickory_stream.confined import path_within
+from hickory_stream.engine.atomic import disk_errors, link_or_copy, outside_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.manifest import read_json
 from hickory_stream.engine.processor import processor_kind
 from hickory_stream.engine.session import create_map_folder
-from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import NoShape, ShapeInputs
@@ -193,13 +190,8 @@ def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config:
 
 def _copied(folder: Path, name: str, target: Path) -> None:
     """Make `target` the same file as one of a map: a hard link where the disk can, as neither is changed in place."""
-    try:
+    with outside_errors():
         source = path_within(folder, name)
-    except OutsideError as error:
-        raise MapFolderError(f"{error}: a map lies in its folder") from error
     with disk_errors(target):
         target.unlink(missing_ok=True)
-        try:
-            os.link(source, target)
-        except OSError:
-            shutil.copyfile(source, target)
+        link_or_copy(source, target)

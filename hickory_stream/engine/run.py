@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, assert_never
 import numpy as np
 import psutil
 
+from hickory_stream.caches import cache_folder
 from hickory_stream.engine.channel import ChannelClosed
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.first_run import compile_kernels
@@ -34,7 +35,7 @@ from hickory_stream.engine.placing import where_it_lies
 from hickory_stream.engine.pump import Pump
 from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel
 from hickory_stream.engine.recorder import Recorder, Unwritten
-from hickory_stream.engine.shape_cache import ShapeCache, shape_cache_folder
+from hickory_stream.engine.shape_cache import ShapeCache
 from hickory_stream.engine.shape_queue import ShapeQueue
 from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, Step, StepKind
 from hickory_stream.errors import InputError, RecordingError
@@ -130,7 +131,7 @@ class Run:
         self._sinks = sinks
         self._publish = publish
         self._progress = progress
-        cache = ShapeCache(shape_cache_folder()) if config.run.shape_cache else None
+        cache = ShapeCache(cache_folder("shapes")) if config.run.shape_cache else None
         self._shapes = ShapeQueue(folder, workers, config.shapes, cache)
         self._recorder = Recorder(folder, journal)
         self._unwritten = Unwritten()

@@ -26,8 +26,8 @@ from dataclasses import dataclass, replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
-from hickory_stream.confined import OutsideError, read_within, refuse_links
-from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync, write_atomically
+from hickory_stream.confined import read_within, refuse_links
+from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, outside_errors, sync, write_atomically
 from hickory_stream.engine.crops import crop_files
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.folder_lock import LOCK, FolderLock, check_unlocked
@@ -404,22 +404,20 @@ def rewrite_objects(path: Path, snapshot: MapSnapshot, kept_meshes: Iterable[str
         folder.close()
 
 
-def check_unaltered(saved: SavedMap) -> None:
-    """Refuse a map that is not the one that was saved.
+def check_unaltered(saved: SavedMap, advice: str = "") -> None:
+    """Refuse a map that is not the one that was saved; `advice` ends the message.
 
     Raises:
         MapFolderError: saying what disagrees, and what to do.
     """
     if saved.is_altered:
-        raise MapFolderError(f"{saved.doubt}; `hickory-stream verify {saved.folder}` says what of it holds")
+        raise MapFolderError(f"{saved.doubt}; `hickory-stream verify {saved.folder}` says what of it holds{advice}")
 
 
 def _check_links(path: Path) -> None:
     """Refuse a map of which a part lies elsewhere: it would be read there, and by `resume` written there."""
-    try:
+    with outside_errors():
         refuse_links(path, (*_FOLDERS, *_FILES, MANIFEST, LOCK))
-    except OutsideError as error:
-        raise MapFolderError(f"{error}: a map lies in its folder") from error
 
 
 # ---- reading --------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from hickory_stream.caches import cache_folder, mark_used
+from hickory_stream.caches import mark_used
 from hickory_stream.engine.processor import processor_of_shapes
 
 logger = logging.getLogger(__name__)
@@ -24,11 +24,6 @@ logger = logging.getLogger(__name__)
 _ANSWER = ("mesh.glb", "result.json")
 _CODE = ("shapes", "geometry")
 _LIBRARIES = ("numpy", "scipy", "numba", "scikit-image", "trimesh")
-
-
-def shape_cache_folder() -> Path:
-    """Return where shapes are kept; raises `ConfigError` where nothing can be kept."""
-    return cache_folder("shapes")
 
 
 class ShapeCache:

@@ -89,10 +89,11 @@ def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verd
     progress("journal")
     points: dict[int, NDArray[np.float32]] = {}
     journal = _journal(saved, points)
+    configured_m = _configured_margin_m(saved) if _has_journal(path) else None
     objects = []
     for tracked in saved.snapshot.objects:
         progress(f"object {tracked.id}")
-        objects += [*_views(saved, tracked), *_layer_four(saved, tracked, points, has_journal=_has_journal(path))]
+        objects += [*_views(saved, tracked), *_layer_four(saved, tracked, points, configured_m)]
     return Verdict(
         digest=saved.digest,
         recorded_digest=saved.manifest.digest,
@@ -143,15 +144,15 @@ def _journal(saved: SavedMap, points: dict[int, NDArray[np.float32]]) -> Finding
             points[request.ticket] = request.points_world
 
     wanted = saved.snapshot.revision
-    digests: list[str] = []
+    digests: set[str] = set()
     try:
         config = recorded_config(saved.folder)
         with Journal(saved.folder) as journal:
             again = Replay(journal, config.mapping, note)
             for _ in again.steps(len(journal)):
                 # Of a run that was killed the folder holds some earlier step.
-                is_earlier = not saved.manifest.finished_cleanly and again.snapshot().revision == wanted
-                digests += [map_digest(again.snapshot())] if is_earlier else []
+                if not saved.manifest.finished_cleanly and (now := again.snapshot()).revision == wanted:
+                    digests.add(map_digest(now))
             last = again.snapshot()
     except MapFolderError as error:
         return Finding(check="journal", state=State.FAILS, text=str(error))
@@ -172,9 +173,9 @@ def _views(saved: SavedMap, tracked: TrackedObject) -> Iterator[Finding]:
 
 
 def _layer_four(
-    saved: SavedMap, tracked: TrackedObject, points: dict[int, NDArray[np.float32]], *, has_journal: bool
+    saved: SavedMap, tracked: TrackedObject, points: dict[int, NDArray[np.float32]], configured_m: float | None
 ) -> Iterator[Finding]:
-    """Prove layer 4 of an object, which may have none."""
+    """Prove layer 4 of an object, which may have none, with the margin that the map was made with, if that is known."""
     shape = tracked.shape
     if shape is None:
         return
@@ -192,9 +193,8 @@ def _layer_four(
         return
     best = min(certificates, key=_num_uncovered)
     margin_m = shape.containment.margin_m
-    configured = _configured_margin_m(saved) if has_journal else None
-    if configured is not None and margin_m < configured:
-        yield found(State.FAILS, f"its margin is {margin_m:g} m, the map was made with {configured:g} m")
+    if configured_m is not None and margin_m < configured_m:
+        yield found(State.FAILS, f"its margin is {margin_m:g} m, the map was made with {configured_m:g} m")
     elif not shape.containment.is_certified:
         yield found(State.UNKNOWN, "it was not certified when it was made")
     elif best.uncovered_triangles or best.uncovered_cells or (given is not None and best.uncovered_points):
