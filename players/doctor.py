@@ -14,8 +14,7 @@ import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, RecordingError
-from hickory_stream.geometry.rigid import rotation_angle_rad
-from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from hickory_stream.mapping.keyframes import Keyframe, is_keyframe, motion
 from players.agreement import BorderScores, border_scores, color_agreement
 from players.folder import FolderSource
 from players.log_opening import open_log, read_opening
@@ -239,8 +238,7 @@ def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> flo
     if now.stamp_ns <= last.stamp_ns:
         return 0.0
     elapsed = (now.stamp_ns - last.stamp_ns) / 1e9 / config.min_interval_s
-    distance_m = float(np.linalg.norm(now.world_from_camera[:3, 3] - last.world_from_camera[:3, 3]))
-    turned_rad = rotation_angle_rad(last.world_from_camera[:3, :3].T @ now.world_from_camera[:3, :3])
+    distance_m, turned_rad = motion(last.world_from_camera, now.world_from_camera)
     moved = max(distance_m / config.min_distance_m, float(np.rad2deg(turned_rad)) / config.min_angle_deg)
     return max(1.0, min(elapsed, moved))
 

@@ -67,6 +67,7 @@ def _mend(path: Path) -> bool:
 
 
 def tell(what: str) -> None:
+    """Draw what is done now over what was done before, on a terminal."""
     clear_line()
     sys.stderr.write(what)
     sys.stderr.flush()

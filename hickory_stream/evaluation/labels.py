@@ -38,8 +38,7 @@ class Label:
     @property
     def is_beside(self) -> bool:
         """Whether it lies beside its place, so that a thread leads there."""
-        x, y = self.place_px
-        return not (self.box_px[0] <= x < self.box_px[2] and self.box_px[1] <= y < self.box_px[3])
+        return not _holds(self.box_px, self.place_px)
 
 
 def place_labels(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import instances_of
+from hickory_stream.evaluation.truth import frame_at, instances_of
 from hickory_stream.mapping.associate import Match
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.geometric import GeometricSegmenter
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 Rung = Literal["ours", "joins", "masks", "structure", "association"]
 RUNGS: tuple[Rung, ...] = get_args(Rung)
 
-_SAME_STAMP_NS = 1_000_000
-
 
 class TrueImages:
     """What the pixels of a log show, by stamp; the last image is kept, for more than one asks for it."""
@@ -54,8 +52,8 @@ class TrueImages:
         Raises:
             RecordingError: the truth has no frame of this stamp, or its image cannot be read.
         """
-        i = int(np.argmin(np.abs(self._stamps - stamp_ns))) if len(self._stamps) else -1
-        if i < 0 or abs(int(self._stamps[i]) - stamp_ns) > _SAME_STAMP_NS:
+        i = frame_at(self._stamps, stamp_ns)
+        if i is None:
             raise RecordingError(
                 f"{self._truth.folder} has no frame at {stamp_ns / 1e9:.3f} s: it is not the truth of this log"
             )
@@ -83,7 +81,7 @@ class TrueSegmenter:
         """Return the instances and the structure of a frame."""
         pieces = self._ours.fragments(frame, prior, prepared)
         shown = self._images.at(frame.stamp_ns)
-        if self._rung in ("ours", "joins"):
+        if self._rung == "joins":
             return self._ours.segmentation(frame, pieces, truly_joined(pieces, shown))
         if self._rung == "masks":
             size = (frame.camera.width, frame.camera.height)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import moved_truth
+from hickory_stream.evaluation.truth import frame_at, moved_truth
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_angle_rad
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from hickory_stream.engine.session import SavedMap
     from hickory_stream.evaluation.truth import Truth, TruthFrame
 
-_SAME_STAMP_NS = 1_000_000
 _SAME_WORLD_M, _SAME_WORLD_RAD = 2.0, np.deg2rad(15.0)
 # A transform is believed that leaves a fifth of the difference, and little of it, of poses that are not all one.
 _EXPLAINED, _MAX_REST_M = 0.2, 0.25
@@ -100,8 +99,8 @@ def _views_with_frames(saved: SavedMap, truth: Truth) -> tuple[ViewFrame, ...]:
     found = []
     for name in sorted(views):
         view = views[name]
-        i = int(np.argmin(np.abs(stamps - view.stamp_ns))) if len(stamps) else -1
-        if i >= 0 and abs(int(stamps[i]) - view.stamp_ns) <= _SAME_STAMP_NS:
+        i = frame_at(stamps, view.stamp_ns)
+        if i is not None:
             found.append(ViewFrame(name=name, world_from_camera=view.world_from_camera, frame=truth.frames[i]))
     if views and not found:
         first = min(view.stamp_ns for view in views.values())

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 TRUTH_FILE = "truth.json"
+_SAME_STAMP_NS = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -234,3 +235,11 @@ def _mesh_at(folder: Path, name: str) -> Mesh:
         return mesh_of_glb(read_within(folder, name))
     except (OSError, ValueError) as error:
         raise RecordingError(f"{folder / name} cannot be read as a mesh: {error}. Make the recording again") from error
+
+
+def frame_at(stamps: NDArray[np.int64], stamp_ns: int) -> int | None:
+    """Return the index of the frame of a stamp among those of (N,) stamps; None where none is within a millisecond."""
+    if not len(stamps):
+        return None
+    i = int(np.argmin(np.abs(stamps - stamp_ns)))
+    return i if abs(int(stamps[i]) - stamp_ns) <= _SAME_STAMP_NS else None

@@ -36,10 +36,9 @@ def matmul(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
         product = _product(rows, right, dtype).reshape(*left.shape[:-1], right.shape[-1])
     else:
         stack = np.broadcast_shapes(left.shape[:-2], right.shape[:-2])
-        lefts = _writable(np.broadcast_to(left, (*stack, *left.shape[-2:])).reshape(-1, *left.shape[-2:]), dtype)
-        rights = _writable(np.broadcast_to(right, (*stack, *right.shape[-2:])).reshape(-1, *right.shape[-2:]), dtype)
         product = np.zeros((*stack, left.shape[-2], right.shape[-1]), dtype=dtype)
-        _multiply_stacks(lefts, rights, product.reshape(-1, *product.shape[-2:]))
+        out = product.reshape(-1, *product.shape[-2:])
+        _multiply_stacks(_stacked(left, stack, dtype), _stacked(right, stack, dtype), out)
     if a.ndim == 1:
         product = product[..., 0, :]
     return product[..., 0] if b.ndim == 1 else product
@@ -92,6 +91,13 @@ def svd3(matrix: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]
     u, s, v = np.zeros((3, 3)), np.zeros(3), np.empty((3, 3))
     _decompose(own, u, s, v)
     return u, s, v.T.copy()
+
+
+def nearest_orthogonal(matrices: NDArray[Any]) -> NDArray[np.float64]:
+    """Return (N, 3, 3) the orthogonal matrices nearest to those of a stack (N, 3, 3): u vt of each."""
+    work = np.array(matrices, dtype=np.float64, order="C")
+    _orthogonalise_each(work)
+    return work
 
 
 # ---- elementary functions -------------------------------------------------------------------------------------------
@@ -148,6 +154,13 @@ def hypot(x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(x * x + y * y))
 
 
+def gaussian_weights(sigma: float, radius: int) -> NDArray[np.float64]:
+    """Return the 2 r + 1 weights of a Gaussian that is cut off at a radius; their sum is 1."""
+    steps = np.arange(-radius, radius + 1) / sigma
+    weights = exp(-0.5 * steps * steps)
+    return np.asarray(weights / weights.sum())
+
+
 # ---- kernels --------------------------------------------------------------------------------------------------------
 
 
@@ -164,6 +177,13 @@ def _product(rows: NDArray[Any], right: NDArray[Any], dtype: Any) -> NDArray[Any
     else:
         _multiply(rows, _writable(right, dtype), out)
     return out
+
+
+def _stacked(matrices: NDArray[Any], stack: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """Return (N, n, m) the matrices of a whole stack, or (1, n, m) the one that stands for all of them."""
+    if matrices.ndim > 2:
+        matrices = np.broadcast_to(matrices, (*stack, *matrices.shape[-2:]))
+    return _writable(matrices.reshape(-1, *matrices.shape[-2:]), dtype)
 
 
 def _of_each(kernel: Callable[[NDArray[np.float64]], None], values: ArrayLike) -> NDArray[np.float64]:
@@ -211,11 +231,12 @@ def _multiply_threes(a, b, out):  # type: ignore[no-untyped-def] # pragma: no co
 
 @numba.njit(cache=True, nogil=True)
 def _multiply_stacks(a, b, out):  # type: ignore[no-untyped-def] # pragma: no cover
-    for n in range(len(a)):
+    for n in range(len(out)):
+        m, o = n if len(a) > 1 else 0, n if len(b) > 1 else 0
         for i in range(a.shape[1]):
             for k in range(a.shape[2]):
                 for j in range(b.shape[2]):
-                    out[n, i, j] += a[n, i, k] * b[n, k, j]
+                    out[n, i, j] += a[m, i, k] * b[o, k, j]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -275,6 +296,18 @@ def _decompose(own, u, s, v):  # type: ignore[no-untyped-def] # pragma: no cover
                 u[k, i] = own[k, i] / s[i]
         else:
             _complete(u, i)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _orthogonalise_each(matrices):  # type: ignore[no-untyped-def] # pragma: no cover
+    u, s, v = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    for n in range(len(matrices)):
+        u[:] = 0.0
+        s[:] = 0.0
+        _decompose(matrices[n], u, s, v)
+        for i in range(3):
+            for j in range(3):
+                matrices[n, i, j] = u[i, 0] * v[j, 0] + u[i, 1] * v[j, 1] + u[i, 2] * v[j, 2]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

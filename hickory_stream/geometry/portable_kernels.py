@@ -144,12 +144,6 @@ def arccos(x):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def hypot(x, y):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the length of (x, y), for lengths whose squares a double holds."""
-    return np.sqrt(np.float64(x) * x + np.float64(y) * y)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def exp_each(values):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return e^x of each of (N,) values."""
     out = np.empty(len(values))

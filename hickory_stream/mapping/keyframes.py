@@ -51,6 +51,11 @@ def is_keyframe(
         return False
     if elapsed_ns >= config.max_interval_s * 1e9 - 1_000_000:
         return True
-    distance_m = portable.norm(world_from_camera[:3, 3] - last.world_from_camera[:3, 3])
-    turned_rad = rotation_angle_rad(portable.matmul(last.world_from_camera[:3, :3].T, world_from_camera[:3, :3]))
+    distance_m, turned_rad = motion(last.world_from_camera, world_from_camera)
     return bool(distance_m >= config.min_distance_m or turned_rad >= np.deg2rad(config.min_angle_deg))
+
+
+def motion(world_from_first: NDArray[np.float64], world_from_second: NDArray[np.float64]) -> tuple[float, float]:
+    """Return how far a camera went between two poses, in metres, and how far it turned, in radians."""
+    distance_m = portable.norm(world_from_second[:3, 3] - world_from_first[:3, 3])
+    return distance_m, rotation_angle_rad(portable.matmul(world_from_first[:3, :3].T, world_from_second[:3, :3]))

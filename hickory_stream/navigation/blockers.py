@@ -36,13 +36,11 @@ class Blocker:
 def blockers_at(space: FreeSpace, place: NDArray[np.float64]) -> tuple[Blocker, ...]:
     """Return what a robot at (2,) meets in any posture and heading, the nearest first."""
     ((row, column),) = space.frame.cells_of(place[None]).tolist()
-    layers = [layer for headings in space.layers for layer in headings]
+    layers = space.all_layers()
     ids = sorted({object_id for layer in layers for object_id in layer.objects_at(row, column)})
-    parts = [part for headings in space.parts for parts in headings for part in parts]
     # A body without width, as high as the robot: its outlines are the obstacles' own.
-    slim = Part(
-        low_m=min(part.low_m - part.ball_m for part in parts), high_m=max(part.high_m + part.ball_m for part in parts)
-    )
+    low_m, high_m = space.heights_m
+    slim = Part(low_m=low_m, high_m=high_m)
     found = [Blocker(object_id=i, distance_m=_distance_m(place, *_outlines(space, i, slim))) for i in ids]
     if any(layer.is_wall_at(row, column) for layer in layers):
         apart_m = _distance_m(place, *outlines_of_hulls(space.walls, slim))

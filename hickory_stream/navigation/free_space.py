@@ -89,14 +89,14 @@ class FreeSpace:
         """Add an object, or replace what it was; raises ValueError where a primitive is not finite."""
         self._forget()
         self.scene.put(object_id, inflated)
-        for layer in self._all_layers():
+        for layer in self.all_layers():
             layer.put(object_id, inflated)
 
     def put_hulls(self, object_id: int, hulls: NDArray[np.float64]) -> None:
         """Add an object that is the union of the convex hulls of (N, M, 3) points, or replace what it was."""
         self._forget()
         self.hulls[object_id] = hulls
-        for layer in self._all_layers():
+        for layer in self.all_layers():
             layer.put_hulls(object_id, hulls)
 
     def remove(self, object_id: int) -> None:
@@ -104,14 +104,14 @@ class FreeSpace:
         self._forget()
         self.scene.remove(object_id)
         self.hulls.pop(object_id, None)
-        for layer in self._all_layers():
+        for layer in self.all_layers():
             layer.remove(object_id)
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
         """Let hulls of (N, M, 3) and (K, 8, 3) corners be structure, and space that nobody saw, instead of what was."""
         self._forget()
         self.walls, self.unknown = walls, unknown
-        for layer in self._all_layers():
+        for layer in self.all_layers():
             layer.observe(walls, unknown)
 
     def blocked(self) -> NDArray[np.bool_]:
@@ -172,7 +172,14 @@ class FreeSpace:
         self._reachable = {}
         self._groups = None
 
-    def _all_layers(self) -> list[Occupancy]:
+    @property
+    def heights_m(self) -> tuple[float, float]:
+        """From where to where the robot reaches, in any posture."""
+        parts = [part for headings in self.parts for parts in headings for part in parts]
+        return min(part.low_m - part.ball_m for part in parts), max(part.high_m + part.ball_m for part in parts)
+
+    def all_layers(self) -> list[Occupancy]:
+        """Return the layers of all postures and headings."""
         return [layer for headings in self.layers for layer in headings]
 
 
@@ -200,11 +207,9 @@ def free_space_of(
     space = FreeSpace(robot, frame, floor_of(snapshot))
     for tracked in obstacles_of(snapshot):
         space.put(tracked.id, layer_four_of(tracked))
-    parts = [part for headings in space.parts for parts in headings for part in parts]
     # One band for all layers: what was seen must not depend on the posture.
-    band = Band(
-        low_m=min(part.low_m - part.ball_m for part in parts), high_m=max(part.high_m + part.ball_m for part in parts)
-    )
+    low_m, high_m = space.heights_m
+    band = Band(low_m=low_m, high_m=high_m)
     seen = seen_columns(snapshot.submaps, frame, band, space.floor_z_m)
     dark = unknown_hulls(seen.is_known, frame, band) if unknown == "blocked" else np.empty((0, 8, 3))
     space.observe(seen.walls, dark)

@@ -156,7 +156,9 @@ class Occupancy:
 
     def objects_at(self, row: int, column: int) -> list[int]:
         """Return the ids of the objects that a body in this cell would meet."""
-        found = []
+        found: list[int] = []
+        if not self._counts[row, column]:
+            return found
         for object_id, outlines in sorted(self._outlines.items()):
             counts = np.zeros(self.frame.shape, np.int32)
             for corners, starts in outlines:

@@ -22,19 +22,11 @@ def gradients(image: NDArray[np.float32], sigma_px: float) -> tuple[NDArray[np.f
 
     Beyond its border the image is mirrored at the outermost pixel.
     """
-    weights = gaussian_weights(sigma_px)
-    radius = len(weights) // 2
+    radius = max(1, round(4 * sigma_px))
+    weights = portable.gaussian_weights(sigma_px, radius).astype(np.float32)
     blurred = _blurred(_mirrored(image, radius), weights)
     along_x, along_y = _sobel(_mirrored(blurred, 1))
     return along_x, along_y
-
-
-def gaussian_weights(sigma_px: float) -> NDArray[np.float32]:
-    """Return the 2 r + 1 weights of a Gaussian, cut off beyond four of its standard deviations; their sum is 1."""
-    radius = max(1, round(4 * sigma_px))
-    steps = np.arange(-radius, radius + 1) / sigma_px
-    weights = portable.exp(-0.5 * steps * steps)
-    return (weights / weights.sum()).astype(np.float32)
 
 
 def _mirrored(image: NDArray[np.float32], radius: int) -> NDArray[np.float32]:

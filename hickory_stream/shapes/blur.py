@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
 from scipy import ndimage
 
 from hickory_stream.geometry import portable
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -18,9 +18,7 @@ def gaussian_blurred(
 ) -> NDArray[np.float32]:
     """Return what `scipy.ndimage.gaussian_filter` does, cut off at four standard deviations."""
     radius = int(4 * sigma_voxels + 0.5)
-    steps = np.arange(-radius, radius + 1) / sigma_voxels
-    weights = portable.exp(-0.5 * steps * steps)
-    weights /= weights.sum()
+    weights = portable.gaussian_weights(sigma_voxels, radius)
     for axis in range(values.ndim):
         values = ndimage.correlate1d(values, weights, axis=axis, mode=mode)
     return values

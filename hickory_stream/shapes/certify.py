@@ -17,7 +17,6 @@ from hickory_stream.compiled import numba
 from hickory_stream.geometry.portable_kernels import exp, log
 from hickory_stream.shapes.cover import NET, NET_FACTOR, log_gauge, log_gauge_of_ball
 from hickory_stream.shapes.sdf import distance_grid
-from hickory_stream.shapes.usable import used_surface
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -111,14 +110,12 @@ def certify(
 
 
 def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, r_safe_m: float) -> Inside:
-    """Return what of the inside is to be covered besides the surface and its margin.
+    """Return what of the inside of a used surface (`used_surface`) is to be covered besides it and its margin.
 
     Every cell is either as a whole inside the solid, or all of it is within two half diagonals of the surface. The
     lattice is as fine as it takes for the margin to cover the latter, up to a limit; a margin below that leaves a thin
     shell under the surface, `shell_m`, that is not looked at. Overlapping parts are one solid; a plane has no inside.
     """
-    is_used, faces = used_surface(vertices_world, faces)
-    vertices_world = vertices_world[is_used]
     extent = np.ptp(vertices_world, axis=0) if len(faces) else np.zeros(3)
     if not extent.min() > 1e-6 * extent.max():
         return Inside(centers=np.empty((0, 3)), half_m=0.0, distances_m=np.empty(0), margin_m=r_safe_m, shell_m=0.0)

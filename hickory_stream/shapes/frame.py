@@ -80,12 +80,7 @@ def _raised(
     """Return (S, 3, 3) frames after one step of the fixed point."""
     along = portable.matmul(normals, axes)
     raised = portable.matmul((normals * weights[:, None]).T, along * along * along)
-    return np.stack([_nearest_frame(one) for one in raised])
-
-
-def _nearest_frame(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    left, _, right = portable.svd3(matrix)
-    return portable.matmul(left, right)
+    return portable.nearest_orthogonal(raised)
 
 
 def _ordered(

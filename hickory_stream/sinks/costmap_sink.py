@@ -67,6 +67,8 @@ class CostmapSink:
             return
         if self._pipe is not None and self._file is None:
             self._connect(self._pipe)
+        if self._file is None and self._publish is None:
+            return  # a reader who comes gets a whole grid
         update = self._costmap.update(report.snapshot)
         if update is None:
             return

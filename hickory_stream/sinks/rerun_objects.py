@@ -144,22 +144,21 @@ def _box_items(seen: TrackedObject) -> list[LogItem]:
     """Return an object's box as lines, and filled; the label, with its phase, shows when it is pointed at."""
     label = str(seen.id) if seen.phase is Phase.ACTIVE else f"{seen.id} {seen.phase}"
 
-    def box(fill_mode: rr.components.FillMode) -> Any:
-        return rr.Boxes3D(
-            centers=[seen.box.center],
-            half_sizes=[seen.box.half_extents_m],
-            quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(seen.box.world_from_box[:3, :3]))],
-            colors=shaded(color_of_id(seen.id), _FADED[seen.phase]),
-            radii=-1.5 if seen.phase is Phase.ACTIVE else -0.7,
-            fill_mode=fill_mode,
-            labels=[label],
-            show_labels=False,
-        )
-
+    box: dict[str, Any] = {
+        "centers": [seen.box.center],
+        "half_sizes": [seen.box.half_extents_m],
+        "quaternions": [rr.Quaternion(xyzw=quaternion_from_rotation(seen.box.world_from_box[:3, :3]))],
+        "colors": shaded(color_of_id(seen.id), _FADED[seen.phase]),
+        "radii": -1.5 if seen.phase is Phase.ACTIVE else -0.7,
+        "labels": [label],
+        "show_labels": False,
+    }
     lines, filled = rr.components.FillMode.MajorWireframe, rr.components.FillMode.TransparentFillMajorWireframe
     return [
-        LogItem(path=f"{POINTS_LAYER}/{seen.id}/box", archetypes=(box(lines),), span=Span.LASTING),
-        LogItem(path=f"{FILLED}/{seen.id}", archetypes=(box(filled),), span=Span.LASTING),
+        LogItem(
+            path=f"{POINTS_LAYER}/{seen.id}/box", archetypes=(rr.Boxes3D(**box, fill_mode=lines),), span=Span.LASTING
+        ),
+        LogItem(path=f"{FILLED}/{seen.id}", archetypes=(rr.Boxes3D(**box, fill_mode=filled),), span=Span.LASTING),
     ]
 
 

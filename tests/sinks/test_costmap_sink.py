@@ -135,8 +135,12 @@ def test_a_reader_of_the_pipe_that_goes_is_waited_for_again(tmp_path: Path, capl
     os.close(first)
     for i, item in enumerate(snapshots()):
         sink.show(report(item, i))
-    sink.close()
     assert "is gone" in caplog.text
+    with os.fdopen(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), "rb") as second:
+        sink.show(report(snapshots()[-1], len(snapshots())))
+        sink.close()
+        data = second.read()
+    assert [channel.topic for _, channel, _ in make_reader(io.BytesIO(data)).iter_messages()] == [MAP_TOPIC]
 
 
 def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None:

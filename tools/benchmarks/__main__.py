@@ -20,6 +20,7 @@ _HELPERS = {
     "baseline",
     "coarse_runs",
     "figures",
+    "first_difference",
     "first_layer",
     "foreign_figures",
     "foreign_logs",
@@ -33,6 +34,7 @@ _HELPERS = {
     "mask_scores",
     "perception_models",
     "processes",
+    "processors",
     "repetitions",
     "shape_meshes",
     "shape_truth",
@@ -43,9 +45,14 @@ _HELPERS = {
 }
 
 
+def benchmark_names() -> list[str]:
+    """Return the modules that can be run: each has `measure`."""
+    return sorted({module.name for module in pkgutil.iter_modules(tools.benchmarks.__path__)} - _HELPERS)
+
+
 def main() -> int:
     """Parse the arguments and run."""
-    names = sorted({module.name for module in pkgutil.iter_modules(tools.benchmarks.__path__)} - _HELPERS)
+    names = benchmark_names()
     parser = argparse.ArgumentParser(prog="tools/bench", description="Measure, print a table, write JSON.")
     parser.add_argument("name", choices=names)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write a list of {name, value, unit, better}")

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import psutil
 
 from hickory_stream.engine.session import open_map
-from hickory_stream.errors import MapFolderError
+from hickory_stream.errors import InputError, MapFolderError
 from tools.benchmarks.coarse_runs import die_with_parent, finished, play_coarsely
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT
@@ -84,10 +84,11 @@ def measure(options: Options) -> list[Figure]:
     """Return the figures of the parts that are asked for; each prints a line when it is done, or its time is up.
 
     Raises:
-        ValueError: there is no such part.
+        InputError: there is no such part.
+        RuntimeError: another process is at one.
     """
     if unknown := set(options.only) - set(_PARTS):
-        raise ValueError(f"no part {', '.join(sorted(unknown))}; parts are {', '.join(_PARTS)}")
+        raise InputError(f"no part {', '.join(sorted(unknown))}; parts are {', '.join(_PARTS)}")
     sample = QUICK if options.quick else FULL
     until = time.monotonic() + 60.0 * options.minutes
     figures: list[Figure] = []

@@ -76,13 +76,16 @@ def foreign_log(worlds: Path, world: str, walk: str, camera: str, seconds: float
     print(f"rendering {world}, walk {walk}, {camera}: minutes, once", flush=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as temporary:
-        command = [sys.executable, "-c", _RUN, str(worlds / _PROGRAM), str(source), temporary, *arguments]
+        made = Path(temporary) / "made"
+        made.mkdir()
+        command = [sys.executable, "-c", _RUN, str(worlds / _PROGRAM), str(source), str(made), *arguments]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
         if done.returncode != 0:
             told = (done.stderr or done.stdout).strip().splitlines()[-1:]
             raise RecordingError(f"{_PROGRAM} could not render {source}: {' '.join(told)}")
         shutil.rmtree(folder, ignore_errors=True)
-        shutil.copytree(temporary, folder)
+        made.rename(folder)
+    caches.prune()
     return found
 
 

@@ -5,7 +5,6 @@ A part is named by its world, walk, camera and rung (`home:A:hand:ours`), or by 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.errors import InputError
 from hickory_stream.evaluation.ladder import RUNGS
 from hickory_stream.json_text import dumps
-from tools.benchmarks.processes import ROOT
+from tools.benchmarks.repetitions import hash_of_files
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,11 +39,15 @@ ROLES = {
 _CODE = (
     "requirements.lock",
     "players",
-    "hickory_stream/config.py",
-    "hickory_stream/events.py",
-    "hickory_stream/records.py",
+    *(
+        f"hickory_stream/{name}.py"
+        for name in ("compiled", "config", "confined", "events", "json_text", "ports", "ranges", "records")
+    ),
     *(f"hickory_stream/{name}" for name in ("engine", "evaluation", "geometry", "mapping", "perception", "shapes")),
-    *(f"tools/benchmarks/{name}.py" for name in ("first_layer", "foreign_runs", "labelled_clouds", "mask_scores")),
+    *(
+        f"tools/benchmarks/{name}.py"
+        for name in ("first_layer", "foreign_runs", "labelled_clouds", "mask_scores", "processes")
+    ),
 )
 _KINDS = (".py", ".toml", ".npz", ".onnx", ".lock")
 
@@ -129,9 +132,4 @@ class Store:
 
 def map_code_hash() -> str:
     """Return the sha256 of all that a map and its figures depend on, weights among it."""
-    digest = hashlib.sha256()
-    for name in _CODE:
-        root = ROOT / name
-        for path in [root] if root.is_file() else sorted(p for p in root.rglob("*") if p.suffix in _KINDS):
-            digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()
+    return hash_of_files(_CODE, _KINDS)

@@ -20,7 +20,7 @@ from hickory_stream.json_text import dumps_exactly
 from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterable, Iterator
     from io import TextIOWrapper
     from pathlib import Path
 
@@ -100,10 +100,15 @@ def measurement_folder(state: Path, name: str, *, seed: int, fresh: bool) -> Pat
 
 def code_hash() -> str:
     """Return the sha256 of the sources of the packages, of the benchmarks and of the locked versions."""
-    digest = hashlib.sha256((ROOT / "requirements.lock").read_bytes())
-    paths = [path for folder in _CODE for path in (ROOT / folder).rglob("*") if path.suffix in _KINDS]
-    for path in sorted(paths):
-        digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return hash_of_files(("requirements.lock", *_CODE), _KINDS)
+
+
+def hash_of_files(names: Iterable[str], suffixes: Collection[str]) -> str:
+    """Return the sha256 of files of the checkout, and of those of its folders that end so, with their names."""
+    digest = hashlib.sha256()
+    for root in (ROOT / name for name in names):
+        for path in [root] if root.is_file() else sorted(p for p in root.rglob("*") if p.suffix in suffixes):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()
 
 

@@ -13,33 +13,24 @@ from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.session import open_map
 from hickory_stream.events import RequestShape
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, SceneSource
+from tools.benchmarks.coarse_runs import COARSE
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 _NUM_FRAMES = 6
-_COARSE = (
-    "shapes.fused.volume.cells=16",
-    "shapes.fit.cells=16",
-    "shapes.fit.num_seeds=1",
-    "shapes.fit.num_candidates=1",
-    "shapes.fit.max_primitives=1",
-    "shapes.fit.coarse_samples=100",
-    "shapes.fit.coarse_iterations=3",
-    "shapes.fit.fine_samples=300",
-    "shapes.fit.fine_iterations=4",
-    "shapes.fit.gain_samples=1000",
+_OVERRIDES = (
+    *(override.removeprefix("mapper.") for override in COARSE),
     "mapping.requests.first_sightings=2",
     "mapping.requests.latency_s=0.5",
     "journal.checkpoint_keyframes=3",
-    "run.shape_cache=false",
     "run.workers=1",
 )
 
 
 def write_small_map(path: Path) -> None:
     """Write a finished map of a few objects, with the input of a shape job in `failed/`."""
-    config = read_config(MapperConfig, None, _COARSE)
+    config = read_config(MapperConfig, None, _OVERRIDES)
     asyncio.run(_map(config, path))
     saved = open_map(path)
     tracked = next(item for item in saved.snapshot.objects if item.shape is not None)
