@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.geometry.boxes import OrientedBox
     from hickory_stream.records import (
+        CoarseFrame,
         Decision,
         MapSnapshot,
         MaskFeature,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FrameObserved:
-    """A keyframe was perceived."""
+    """A keyframe was perceived. `coarse` decides nothing: it is for people who ask why; None in older journals."""
 
     frame_index: int
     stamp_ns: int
@@ -41,6 +42,7 @@ class FrameObserved:
     observations: tuple[Observation, ...]
     space: SpaceObservation
     rejected: tuple[RejectedMask, ...] = ()
+    coarse: CoarseFrame | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_camera", float, (4, 4))

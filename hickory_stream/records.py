@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -214,6 +214,25 @@ class MaskFeature:
         freeze(self, "pooled", np.float32, (None,))
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CoarseFrame:
+    """What the journal keeps of a keyframe's depth: the middle pixel of every cell of `stride_px` x `stride_px`.
+
+    `depth_mm` (h, w) uint16 along the optical axis, 0 = no return; `structure` (h, w) bool: what was taken for floor,
+    wall or ceiling.
+    """
+
+    stride_px: int
+    depth_mm: NDArray[np.uint16]
+    structure: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        freeze(self, "depth_mm", np.uint16, (None, None))
+        freeze(self, "structure", np.bool_, self.depth_mm.shape)
+        if self.stride_px < 1 or self.depth_mm.size == 0:
+            raise ValueError(f"cells of {self.stride_px} pixels, {self.depth_mm.shape} of them")
+
+
 # ---- the map --------------------------------------------------------------------------------------------------------
 
 
@@ -396,18 +415,25 @@ class MapSnapshot:
 
 # ---- what sinks are shown -------------------------------------------------------------------------------------------
 
+DropCause = Literal["structure", "in structure", "looked through", "never confirmed"]
+"""Why a track is no object: structure, a piece of some, nothing where it should be, or seen too seldom."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Decision:
     """One decision and its reason, for people who ask why.
 
     `kind` is one of associate, create, merge, split, phase, view, shape, reject, drop; `text` names the candidates and
-    numbers.
+    numbers. `observation_index`: the observation that went to the object (associate, create). `other_id`: the track
+    that is now a part of the object (merge), or of which the object was a part (split). `cause`: why it was dropped.
     """
 
     kind: str
     object_id: int | None
     text: str
+    observation_index: int | None = None
+    other_id: int | None = None
+    cause: DropCause | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

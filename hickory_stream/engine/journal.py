@@ -2,7 +2,8 @@
 
 Each step is one compressed chunk with a CRC: a file that was cut anywhere holds all steps before the cut. Messages are
 CBOR (see `record_codec`), one channel per kind of event; the channel `step` says where the run stood, `checkpoint`
-holds the core's state now and then, `color` the compressed images of keyframes. The log time is the stamp.
+holds the core's state now and then, `color` the compressed images of keyframes, `told` the decisions of a step (older
+journals have none). The log time is the stamp.
 
 A chunk reaches the operating system when its step is over, so that a killed process loses nothing of it; it reaches the
 disk (fsync) at most `flush_s` later, which is what a lost power supply may cost.
@@ -46,8 +47,8 @@ if TYPE_CHECKING:
 
 JOURNAL = "journal.mcap"
 _PROFILE = "hickory-stream/1"
-_STEP, _CHECKPOINT, _COLOR = 1, 2, 3
-_TOPICS = {_STEP: "step", _CHECKPOINT: "checkpoint", _COLOR: "color"}
+_STEP, _CHECKPOINT, _COLOR, _TOLD = 1, 2, 3, 4
+_TOPICS = {_STEP: "step", _CHECKPOINT: "checkpoint", _COLOR: "color", _TOLD: "told"}
 # A place in this list is part of the format: what is new comes last.
 _EVENTS = (
     "FrameObserved",
@@ -126,6 +127,8 @@ class JournalWriter:
             self._add(_STEP, stamp_ns, encode(entry.step))
             for event in entry.events:
                 self._add(_CHANNELS[type(event).__name__], stamp_ns, encode(event))
+            if entry.told is not None:
+                self._add(_TOLD, stamp_ns, encode(entry.told))
             if color is not None:
                 self._add(_COLOR, stamp_ns, color)
             self._end_chunk()
@@ -292,7 +295,8 @@ class Journal:
             for message in others
             if message.channel_id in _EVENT_NAMES
         ]
-        return JournalEntry(step=self.step(index), events=tuple(events))
+        told = [self._decoded(message.data, "Told") for message in others if message.channel_id == _TOLD]
+        return JournalEntry(step=self.step(index), events=tuple(events), told=told[0] if told else None)
 
     def step(self, index: int) -> Step:
         """Return a step without its events."""

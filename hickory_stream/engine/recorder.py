@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from hickory_stream.engine.journal import JournalWriter
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.engine.shape_queue import ShapeQueue
-    from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry
+    from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, Told
     from hickory_stream.events import Event
 
 
 @dataclass(slots=True)
 class Unwritten:
-    """What has happened since the last step: events and frames for the journal, and what to remove after it.
+    """What has happened since the last step: events, frames and `told` for the journal, and what to remove after it.
 
     `goes_back_to` and `lost_views` are those of the `Step`.
     """
@@ -34,6 +34,7 @@ class Unwritten:
     ended_jobs: list[int] = field(default_factory=list)
     goes_back_to: int | None = None
     lost_views: tuple[str, ...] = ()
+    told: Told | None = None
 
 
 class Recorder:

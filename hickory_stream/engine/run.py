@@ -37,7 +37,7 @@ from hickory_stream.engine.reading import Position, Read, Reader, live_channel, 
 from hickory_stream.engine.recorder import Recorder, Unwritten
 from hickory_stream.engine.shape_cache import ShapeCache
 from hickory_stream.engine.shape_queue import ShapeQueue
-from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, Step, StepKind
+from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, Step, StepKind, Told
 from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.events import (
     CancelShape,
@@ -491,7 +491,7 @@ class Run:
         if kind is StepKind.KEYFRAME and self._num_keyframes % every == 0:
             checkpoint = Checkpoint(core=self._core.state(), open_jobs=self._shapes.open_jobs)
         await self._recorder.commit(
-            JournalEntry(step=step, events=tuple(done.events)),
+            JournalEntry(step=step, events=tuple(done.events), told=done.told),
             color=color,
             checkpoint=checkpoint,
             dropped_views=done.dropped_views,
@@ -525,6 +525,8 @@ class Run:
         if published is not None:
             self._snapshot = published.snapshot
             self._publish(published.snapshot)
+            submap_id = published.snapshot.submaps[-1].id
+            self._unwritten.told = Told(decisions=published.decisions, submap_id=submap_id)
         return published
 
     async def _carry_out(self, effect: Effect) -> None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import Event
     from hickory_stream.geometry.camera import Camera
+    from hickory_stream.records import Decision
 
 
 class StepKind(StrEnum):
@@ -80,12 +81,25 @@ class OpenJob:
     due_ns: int
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Told:
+    """What the core said of a step: its decisions, and the submap that was open then.
+
+    The events alone decide the map; this is for people who ask why, without going through the run again, and as it was
+    decided then, whatever a later version would decide.
+    """
+
+    decisions: tuple[Decision, ...]
+    submap_id: int
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class JournalEntry:
-    """A step with its events, in the order in which the core was given them."""
+    """A step with its events, in the order in which the core was given them; `told` is None in older journals."""
 
     step: Step
     events: tuple[Event, ...]
+    told: Told | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

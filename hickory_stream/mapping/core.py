@@ -93,7 +93,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.records import MaskFeature, Observation, ObservedSpace, TrackedObject
+    from hickory_stream.records import DropCause, MaskFeature, Observation, ObservedSpace, TrackedObject
 
     Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 
@@ -388,13 +388,16 @@ class MapperCore:
             track_id = self._next_id
             self._next_id += 1
             self._tracks[track_id] = self._new_track(track_id, event.stamp_ns, seen, 1)
-            self._decide("create", track_id, f"mask {observation.box_px}: new; candidates by IoU: {others}")
+            text = f"mask {observation.box_px}: new; candidates by IoU: {others}"
+            self._decide("create", track_id, text, observation_index=observation.index)
             return track_id, []
         track = self._tracks[match.track_id]
         how = f"IoU {match.iou:.2f}" if match.lies_on == 0 else f"IoU {match.iou:.2f}, {match.lies_on:.0%} lies on it"
         part = " as a part" if match.is_part else ""
-        self._decide("associate", track.id, f"mask {observation.box_px}{part}: {how}; candidates by IoU: {others}")
         foreign, covered = foreign_points(seen, track, self._neighbors(track, observation), self._config.merge)
+        left = f"; {foreign.mean():.0%} of it lies on others and is left out" if foreign.any() else ""
+        text = f"mask {observation.box_px}{part}: {how}; candidates by IoU: {others}{left}"
+        self._decide("associate", track.id, text, observation_index=observation.index)
         track = replace(
             track,
             last_seen_ns=event.stamp_ns,
@@ -464,6 +467,8 @@ class MapperCore:
                 lies_on = share_near(clouds[i].keys, self._tracks[new_id].cloud) if match.is_part else 0.0
                 if home == host_id and lies_on >= self._config.parts.same_share:
                     moved[i], new_homes[i] = replace(match, is_part=False), new_id
+                    text = f"its mask shows what was a part of #{host_id}"
+                    self._decide("associate", new_id, text, observation_index=match.observation_index)
         return moved, new_homes
 
     def _promoted(self, event: FrameObserved, host_id: int, part: Part) -> int | None:
@@ -490,9 +495,8 @@ class MapperCore:
         # Its points are the host's: they lie in the same submap.
         self._tracks[host_id] = left
         self._tracks[new.id] = replace(new, is_promoted=True, submap_id=host.submap_id)
-        self._decide(
-            "split", new.id, f"seen apart from #{host_id} in {len(part.frames)} keyframes, as one in {part.together}"
-        )
+        text = f"seen apart from #{host_id} in {len(part.frames)} keyframes, as one in {part.together}"
+        self._decide("split", new.id, text, other_id=host_id)
         return new.id
 
     def _doubt(self, event: FrameObserved, matches: list[Match]) -> None:
@@ -548,7 +552,7 @@ class MapperCore:
         self._votes = self._votes.merged(kept_id, gone_id)
         self._parts = moved_to(self._parts, kept_id, gone_id)
         self._shown.pop(gone_id, None)
-        self._decide("merge", kept_id, f"#{gone_id} is the same: {reason}")
+        self._decide("merge", kept_id, f"#{gone_id} is the same: {reason}", other_id=gone_id)
         open_ticket = gone.shape_state.open_ticket
         return [] if open_ticket is None else [CancelShape(ticket=open_ticket)]
 
@@ -561,11 +565,11 @@ class MapperCore:
             if is_judged and (reason := self._why_structure(track)) is not None:
                 self._submaps = with_structure(self._submaps, track.solid.points)
                 no_object = known_no_object(self._submaps.space)
-                effects += self._drop_track(track, reason)
+                effects += self._drop_track(track, "structure", reason)
                 continue
             lies_in = share_in(no_object, track.solid.points, self._submaps.space.voxel_m) if is_judged else 0.0
             if lies_in > self._config.lifecycle.structure_share:
-                effects += self._drop_track(track, "a piece of what was found to be structure")
+                effects += self._drop_track(track, "in structure", "a piece of what was found to be structure")
                 continue
             if is_judged and track.seen_clock_ns != self._clock_ns and self._is_seen_through(track, event):
                 track = replace(track, seen_through=track.seen_through + 1)
@@ -622,12 +626,12 @@ class MapperCore:
         share = float(contains(event.space.free_keys, keys).mean())
         return share >= self._config.lifecycle.phantom_share
 
-    def _drop_track(self, track: Track, reason: str) -> list[Effect]:
+    def _drop_track(self, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:
         del self._tracks[track.id]
         self._shown.pop(track.id, None)
         self._votes = self._votes.without(track.id)
         self._parts.pop(track.id, None)
-        self._decide("drop", track.id, f"{reason}, after {track.sightings} sightings")
+        self._decide("drop", track.id, f"{reason or cause}, after {track.sightings} sightings", cause=cause)
         ticket = track.shape_state.open_ticket
         return [] if ticket is None else [CancelShape(ticket=ticket)]
 
@@ -769,8 +773,25 @@ class MapperCore:
             return track_id
         return next((i for i in sorted(self._tracks) if track_id in self._tracks[i].merged_ids), None)
 
-    def _decide(self, kind: str, object_id: int | None, text: str) -> None:
-        self._decisions.append(Decision(kind=kind, object_id=object_id, text=text))
+    def _decide(
+        self,
+        kind: str,
+        object_id: int | None,
+        text: str,
+        *,
+        observation_index: int | None = None,
+        other_id: int | None = None,
+        cause: DropCause | None = None,
+    ) -> None:
+        decision = Decision(
+            kind=kind,
+            object_id=object_id,
+            text=text,
+            observation_index=observation_index,
+            other_id=other_id,
+            cause=cause,
+        )
+        self._decisions.append(decision)
 
     def _metrics(self) -> tuple[tuple[str, float], ...]:
         counts = [(f"core/{phase}", float(sum(t.phase is phase for t in self._tracks.values()))) for phase in Phase]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hickory_stream.events import FrameObserved
+from hickory_stream.perception.coarse import coarse_frame
 from hickory_stream.perception.descriptor import mask_feature
 from hickory_stream.perception.geometric import GeometricConfig
 from hickory_stream.perception.known import KnownConfig, with_known
@@ -79,6 +80,7 @@ class Perceived:
             observations=self.observations,
             space=self.space,
             rejected=self.rejected,
+            coarse=coarse_frame(frame.depth_m, self.segmentation.structure),
         )
 
 

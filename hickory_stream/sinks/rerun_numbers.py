@@ -15,7 +15,8 @@ from hickory_stream.sinks.rerun_items import LogItem, Span
 if TYPE_CHECKING:
     from hickory_stream.records import Decision, FrameReport, TrackedObject
 
-# Every decision is logged under its kind; one that is about an object also under that object, to be read by itself.
+# Every decision is logged under its kind; one that is about an object also under that object, to be read by itself:
+# a merge under both, so that what is gone says what it became.
 PLOTS, DECISIONS, OBJECT_DECISIONS = "plots", "decisions", "decisions_of"
 # The groups of curves that there is one of per object, and what they show: S = ln(1 + sigma^2) R_area^a R_depth^b.
 _PER_OBJECT = {"score": "S", "variance": "sigma^2", "area": "R_area", "depth": "R_depth"}
@@ -54,7 +55,8 @@ def decision_items(decisions: tuple[Decision, ...]) -> list[LogItem]:
     items = []
     for decision in decisions:
         about = decision.object_id
-        paths = [f"{DECISIONS}/{decision.kind}"] + ([] if about is None else [f"{OBJECT_DECISIONS}/{about}"])
+        paths = [f"{DECISIONS}/{decision.kind}"]
+        paths += [f"{OBJECT_DECISIONS}/{i}" for i in (about, decision.other_id) if i is not None]
         color = None if about is None else readable_on_dark(color_of_id(about))
         for line in textwrap.wrap(_sentence(decision), _LINE_LENGTH, subsequent_indent="    "):
             text = rr.TextLog(line, level=_level(decision), color=color)

@@ -329,3 +329,10 @@ def test_the_time_of_one_stream_is_not_left_behind_for_another(tmp_path):
     other.disconnect()
     timelines = {name for chunk in RrdReader(tmp_path / "other.rrd").stream() for name in chunk.timeline_names}
     assert "frame" not in timelines
+
+
+def test_what_was_merged_says_under_its_own_name_what_it_became(tmp_path):
+    told = (Decision(kind="merge", object_id=7, text="#9 is the same: seen as one", other_id=9),)
+    rows = rows_of(play(tmp_path, num_frames=1, change=lambda report: replace(report, decisions=told)))
+    for path in ("/decisions_of/7", "/decisions_of/9"):
+        assert [row["TextLog:text"][0] for row in rows[path]] == ["merge 7: #9 is the same: seen as one"]
