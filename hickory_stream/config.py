@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from hickory_stream.errors import ConfigError, RangeError
+from hickory_stream.geometry.depth_sensor import SensorConfig
 from hickory_stream.json_text import toml_string
 from hickory_stream.mapping.core import MappingConfig
 from hickory_stream.mapping.keyframes import KeyframeConfig
@@ -78,6 +79,7 @@ class JournalConfig(Ranged):
 class MapperConfig:
     """Everything that the mapper is configured by."""
 
+    sensor: SensorConfig = field(default_factory=SensorConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
@@ -137,12 +139,14 @@ def to_toml(config: Any) -> str:
 def _write_section(config: Any, name: str, lines: list[str]) -> None:
     values = [(f.name, getattr(config, f.name)) for f in dataclasses.fields(config)]
     plain = [(key, value) for key, value in values if not dataclasses.is_dataclass(value) and value is not None]
-    if plain:
+    unset = [key for key, value in values if value is None]
+    if plain or unset:
         if name:
             summary = (type(config).__doc__ or "").partition("\n")[0]
             lines += ["", f"# {summary}", f"[{name}]"]
         allowed = _allowed(type(config))
         lines += [f"{key} = {_toml_value(value)}" + allowed.get(key, "") for key, value in plain]
+        lines += [f"# {key} is not set" + allowed.get(key, "").replace("  # ", ": ") for key in unset]
     for key, value in values:
         if dataclasses.is_dataclass(value):
             _write_section(value, f"{name}.{key}" if name else key, lines)

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.depth_sensor import DepthSensor
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -143,7 +144,8 @@ class SemanticModel(Protocol):
 class Crop:
     """The pixels of a kept view: a cut-out of a frame with its own camera.
 
-    `rgb` (h, w, 3) uint8, `depth_m` (h, w) float32 with NaN, `mask` (h, w) bool; `world_from_camera` (4, 4).
+    `rgb` (h, w, 3) uint8, `depth_m` (h, w) float32 with NaN, `mask` (h, w) bool; `world_from_camera` (4, 4); the
+    depth is worth what `sensor` says.
     """
 
     rgb: NDArray[np.uint8]
@@ -151,6 +153,7 @@ class Crop:
     mask: NDArray[np.bool_]
     camera: Camera
     world_from_camera: NDArray[np.float64]
+    sensor: DepthSensor = field(default_factory=DepthSensor)
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)

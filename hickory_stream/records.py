@@ -14,6 +14,7 @@ import numpy as np
 
 from hickory_stream.confined import plain_name, whole_number
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.superquadric import check_bodies
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ class Frame:
     """A decoded, posed RGB-D frame; colour and depth are registered pixel by pixel.
 
     `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32 along the optical axis, NaN = no return;
-    `world_from_camera` (4, 4).
+    `world_from_camera` (4, 4). `sensor` says what the depth is worth; its range and bias are seen to already.
     """
 
     index: int
@@ -43,6 +44,7 @@ class Frame:
     depth_m: NDArray[np.float32]
     camera: Camera
     world_from_camera: NDArray[np.float64]
+    sensor: DepthSensor = field(default_factory=DepthSensor)
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)

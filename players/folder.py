@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.camera import Camera
+    from hickory_stream.geometry.depth_sensor import DepthSensor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -50,6 +51,7 @@ class FolderContent:
     kind: str
     registration: Registration
     depth_units_per_m: float
+    sensor: DepthSensor
     frames: tuple[FolderFrame, ...]
     fates: Mapping[str, int]
     streams: tuple[tuple[str, str], ...]
@@ -158,7 +160,9 @@ def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes:
     """Return the decoded frame: colour, and depth registered into it."""
     try:
         rgb = decode_color(color_bytes, str(files.color))
-        depth_m = decode_depth_png(_read(files.depth), content.depth_units_per_m, str(files.depth))
+        depth_m = content.sensor.returns(
+            decode_depth_png(_read(files.depth), content.depth_units_per_m, str(files.depth))
+        )
         _check_size(depth_m, content.registration.depth_camera, files.depth)
     except RecordingError:
         ledger.count("unreadable_image")
@@ -172,6 +176,7 @@ def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes:
         depth_m=register_depth(depth_m, content.registration),
         camera=content.registration.color_camera,
         world_from_camera=files.world_from_camera,
+        sensor=content.sensor,
     )
 
 

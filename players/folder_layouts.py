@@ -251,6 +251,7 @@ class _Collector:
         self._up = GRAVITY if (folder / GRAVITY).is_file() else "z of the log"
         self._color_from_depth = from_rotation_translation(np.eye(3), np.array(profile.color_from_depth_m))
         self._depth_from_color = invert(self._color_from_depth)
+        self._sensor = profile.sensor
         self._frames: list[FolderFrame] = []
         self._fates: Counter[str] = Counter()
         self._unposed_ns: list[int] = []
@@ -296,6 +297,7 @@ class _Collector:
             kind=kind,
             registration=registration,
             depth_units_per_m=depth_units_per_m,
+            sensor=self._sensor,
             frames=tuple(self._frames),
             fates=dict(self._fates),
             streams=(*streams.items(), ("up", self._up)),

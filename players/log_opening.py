@@ -177,7 +177,7 @@ def open_log(log: Log, options: SourceOptions) -> LogSource:
         tolerance_ns=tolerance_ns,
         uses_log_time=clock == "log",
         depth_units_per_m=profile.depth_units_per_m,
-        max_depth_m=profile.max_depth_m,
+        sensor=profile.sensor,
         streams=(
             *([("profile", f"{profile.name}{guess}")] if profile.name else []),
             ("color", opening.topics.color.name),

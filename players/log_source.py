@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.depth_sensor import DepthSensor
     from players.account import Account
     from players.calibration import Lens
     from players.containers import Log, LogMessage, Topic
@@ -68,7 +69,7 @@ class LogSetup:
     tolerance_ns: int
     uses_log_time: bool
     depth_units_per_m: float
-    max_depth_m: float | None
+    sensor: DepthSensor
     streams: tuple[tuple[str, str], ...]
 
 
@@ -339,8 +340,7 @@ def _decode(
     except RecordingError:
         ledger.count("unreadable_image")
         raise
-    if setup.max_depth_m is not None:
-        depth_m = np.where(depth_m <= setup.max_depth_m, depth_m, np.float32(np.nan)).astype(np.float32)
+    depth_m = setup.sensor.returns(depth_m)
     if not np.isfinite(depth_m).any():
         ledger.count("depth_without_returns")
     rgb = setup.color_lens.rectified_color(rgb)
@@ -354,6 +354,7 @@ def _decode(
         depth_m=depth_m,
         camera=registration.color_camera,
         world_from_camera=world_from_camera,
+        sensor=setup.sensor,
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
 from hickory_stream.ranges import Range, Ranged, number, required
 from players.options import MAX_GAP_NS
@@ -81,13 +82,14 @@ class Profile(Ranged):
     For folders: `color` are the intrinsics of a colour camera that is not the depth camera; `depth` those that the
     depth camera of such data usually has, for an image without a folder; `color_from_depth_m` the translation between
     the two, in metres: P_color = P_depth + color_from_depth_m. For logs: `topics` by role (the first that is there is
-    taken), `rig`, tolerances in ns. `parameters` are what `{robot}` and the like stand for.
+    taken), `rig`, tolerances in ns. `parameters` are what `{robot}` and the like stand for. `sensor` is what the depth
+    camera's returns are worth.
     """
 
     name: str = ""
     title: str = ""
     depth_units_per_m: float = number(1000.0, 1e-3, 1e9, "1/m")
-    max_depth_m: float | None = number(None, 0.01, 1e4, "m")
+    sensor: DepthSensor = field(default_factory=DepthSensor)
     frame_rate_hz: int = number(30, 1, 1000, "Hz")
     extrinsics_units_per_m: float = number(1.0, 1e-3, 1e9, "1/m")
     color: Intrinsics | None = None
@@ -184,6 +186,7 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
     """Return the profile of a TOML table; keys that are no field raise TypeError."""
     patterns = tuple(table.pop("match", {}).get("topics", ()))
     color, depth = table.pop("color", None), table.pop("depth", None)
+    sensor = table.pop("sensor", {})
     time = table.pop("time", {})
     rig, robots = table.pop("rig", None), table.pop("robots", {})
     topics = {role: _filled(table.get("streams", {}).get(role, ()), parameters) for role in _ROLES}
@@ -195,6 +198,7 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
     profile = Profile(
         **table,
         name=name,
+        sensor=DepthSensor(**sensor),
         color=Intrinsics(**color) if color else None,
         depth=Intrinsics(**depth) if depth else None,
         color_from_depth_m=(x, y, z),

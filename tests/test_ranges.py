@@ -12,6 +12,7 @@ import pytest
 from hickory_stream.alignment.align import AlignConfig
 from hickory_stream.config import from_dict, read_config, to_toml
 from hickory_stream.errors import ConfigError, RangeError
+from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.merging.merge import MergeMapsConfig
 from hickory_stream.navigation.robot import Part, Posture, Robot
 from hickory_stream.navigation.search import SearchConfig
@@ -32,7 +33,7 @@ def kinds_below(kind: type) -> set[type]:
 
 
 # What the files of robots and of profiles are read into.
-FILES = (Part, Posture, Robot, Profile, Intrinsics, JumpLimits, SourceOptions)
+FILES = (Part, Posture, Robot, Profile, DepthSensor, Intrinsics, JumpLimits, SourceOptions)
 OTHERS = {Part: {"low_m": 0.0, "high_m": 1.0}, Intrinsics: {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}}
 OTHERS |= {Posture: {"name": "upright", "parts": ()}, Robot: {"name": "any", "postures": ()}}
 

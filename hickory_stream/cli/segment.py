@@ -49,12 +49,14 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     import numpy as np
 
+    from hickory_stream.engine.reading import sensed
     from hickory_stream.evaluation.show_perception import segmentation_picture
     from hickory_stream.perception.choose import make_extractor, make_segmenter
     from hickory_stream.perception.perceive import perceive
 
-    config = read_settings(options).mapper.perception
-    frame = _frame(options)
+    settings = read_settings(options).mapper
+    config = settings.perception
+    frame = sensed(_frame(options), 0, settings.sensor)
     segmenter, extractor = make_segmenter(config), make_extractor(config)
     perceived = perceive(frame, None, segmenter.prepare(frame), segmenter, config)
     patches = extractor.extract(np.asarray(frame.rgb))
@@ -76,6 +78,7 @@ def _frame(options: argparse.Namespace) -> Frame:
     """Return the two images as a frame whose world has its origin in the camera, and z up."""
     import numpy as np
 
+    from hickory_stream.geometry.depth_sensor import DepthSensor
     from hickory_stream.records import Frame
     from players.profile import load_profile
     from players.register import Registration, register_depth
@@ -85,7 +88,8 @@ def _frame(options: argparse.Namespace) -> Frame:
     units = options.depth_units
     if units is None:
         units = profile.depth_units_per_m if profile is not None else 1000.0
-    depth = _read_depth(options.depth, units)
+    sensor = profile.sensor if profile is not None else DepthSensor()
+    depth = sensor.returns(_read_depth(options.depth, units))
     height, width = rgb.shape[:2]
     given = _camera(options.intrinsics, width, height) if options.intrinsics is not None else None
     camera = given or _camera_of_60_degrees(width, height)
@@ -111,6 +115,7 @@ def _frame(options: argparse.Namespace) -> Frame:
         depth_m=depth,
         camera=camera,
         world_from_camera=_upright(np.array(_numbers(options.down, 3, "--down", "X,Y,Z"))),
+        sensor=sensor,
     )
 
 

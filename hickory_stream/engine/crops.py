@@ -17,6 +17,7 @@ from hickory_stream.confined import plain_name, read_within
 from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import MOST_SIDE_PX, Camera
+from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import Crop
 
@@ -48,7 +49,11 @@ def write_crop(views: Path, name: str, crop: Crop) -> None:
 
     color_file, depth_file, description_file = crop_files(views, name)
     bgra = np.dstack([crop.rgb[..., ::-1], crop.mask.astype(np.uint8) * np.uint8(255)])
-    description = {"camera": asdict(crop.camera), "world_from_camera": crop.world_from_camera.tolist()}
+    description = {
+        "camera": asdict(crop.camera),
+        "world_from_camera": crop.world_from_camera.tolist(),
+        "sensor": asdict(crop.sensor),
+    }
     # Run lengths only: as small as level 1 on camera images and a third quicker.
     quick = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
     with disk_errors(views):
@@ -74,6 +79,8 @@ def read_crop(views: Path, name: str) -> Crop:
             mask=bgra[..., 3] > 127,
             camera=Camera(**description["camera"]),
             world_from_camera=description["world_from_camera"],
+            # Views of maps from before there was a sensor have none.
+            sensor=DepthSensor(**description.get("sensor", {})),
         )
     except (OSError, KeyError, TypeError, ValueError, IndexError, RecursionError) as error:
         raise MapFolderError(f"view {name} in {views} is damaged: {error}; play the log again") from error

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.pump import Pump
+    from hickory_stream.geometry.depth_sensor import SensorConfig
     from hickory_stream.ports import Segmenter, Source
     from hickory_stream.records import Frame, RawFrame
 
@@ -186,4 +187,14 @@ class Reader:
             logger.warning("frame %d cannot be decoded: %s", index, error)
             return None
         self.decode_s += time.perf_counter() - started
+        return sensed(frame, index, self._config.sensor)
+
+
+def sensed(frame: Frame, index: int, config: SensorConfig) -> Frame:
+    """Return a decoded frame under its number in the run, its depth as the configured sensor has it."""
+    sensor = config.over(frame.sensor)
+    if sensor == frame.sensor:
         return replace(frame, index=index)
+    # The source took its own bias off.
+    beyond = replace(sensor, bias_m=sensor.bias_m - frame.sensor.bias_m)
+    return replace(frame, index=index, sensor=sensor, depth_m=beyond.returns(frame.depth_m))

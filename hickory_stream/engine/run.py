@@ -33,7 +33,7 @@ from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.message_ledger import message_ledger
 from hickory_stream.engine.placing import where_it_lies
 from hickory_stream.engine.pump import Pump
-from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel
+from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel, sensed
 from hickory_stream.engine.recorder import Recorder, Unwritten
 from hickory_stream.engine.shape_cache import ShapeCache
 from hickory_stream.engine.shape_queue import ShapeQueue
@@ -421,7 +421,8 @@ class Run:
         frame, prepared = read.frame, read.prepared
         if frame is None:
             try:
-                frame = replace(await self._in(self._thinker, read.raw.decode), index=read.raw.index)
+                decoded = await self._in(self._thinker, read.raw.decode)
+                frame = sensed(decoded, read.raw.index, self._config.sensor)
             except RecordingError as error:
                 self.counts["frames_undecodable"] += 1
                 logger.warning("frame %d cannot be decoded: %s", read.raw.index, error)
@@ -725,6 +726,7 @@ def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
         mask=mask,
         camera=frame.camera.cropped(left, top, right, bottom),
         world_from_camera=frame.world_from_camera,
+        sensor=frame.sensor,
     )
 
 

@@ -33,14 +33,12 @@ class SurfaceConfig(Ranged):
         width_px: width at which frames are segmented; larger frames are reduced by a whole factor.
         max_depth_m: returns beyond are ignored.
         min_depth_m: returns nearer are ignored.
-        depth_noise_per_m: sigma_z = depth_noise_per_m * z^2 (m per m^2), with a floor of 1 mm.
         normal_radius_px: half the side of the window of a normal.
     """
 
     width_px: int = number(320, 32, 8192, "px")
     max_depth_m: float = number(6.0, 0.1, 1000, "m")
     min_depth_m: float = number(0.2, 0, 100, "m")
-    depth_noise_per_m: float = number(0.0025, 0, 1, "1/m")
     normal_radius_px: int = number(3, 1, 100, "px")
 
     def __post_init__(self) -> None:
@@ -85,7 +83,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
         rgb = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
     u = ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32)
     v = ((np.arange(height) - camera.cy) / camera.fy).astype(np.float32)
-    normals_camera = _normals(depth, u, v, config.normal_radius_px, np.float32(config.depth_noise_per_m))
+    normals_camera = _normals(depth, u, v, config.normal_radius_px, np.float32(frame.sensor.spread_per_m))
     return Surface(
         factor=factor,
         camera=camera,
@@ -93,7 +91,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
         points_world=apply(frame.world_from_camera, backproject(depth, camera)),
         normals_world=portable.moved(normals_camera, frame.world_from_camera[:3, :3], np.zeros(3)),
         lab=lab_of(rgb),
-        sigma_m=np.maximum(config.depth_noise_per_m * depth * depth, np.float32(1e-3)).astype(np.float32),
+        sigma_m=frame.sensor.sigma_m(depth),
         world_from_camera=frame.world_from_camera,
     )
 

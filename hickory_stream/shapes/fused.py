@@ -13,6 +13,7 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import faced_box, gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.ranges import Ranged, check_order, check_ranges, number
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.geometry.depth_sensor import Law
     from hickory_stream.ports import Crop
 
 _MARGIN_VOXELS = 3
@@ -37,16 +39,16 @@ class VolumeConfig(Ranged):
     """The grid and the surface taken from it.
 
     The voxel is the longest side of the box over `cells`, within `min_voxel_m` .. `max_voxel_m`, and larger where the
-    box has so much surface that the mesh would exceed about `max_faces`. `noise_per_m` is the depth camera's
-    sigma / z^2. `smoothing` counts the Taubin iterations. `seen_voxels`: how far from a measurement a vertex still
-    counts as seen.
+    box has so much surface that the mesh would exceed about `max_faces`. `spread`: views err against one another by so
+    many times the sigma of their sensor, since neighbouring pixels err alike and poses err, too. `smoothing` counts
+    the Taubin iterations. `seen_voxels`: how far from a measurement a vertex still counts as seen.
     """
 
     cells: int = number(56, 4, 512, "cells")
     min_voxel_m: float = number(0.004, 0.0005, 1, "m")
     max_voxel_m: float = number(0.03, 0.0005, 1, "m")
     max_faces: int = number(20_000, 100, 10_000_000, "faces")
-    noise_per_m: float = number(0.004, 0, 1, "1/m")
+    spread: float = number(1.6, 0, 100, "sigmas")
     smoothing: int = number(15, 0, 1000, "iterations")
     seen_voxels: float = number(1.5, 0, 100, "voxels")
 
@@ -80,7 +82,7 @@ class FusedReconstructor:
         """Return the closed mesh over the object's box, or why there is none."""
         if len(inputs.points_world) < _MIN_POINTS:
             return NoShape(reason=f"{len(inputs.points_world)} points; a surface needs at least {_MIN_POINTS}")
-        views = [view_of(crop) for crop in inputs.crops]
+        views = [view_of(crop, self._config.volume) for crop in inputs.crops]
         inputs, views = completed_round(with_faced_box(inputs), views, self._config)
         return reconstruct_views(inputs, views, self._config.volume, self._config.completion)
 
@@ -103,7 +105,7 @@ def completed_round(
     if not inputs.crops:
         return inputs, views
     best = inputs.crops[0]
-    points, _ = seen_points(best, config.volume.noise_per_m)
+    points, _ = seen_points(best, views[0].law)
     if len(points) < _MIN_POINTS:
         return inputs, views
     tolerance = noise_m(points, views[0], config.volume)
@@ -115,10 +117,15 @@ def completed_round(
     return replace(inputs, box=box), views + moved_views(views, world_from_turned, config.turned_trust)
 
 
-def view_of(crop: Crop) -> DepthView:
+def view_of(crop: Crop, volume: VolumeConfig) -> DepthView:
     """Return a kept crop as the integration uses it."""
+    floor, constant, quadratic = crop.sensor.law
     return DepthView(
-        depth_m=crop.depth_m, mask=crop.mask, camera=crop.camera, camera_from_world=invert(crop.world_from_camera)
+        depth_m=crop.depth_m,
+        mask=crop.mask,
+        camera=crop.camera,
+        camera_from_world=invert(crop.world_from_camera),
+        law=(volume.spread * floor, volume.spread * constant, volume.spread * quadratic),
     )
 
 
@@ -130,9 +137,9 @@ def moved_views(views: list[DepthView], motion: NDArray[np.float64], trust: floa
     ]
 
 
-def seen_points(crop: Crop, noise_per_m: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+def seen_points(crop: Crop, law: Law) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Return the (N, 3) world points of the crop's mask and their (N, 3) colours, without those far from the rest."""
-    depth = smoothed_depth(crop.depth_m, crop.mask, noise_per_m)
+    depth = smoothed_depth(crop.depth_m, crop.mask, law)
     valid = np.isfinite(depth)
     if not valid.any():
         return np.empty((0, 3)), np.empty((0, 3), np.uint8)
@@ -146,7 +153,7 @@ def seen_points(crop: Crop, noise_per_m: float) -> tuple[NDArray[np.float64], ND
 def noise_m(points_world: NDArray[np.float64], view: DepthView, volume: VolumeConfig) -> float:
     """Return three sigma of the depth of (N, 3) points in a view, at least two voxels."""
     median_z = float(np.median(apply(view.camera_from_world, points_world)[:, 2]))
-    return max(3 * volume.noise_per_m * median_z * median_z, 2 * volume.min_voxel_m)
+    return max(3 * sigma_at(median_z, view.law), 2 * volume.min_voxel_m)
 
 
 def reconstruct_views(
@@ -155,7 +162,7 @@ def reconstruct_views(
     """Return the mesh of the surface that `views` and the points of `inputs` show within the box of `inputs`."""
     block = block_over(inputs.box, inputs.support_z_m, volume, completion)
     grid = block.grid
-    evidence = integrate(grid, views, volume.noise_per_m)
+    evidence = integrate(grid, views)
     cells = grid.cells(inputs.points_world)
     states = classify(evidence, cells[grid.contains(cells)])
     solid = solid_of(states, block.fillable, block.support_index, block.max_gap, completion, is_wide=block.is_wide)

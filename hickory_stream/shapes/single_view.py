@@ -54,7 +54,7 @@ class SingleViewReconstructor:
         if not inputs.crops:
             return NoShape(reason="no view is kept")
         crop, config = inputs.crops[0], self._config
-        points, colors = seen_points(crop, config.volume.noise_per_m)
+        points, colors = seen_points(crop, view_of(crop, config.volume).law)
         if len(points) < _MIN_POINTS:
             return NoShape(reason=f"{len(points)} pixels with depth; a surface needs at least {_MIN_POINTS}")
         views = with_mirrored(crop, points, config)
@@ -73,7 +73,7 @@ class SingleViewReconstructor:
 
 def with_mirrored(crop: Crop, points: NDArray[np.float64], config: SingleViewConfig) -> list[DepthView]:
     """Return the view of a crop and its mirror images: about the best plane, then about the best one for both."""
-    view = view_of(crop)
+    view = view_of(crop, config.volume)
     views = [view]
     seen = points
     tolerance = noise_m(points, view, config.volume)

@@ -13,6 +13,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.rigid import apply, compose
 from hickory_stream.shapes.blur import gaussian_blurred
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.camera import Camera
+    from hickory_stream.geometry.depth_sensor import Law
 
 # Behind a surface the evidence fades out over this many voxels: a plate that thin keeps both of its sides.
 BAND_BEHIND_VOXELS = 1.5
@@ -55,13 +57,15 @@ class VoxelGrid:
 class DepthView:
     """A depth image as the integration uses it.
 
-    `camera_from_world` may hold a reflection: a mirrored view. `trust` scales its weight.
+    `camera_from_world` may hold a reflection: a mirrored view. `law` is how views err against one another, a multiple
+    of how the sensor does; `trust` scales the view's weight.
     """
 
     depth_m: NDArray[np.float32]
     mask: NDArray[np.bool_]
     camera: Camera
     camera_from_world: NDArray[np.float64]
+    law: Law
     trust: float = 1.0
 
 
@@ -78,14 +82,14 @@ class Evidence:
     free: NDArray[np.float32]
 
 
-def integrate(grid: VoxelGrid, views: list[DepthView], noise_per_m: float) -> Evidence:
-    """Return what `views` say of the voxels of `grid`; `noise_per_m` is sigma / z^2 of the depth camera, in 1/m."""
+def integrate(grid: VoxelGrid, views: list[DepthView]) -> Evidence:
+    """Return what `views` say of the voxels of `grid`."""
     total = np.zeros(grid.shape, np.float32)
     near = np.zeros(grid.shape, np.float32)
     free = np.zeros(grid.shape, np.float32)
     for view in views:
         camera_from_grid = compose(view.camera_from_world, grid.world_from_grid)
-        depth = smoothed_depth(view.depth_m, view.mask, noise_per_m)
+        depth = smoothed_depth(view.depth_m, view.mask, view.law)
         camera = view.camera
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         carve = _carving_depth(view.depth_m)
@@ -93,7 +97,7 @@ def integrate(grid: VoxelGrid, views: list[DepthView], noise_per_m: float) -> Ev
         cosine = _cosine(depth, intrinsics)
         _integrate(
             total, near, free, camera_from_grid, grid.voxel_m,
-            depth, cosine, carve, view.mask, inner, intrinsics, noise_per_m, view.trust,
+            depth, cosine, carve, view.mask, inner, intrinsics, view.law, view.trust,
         )  # fmt: skip
     # Averaging over a voxel's neighbours takes the noise of few views out; it moves no plane and no plate's middle.
     spread = gaussian_blurred(near, SMOOTHING_VOXELS)
@@ -101,13 +105,13 @@ def integrate(grid: VoxelGrid, views: list[DepthView], noise_per_m: float) -> Ev
     return Evidence(distance=distance.astype(np.float32), near=near, free=free)
 
 
-def smoothed_depth(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], noise_per_m: float) -> NDArray[np.float32]:
+def smoothed_depth(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], law: Law) -> NDArray[np.float32]:
     """Return the depth averaged within the mask over 5 x 5 pixels that lie within four sigma; holes stay holes."""
-    return np.asarray(_smooth(depth_m, mask, noise_per_m))
+    return np.asarray(_smooth(depth_m, mask, law))
 
 
 @numba.njit(cache=True, nogil=True)
-def _smooth(depth, mask, noise_per_m):  # type: ignore[no-untyped-def] # pragma: no cover
+def _smooth(depth, mask, law):  # type: ignore[no-untyped-def] # pragma: no cover
     height, width = depth.shape
     out = np.full_like(depth, np.nan)
     for row in range(height):
@@ -115,7 +119,7 @@ def _smooth(depth, mask, noise_per_m):  # type: ignore[no-untyped-def] # pragma:
             middle = depth[row, column]
             if not mask[row, column] or not middle > 0.0:
                 continue
-            gate = 4.0 * noise_per_m * middle * middle
+            gate = 4.0 * sigma_at(np.float64(middle), law)
             total, count = 0.0, 0.0
             for r in range(max(row - 2, 0), min(row + 3, height)):
                 for c in range(max(column - 2, 0), min(column + 3, width)):
@@ -188,7 +192,7 @@ def _inner(mask):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _integrate(  # type: ignore[no-untyped-def] # pragma: no cover
-    total, near, free, camera_from_grid, voxel, depth, cosine, carve, mask, inner, intrinsics, noise_per_m, trust
+    total, near, free, camera_from_grid, voxel, depth, cosine, carve, mask, inner, intrinsics, law, trust
 ):
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
@@ -206,7 +210,7 @@ def _integrate(  # type: ignore[no-untyped-def] # pragma: no cover
                 row = int(np.floor(y / z * fy + cy + 0.5))
                 if column < 0 or row < 0 or column >= width or row >= height:
                     continue
-                sigma = noise_per_m * z * z
+                sigma = sigma_at(z, law)
                 before = max(BAND_BEFORE_VOXELS * voxel, 3.0 * sigma)
                 weight = trust / (1.0 + z * z)
                 if not mask[row, column]:

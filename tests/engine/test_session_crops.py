@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,6 +10,8 @@ import pytest
 from hickory_stream.engine.crops import crop_files, read_crop, write_crop
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.depth_sensor import DepthSensor
+from hickory_stream.json_text import dumps
 from hickory_stream.ports import Crop
 from tests.engine.snapshot_fixtures import make_crop
 
@@ -16,15 +20,24 @@ if TYPE_CHECKING:
 
 
 def test_a_crop_comes_back_as_it_was_with_depth_to_the_millimetre(tmp_path: Path) -> None:
-    crop = make_crop()
+    crop = replace(make_crop(), sensor=DepthSensor(noise_per_m=0.0019, noise_m=0.0012))
     write_crop(tmp_path, "000001-10-20-26-32", crop)
     back = read_crop(tmp_path, "000001-10-20-26-32")
     assert np.array_equal(back.rgb, crop.rgb)
     assert np.array_equal(back.mask, crop.mask)
     assert np.array_equal(back.world_from_camera, crop.world_from_camera)
-    assert back.camera == crop.camera
+    assert (back.camera, back.sensor) == (crop.camera, crop.sensor)
     assert np.array_equal(np.isnan(back.depth_m), np.isnan(crop.depth_m))
     assert np.nanmax(np.abs(back.depth_m - crop.depth_m)) <= 0.0005 + 1e-6
+
+
+def test_a_view_from_before_there_were_sensors_has_that_of_an_unknown_camera(tmp_path: Path) -> None:
+    write_crop(tmp_path, "v", make_crop())
+    description = crop_files(tmp_path, "v")[2]
+    written = json.loads(description.read_text(encoding="utf-8"))
+    del written["sensor"]
+    description.write_text(dumps(written), encoding="utf-8")
+    assert read_crop(tmp_path, "v").sensor == DepthSensor()
 
 
 def test_depth_that_has_no_place_in_16_bits_becomes_no_return(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation
 from players import SourceOptions, open_source
 
@@ -147,13 +148,24 @@ def test_depth_without_a_single_return_is_a_frame_and_counted(seven: Path) -> No
     assert source.ledger()["depth_without_returns"] == 1
 
 
+def test_the_sensor_of_a_profile_is_that_of_its_frames_and_bounds_their_depth(seven: Path, tmp_path: Path) -> None:
+    profile = tmp_path / "mine.toml"
+    plain = next(open_source(seven, REGISTERED).frames()).decode()
+    farthest_m = float(np.nanmedian(plain.depth_m))
+    profile.write_text(f"[sensor]\nnoise_per_m = 0.0019\nmax_m = {farthest_m!r}\nbias_m = 0.1\n")
+    frame = next(open_source(seven, SourceOptions(profile=str(profile))).frames()).decode()
+    assert frame.sensor == DepthSensor(noise_per_m=0.0019, max_m=farthest_m, bias_m=0.1)
+    expected = np.where(plain.depth_m - 0.1 <= farthest_m, plain.depth_m - np.float32(0.1), np.nan)
+    np.testing.assert_allclose(frame.depth_m, expected, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("depth_unit = 3", "unexpected keyword argument 'depth_unit'"),
         ("[color]\nfx = 3.0", "missing"),
         ("frame_rate_hz = 0", "frame_rate_hz is 0; expected 1 to 1000 Hz"),
-        ("max_depth_m = -5", "max_depth_m is -5; expected 0.01 to 10000 m"),
+        ("[sensor]\nmax_m = -5", "max_m is -5; expected 0.01 to 10000 m"),
         ("depth_units_per_m = nan", "depth_units_per_m is nan; expected 0.001 to 1000000000 1/m"),
         ("color_from_depth_m = [0, inf, 0]", "color_from_depth_m is .*inf.*; expected -100 to 100 m"),
         ("[color]\nfx = nan\nfy = 1\ncx = 1\ncy = 1", "fx is nan; expected 0.001 to 1000000 px"),

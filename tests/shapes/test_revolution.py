@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.shapes.revolution import RevolutionConfig, half_turn_of
 from hickory_stream.shapes.tsdf import DepthView
@@ -55,6 +56,7 @@ def test_what_was_seen_through_behind_is_not_turned() -> None:
     pose[:3, 3] = [AHEAD[0] + 0.15, AHEAD[1] - 1.5, 0.15]
     camera = Camera(width=160, height=120, fx=130, fy=130, cx=79.5, cy=59.5)
     view = DepthView(
+        law=DepthSensor().law,
         depth_m=np.full((120, 160), 4.0, np.float32),
         mask=np.zeros((120, 160), bool),
         camera=camera,

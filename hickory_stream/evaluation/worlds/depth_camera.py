@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from hickory_stream.geometry.depth_sensor import DepthSensor
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -37,6 +39,16 @@ class DepthCameraConfig:
     """The share of the remaining edge pixels that fly between the two depths."""
     dropout_share: float = 0.045
     """The share of the image lost in patches, where nothing could be matched."""
+
+    def sensor(self, focal_px: float) -> DepthSensor:
+        """Return what a mapper should know of the camera when its focal length is `focal_px`."""
+        constant = focal_px * self.baseline_m
+        return DepthSensor(
+            noise_per_m=self.disparity_sigma_px / constant,
+            step_per_m=self.disparity_step_px / constant,
+            min_m=self.min_depth_m,
+            max_m=self.max_depth_m,
+        )
 
 
 def sensed_depth(

@@ -1,0 +1,114 @@
+"""The depth camera as everybody sees it who has to say what noise is: one record, set by the log's profile.
+
+    sigma(z) = max(floor_m, noise_m + noise_per_m z^2), with the camera's quantisation in the second term
+
+A camera that triangulates (stereo, structured light) errs by the same disparity everywhere, so that its noise in depth
+grows with z squared, in inverse depth not at all (Khoshelham and Oude Elberink, Sensors 2012; Nguyen, Izadi and Lovell,
+3DIMPVT 2012).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.compiled import numba
+from hickory_stream.ranges import Ranged, check_order, check_ranges, number
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+Law = tuple[float, float, float]
+"""What `sigma_at` takes, in compiled code: the floor, the constant and the quadratic term, or a multiple of them."""
+
+_FAR_M = 1000.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DepthSensor(Ranged):
+    """What a depth camera's returns are worth; the defaults are those of a camera of which nothing is known.
+
+    Attributes:
+        noise_per_m: standard deviation of depth over z^2: that of disparity over focal length times baseline.
+        noise_m: what is added to it at every distance.
+        floor_m: no return is surer than this.
+        step_per_m: the camera's step in inverse depth: the step of disparity over focal length times baseline.
+        min_m, max_m: what is nearer or farther is no return.
+        edge_rad: beside a step of depth, the angle within which returns may be of either side.
+        bias_m: the camera reports so much more than there is, at every distance; it is taken off.
+    """
+
+    noise_per_m: float = number(0.0025, 0, 1, "1/m")
+    noise_m: float = number(0.0, 0, 1, "m")
+    floor_m: float = number(0.001, 0, 1, "m")
+    step_per_m: float = number(0.0, 0, 1, "1/m")
+    min_m: float = number(0.0, 0, 100, "m")
+    max_m: float = number(_FAR_M, 0.01, 1e4, "m")
+    edge_rad: float = number(0.0045, 0, 1, "rad")
+    bias_m: float = number(0.0, -1, 1, "m")
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        check_order(self, "min_m", "max_m")
+
+    @property
+    def spread_per_m(self) -> float:
+        """The standard deviation of inverse depth, in 1/m: noise, and a step's, which is uniform."""
+        if self.step_per_m == 0:
+            return self.noise_per_m
+        return float(np.sqrt(self.noise_per_m * self.noise_per_m + self.step_per_m * self.step_per_m / 12))
+
+    @property
+    def law(self) -> Law:
+        """The standard deviation for compiled code."""
+        return self.floor_m, self.noise_m, self.spread_per_m
+
+    def sigma_m(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the standard deviation of each depth, in its shape; NaN where there is none."""
+        sigma = self.spread_per_m * depth_m * depth_m + self.noise_m
+        return np.maximum(sigma, np.float32(self.floor_m)).astype(np.float32)
+
+    def edge_px(self, focal_px: float) -> int:
+        """Return the pixels beside a step of depth within which returns may be of either side."""
+        return round(self.edge_rad * focal_px)
+
+    def returns(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return depth (H, W) as reported, without its bias and with NaN for what is out of range."""
+        if self.bias_m != 0:
+            depth_m = depth_m - np.float32(self.bias_m)
+        if self.min_m > 0 or self.max_m < _FAR_M:
+            depth_m = np.where((depth_m >= self.min_m) & (depth_m <= self.max_m), depth_m, np.float32(np.nan))
+        elif self.bias_m > 0:
+            depth_m = np.where(depth_m > 0, depth_m, np.float32(np.nan))
+        return np.asarray(depth_m, dtype=np.float32)
+
+
+@numba.njit(cache=True, nogil=True)
+def sigma_at(z, law):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the standard deviation of a depth by the law of a `DepthSensor`."""
+    return max(law[0], law[1] + law[2] * z * z)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SensorConfig(Ranged):
+    """The depth camera where the log's profile does not say, or is wrong; what is not set is the profile's.
+
+    `doctor` estimates the noise from a log. The numbers are those of `DepthSensor`.
+    """
+
+    noise_per_m: float | None = number(None, 0, 1, "1/m")
+    noise_m: float | None = number(None, 0, 1, "m")
+    floor_m: float | None = number(None, 0, 1, "m")
+    step_per_m: float | None = number(None, 0, 1, "1/m")
+    min_m: float | None = number(None, 0, 100, "m")
+    max_m: float | None = number(None, 0.01, 1e4, "m")
+    edge_rad: float | None = number(None, 0, 1, "rad")
+    bias_m: float | None = number(None, -1, 1, "m")
+
+    def over(self, sensor: DepthSensor) -> DepthSensor:
+        """Return a sensor with the numbers that are set in place of its own."""
+        given: dict[str, Any] = {f.name: value for f in fields(self) if (value := getattr(self, f.name)) is not None}
+        return replace(sensor, **given) if given else sensor
