@@ -57,8 +57,12 @@ def sensed_depth(
     focal_px: float,
     config: DepthCameraConfig,
     rng: np.random.Generator,
+    is_blind: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """Return the (H, W) depth that the camera reports for exact depth and incidence; NaN where it reports nothing."""
+    """Return the (H, W) depth that the camera reports for exact depth and incidence; NaN where it reports nothing.
+
+    `is_blind` (H, W) is where it has nothing to match, such as glass.
+    """
     near, far, is_edge = _edges(depth_m, config.edge_ratio)
     flies = is_edge & (rng.random(depth_m.shape) < config.flying_share)
     depth = np.where(flies, near + (far - near) * rng.random(depth_m.shape), depth_m)
@@ -74,6 +78,8 @@ def sensed_depth(
     steps = np.round(disparity / config.disparity_step_px)
     with np.errstate(divide="ignore"):
         sensed = constant / (steps * config.disparity_step_px)
+    if is_blind is not None:
+        lost |= is_blind
     lost |= ~((sensed >= config.min_depth_m) & (sensed <= config.max_depth_m))
     return np.where(lost, np.nan, sensed).astype(np.float32)
 

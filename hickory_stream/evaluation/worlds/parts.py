@@ -38,7 +38,7 @@ class Part:
         freeze(self, "vertices", np.float64, (None, 3))
         freeze(self, "faces", np.int32, (None, 3))
 
-    def moved(self, by: Sequence[float], rotation: NDArray[Any] | None = None) -> Part:
+    def moved(self, by: Sequence[float] | NDArray[Any], rotation: NDArray[Any] | None = None) -> Part:
         """Return the part rotated by a (3, 3) matrix about the origin, then translated by (x, y, z) metres."""
         turned = self.vertices if rotation is None else self.vertices @ np.asarray(rotation).T
         return Part(vertices=turned + np.asarray(by, dtype=np.float64), faces=self.faces, texture=self.texture)
@@ -70,13 +70,19 @@ class Model:
         return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 
+def model_triangles(model: Model) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return the (V, 3) vertices and (F, 3) faces of all parts of a model."""
+    offsets = np.cumsum([0] + [len(part.vertices) for part in model.parts])
+    faces = np.concatenate([part.faces + at for part, at in zip(model.parts, offsets[:-1], strict=True)])
+    return np.concatenate([part.vertices for part in model.parts]).astype(np.float32), faces.astype(np.int32)
+
+
 def model_mesh(model: Model) -> Mesh:
     """Return the parts of a model as one mesh with the colours of their textures at the vertices."""
-    offsets = np.cumsum([0] + [len(part.vertices) for part in model.parts])
-    vertices = np.concatenate([part.vertices for part in model.parts])
+    vertices, faces = model_triangles(model)
     return Mesh(
-        vertices=vertices.astype(np.float32),
-        faces=np.concatenate([part.faces + at for part, at in zip(model.parts, offsets[:-1], strict=True)]),
+        vertices=vertices,
+        faces=faces,
         colors=np.concatenate([colors_at(part.texture, part.vertices) for part in model.parts]),
         is_seen=np.ones(len(vertices), dtype=bool),
     )
@@ -152,7 +158,11 @@ def lathe(profile_m: Sequence[tuple[float, float]], texture: Texture, *, segment
 
 
 def tube(
-    path_m: Sequence[Sequence[float]], radius_m: float | Sequence[float], texture: Texture, *, segments: int = 10
+    path_m: Sequence[Sequence[float] | NDArray[Any]],
+    radius_m: float | Sequence[float],
+    texture: Texture,
+    *,
+    segments: int = 10,
 ) -> Part:
     """Return a round bar along a polyline, closed at both ends; one radius, or one per point of the path."""
     path = np.asarray(path_m, dtype=np.float64)

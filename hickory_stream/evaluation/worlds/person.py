@@ -107,10 +107,14 @@ def with_person(
     instances, incidence = rendered.instances.reshape(-1).copy(), rendered.cosine.reshape(-1).copy()
     rgb[nearer] = np.clip(colors, 0, 255).astype(np.uint8)
     depth_m[nearer], instances[nearer], incidence[nearer] = hit.t[nearer], PERSON_ID, cosine
+    is_structure, is_blind = rendered.is_structure.reshape(-1).copy(), rendered.is_blind.reshape(-1).copy()
+    is_structure[nearer], is_blind[nearer] = False, False
     return replace(
         rendered,
         rgb=rgb.reshape(*size, 3),
         depth_m=depth_m.reshape(size),
         instances=instances.reshape(size),
         cosine=incidence.reshape(size),
+        is_structure=is_structure.reshape(size),
+        is_blind=is_blind.reshape(size),
     )

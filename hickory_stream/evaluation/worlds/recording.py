@@ -297,7 +297,7 @@ def _depth_of_its_own(
     rendered = renderer.render(view.camera, world_from_depth)
     if person is not None:
         rendered = with_person(rendered, view.camera, world_from_depth, person, later_s, renderer.caster)
-    return sensed_depth(rendered.depth_m, rendered.cosine, view.camera.fx, config.depth, rng)
+    return sensed_depth(rendered.depth_m, rendered.cosine, view.camera.fx, config.depth, rng, rendered.is_blind)
 
 
 def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:
@@ -326,4 +326,4 @@ def _sensed(
     """Return colour and depth as the camera reports them."""
     noise = config.color_noise * rng.standard_normal(rendered.rgb.shape)
     rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
-    return rgb, sensed_depth(rendered.depth_m, rendered.cosine, camera.fx, config.depth, rng)
+    return rgb, sensed_depth(rendered.depth_m, rendered.cosine, camera.fx, config.depth, rng, rendered.is_blind)

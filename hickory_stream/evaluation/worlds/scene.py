@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.evaluation.worlds.lighting import Lighting
     from hickory_stream.evaluation.worlds.parts import Model
 
 # Touching faces may share a sliver by rounding; a cubic millimetre is nothing.
@@ -42,13 +43,14 @@ class World:
     """Objects sorted by id, and structure models in the world frame.
 
     `rooms_m` are the rectangles (x0, y0, x1, y1) between the walls of each room, the floor is at z = 0. `middle_m`
-    (x, y) is the place that a walk of one room goes round.
+    (x, y) is the place that a walk of one room goes round. `lighting` None is two lamps under the ceiling of each room.
     """
 
     objects: tuple[WorldObject, ...]
     structure: tuple[Model, ...]
     rooms_m: tuple[tuple[float, float, float, float], ...]
     middle_m: tuple[float, float]
+    lighting: Lighting | None = None
 
     @property
     def interior_m(self) -> tuple[float, float, float, float]:

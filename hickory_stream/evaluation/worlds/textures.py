@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -18,11 +18,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-Pattern = Literal["plain", "wood", "checker", "stripes", "speckle", "planks"]
+Pattern = Literal[
+    "plain", "wood", "checker", "stripes", "speckle", "planks", "print", "tiles", "marble", "dots", "plaid", "cells"
+]
 Color = tuple[float, float, float]
 
-_PATTERNS: tuple[Pattern, ...] = ("plain", "wood", "checker", "stripes", "speckle", "planks")
-_PLAIN, _WOOD, _CHECKER, _STRIPES, _SPECKLE = range(5)
+_PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
+_PLAIN, _WOOD, _CHECKER, _STRIPES, _SPECKLE, _PLANKS, _PRINT, _TILES, _MARBLE, _DOTS, _PLAID = range(11)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,7 +32,8 @@ class Texture:
     """A pattern of two colours (RGB in 0..1).
 
     `period_m` is the size of its repeating cell, `axis` (0, 1, 2 = x, y, z) the direction of the grain or the normal of
-    the stripes, `grain` in 0..1 the strength of the fine noise that every pattern carries.
+    the stripes, `grain` in 0..1 the strength of the fine noise that every pattern carries, `gloss` in 0..1 that of the
+    highlights.
     """
 
     pattern: Pattern
@@ -39,12 +42,13 @@ class Texture:
     period_m: float = 0.05
     axis: int = 2
     grain: float = 0.12
+    gloss: float = 0.0
 
 
 def texture_table(textures: Sequence[Texture]) -> NDArray[np.float64]:
-    """Return (T, 10) rows for the kernels: pattern, first RGB, second RGB, period, axis, grain."""
-    rows = [(_PATTERNS.index(t.pattern), *t.first, *t.second, t.period_m, t.axis, t.grain) for t in textures]
-    return np.array(rows, dtype=np.float64).reshape(-1, 10)
+    """Return (T, 11) rows for the kernels: pattern, first RGB, second RGB, period, axis, grain, gloss."""
+    rows = [(_PATTERNS.index(t.pattern), *t.first, *t.second, t.period_m, t.axis, t.grain, t.gloss) for t in textures]
+    return np.array(rows, dtype=np.float64).reshape(-1, 11)
 
 
 def colors_at(texture: Texture, points_object: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -82,8 +86,21 @@ def albedo(x, y, z, row):  # type: ignore[no-untyped-def] # pragma: no cover
         share = 1.0 if along / period - math.floor(along / period) < 0.5 else 0.0
     elif pattern == _SPECKLE:
         share = 1.0 if value_noise(x / period, y / period, z / period) > 0.62 else 0.0
-    else:
+    elif pattern == _PLANKS:
         share = _planks(along, a, b, period)
+    elif pattern == _PRINT:
+        share = _print(x, y, z, period)
+    elif pattern == _TILES:
+        share = _tiles(x, y, z, period)
+    elif pattern == _MARBLE:
+        warp = value_noise(x * 6.0, y * 6.0, z * 6.0) + 0.5 * value_noise(x * 17.0, y * 17.0, z * 17.0)
+        share = (0.5 + 0.5 * math.sin(2 * math.pi * ((along + 0.3 * a) / period + 2.5 * warp))) ** 3
+    elif pattern == _DOTS:
+        share = _dots(x / period, y / period, z / period)
+    elif pattern == _PLAID:
+        share = 0.34 * (_band(x / period) + _band(y / period) + _band(z / period))
+    else:
+        share = _lattice(*_nearest_seed(x / period, y / period, z / period))
     fine = 1.0 + row[9] * (value_noise(x * 90.0, y * 90.0, z * 90.0) + value_noise(x * 23.0, y * 23.0, z * 23.0) - 1.0)
     red = (row[1] + (row[4] - row[1]) * share) * fine
     green = (row[2] + (row[5] - row[2]) * share) * fine
@@ -102,6 +119,69 @@ def _planks(along, a, b, period):  # type: ignore[no-untyped-def] # pragma: no c
         return 1.0
     tone = _lattice(int(board), int(piece), 7)
     return 0.15 + 0.35 * tone + 0.2 * value_noise(along * 4.0, a * 60.0, b * 60.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _print(x, y, z, period):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the share of ink of a print: fields that are bare, full of ink, pictures, or lines of writing."""
+    # Slanted so that no side of a box is along a cell.
+    u, v = 0.86 * x + 1.1 * y + 0.013, z + 0.21 * (x - y) + 0.007
+    fu, fv = math.floor(u / (1.7 * period)), math.floor(v / period)
+    use = _lattice(fu, fv, 3)
+    if use < 0.3:
+        return 0.0
+    if use < 0.42:
+        return 1.0
+    if use < 0.58:
+        return value_noise(u * 9.0 / period, v * 9.0 / period, 0.5)
+    line = period / (5.0 if use < 0.8 else 11.0)
+    row = math.floor(v / line)
+    if v / line - row > 0.62:
+        return 0.0
+    # Letters and the gaps between words.
+    if _lattice(math.floor(u / (2.4 * line)), int(row), 11) < 0.2:
+        return 0.0
+    return 1.0 if _lattice(math.floor(u / (0.3 * line)), int(row), 5) < 0.62 else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _tiles(x, y, z, period):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the share of the second colour of tiles: joints full of it, each tile a little in its own measure."""
+    px, py, pz = x / period + 0.113, y / period + 0.117, z / period + 0.119
+    cx, cy, cz = math.floor(px), math.floor(py), math.floor(pz)
+    for f in (px - cx, py - cy, pz - cz):
+        if f < 0.04:
+            return 1.0
+    return 0.3 * _lattice(int(cx), int(cy), int(cz))
+
+
+@numba.njit(cache=True, nogil=True)
+def _dots(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+    dx, dy, dz = x - math.floor(x) - 0.5, y - math.floor(y) - 0.5, z - math.floor(z) - 0.5
+    return 1.0 if dx * dx + dy * dy + dz * dz < 0.16 else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _band(x):  # type: ignore[no-untyped-def] # pragma: no cover
+    f = x - math.floor(x)
+    return 1.0 if f < 0.3 or 0.45 < f < 0.52 else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest_seed(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the cell (three integers) whose random point is nearest: fields with straight borders."""
+    ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
+    best, bx, by, bz = 1e9, ix, iy, iz
+    for i in range(ix - 1, ix + 2):
+        for j in range(iy - 1, iy + 2):
+            for k in range(iz - 1, iz + 2):
+                dx = i + _lattice(i, j, k) - x
+                dy = j + _lattice(j, k, i + 91) - y
+                dz = k + _lattice(k, i, j + 57) - z
+                distance = dx * dx + dy * dy + dz * dz
+                if distance < best:
+                    best, bx, by, bz = distance, i, j, k
+    return bx, by, bz
 
 
 @numba.njit(cache=True, nogil=True)

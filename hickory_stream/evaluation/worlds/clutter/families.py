@@ -1,0 +1,107 @@
+"""Which recipe belongs to which family: the one table that keeps training, tuning and reporting apart.
+
+A network or a tree that is trained on one family meets shapes, materials, ways of filling, arrangements and floor plans
+of another one for the first time. `reporting` chooses nothing: it is only reported on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from hickory_stream.errors import ConfigError
+
+Family = Literal["training", "tuning", "reporting"]
+FAMILIES: tuple[Family, ...] = get_args(Family)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Recipes:
+    """The names of a family's recipes, by what they make.
+
+    `small` things, `supports` with places for others, `seats`, `bodies` that stand on the floor, `units` that stand
+    flush in rows; `materials`; `contents`: ways of filling a level place; `groups`: arrangements on the floor;
+    `outlines` of rooms.
+    """
+
+    small: tuple[str, ...]
+    supports: tuple[str, ...]
+    seats: tuple[str, ...]
+    bodies: tuple[str, ...]
+    units: tuple[str, ...]
+    materials: tuple[str, ...]
+    contents: tuple[str, ...]
+    groups: tuple[str, ...]
+    outlines: tuple[str, ...]
+
+
+TABLE: dict[Family, Recipes] = {
+    "training": Recipes(
+        small=(
+            "carton", "book", "tin", "turned", "open_vessel", "blob", "superquadric", "composed", "ring", "tray",
+            "crate", "pouch", "folded_cloth", "crumpled_cloth", "bent_bar", "wire_rack", "tool", "device", "framed",
+            "sprig", "paper_pile", "usual_mug", "usual_bottle", "usual_can", "usual_cereal_box", "usual_small_box",
+            "usual_monitor", "usual_squeeze_bottle", "usual_vase", "usual_ball", "usual_cushion",
+        ),
+        supports=(
+            "table", "round_table", "cabinet", "counter", "shelf", "rack", "pallet", "bed", "sofa", "usual_desk",
+            "usual_shelf", "usual_dresser", "usual_coffee_table",
+        ),
+        seats=("chair", "usual_chair", "usual_stool"),
+        bodies=(
+            "big_carton", "open_carton", "barrel", "sack", "roll", "floor_lamp", "foliage", "screen", "draped",
+            "blanket_heap", "rounded_body", "machine", "usual_armchair", "usual_sofa", "usual_suitcase", "usual_lamp",
+        ),
+        units=("appliance", "kitchen_unit"),
+        materials=(
+            "uniform_paint", "worn_paint", "polished", "satin", "timber", "cardboard", "printed", "striped",
+            "speckled", "boarded",
+        ),
+        contents=("spread", "touching", "row", "same", "stacks", "heap", "cloth_and_things"),
+        groups=(
+            "flush_row", "filled_support", "table_with_seats", "floor_heap", "floor_stacks", "floor_spread",
+            "carton_wall", "solitary", "leaning",
+        ),
+        outlines=("rectangle", "l_shape", "cut_corner", "skewed"),
+    ),
+    "tuning": Recipes(
+        small=(
+            "goblet", "star_prism", "wedge", "usual_kettle", "usual_jar", "usual_toy_car", "usual_packet",
+            "usual_laptop",
+        ),
+        supports=("trestle", "cube_shelf", "usual_table", "usual_nightstand"),
+        seats=("shell_chair", "usual_bench"),
+        bodies=("ladder", "usual_plant", "usual_basket"),
+        units=("tower",),
+        materials=("lacquered", "veneer", "brushed", "checked", "tiled"),
+        contents=("ring_of_things", "leaning_row"),
+        groups=("back_to_back", "corner_pile"),
+        outlines=("octagon",),
+    ),
+    "reporting": Recipes(
+        small=(
+            "spool", "lattice_cube", "coil", "arch", "usual_bowl", "usual_carton", "usual_pot", "usual_pan",
+            "usual_table_lamp", "usual_clock",
+        ),
+        supports=("ladder_shelf", "trolley", "usual_bed"),
+        seats=("usual_office_chair",),
+        bodies=("usual_speaker", "tent"),
+        units=("locker",),
+        materials=("linen", "concrete", "enamel", "dotted", "plaid", "marbled", "patched"),
+        contents=("pyramid", "diagonal_row"),
+        groups=("island", "aisle"),
+        outlines=("bay",),
+    ),
+}  # fmt: skip
+
+
+def recipes_of(family: str) -> Recipes:
+    """Return the names of a family's recipes.
+
+    Raises:
+        ConfigError: there is no such family.
+    """
+    for name in FAMILIES:
+        if name == family:
+            return TABLE[name]
+    raise ConfigError(f"family {family!r}; expected one of {', '.join(FAMILIES)}")

@@ -1,0 +1,80 @@
+"""The defects of a colour camera, put on a rendered image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ColorCameraConfig:
+    """How a colour image comes out; the defaults change nothing.
+
+    `shift_px` (x, y) is how far all of the colour is displaced against depth, `skew_px` how much further its last row
+    (a rolling shutter on the move), `wobble_px` by how much the displacement wavers smoothly over the image.
+    """
+
+    exposure: float = 1.0
+    gamma: float = 1.0
+    warmth: float = 0.0
+    """The gain of red over that of blue, as a share."""
+    vignette: float = 0.0
+    """The share of the light that the corners lack."""
+    blur_px: float = 0.0
+    motion_px: tuple[float, float] = (0.0, 0.0)
+    noise: float = 0.0
+    """Standard deviation in grey levels, in the middle of the scale."""
+    shift_px: tuple[float, float] = (0.0, 0.0)
+    skew_px: float = 0.0
+    wobble_px: float = 0.0
+
+
+def photographed(rgb: NDArray[np.uint8], config: ColorCameraConfig, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) image as the camera reports it."""
+    height, width = rgb.shape[:2]
+    image = _displaced(rgb.astype(np.float32) / np.float32(255), config, rng)
+    if config.blur_px > 0.1:
+        image = cv2.GaussianBlur(image, (0, 0), config.blur_px)
+    if max(abs(v) for v in config.motion_px) >= 1.0:
+        image = _smeared(image, config.motion_px)
+    v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
+    gain = config.exposure * (1.0 - config.vignette * (u * u + v * v) / 2)
+    tint = np.array([1 + config.warmth / 2, 1.0, 1 - config.warmth / 2], dtype=np.float32)
+    image = np.clip(image * gain[..., None] * tint, 0.0, 1.0) ** np.float32(config.gamma)
+    if config.noise:
+        # Photon noise grows with the light, what the amplifier adds does not.
+        level = config.noise / 255 * np.sqrt(0.35 + 1.3 * image)
+        image = image + level * rng.standard_normal(image.shape, dtype=np.float32)
+    return np.asarray((np.clip(image, 0.0, 1.0) * 255 + 0.5).astype(np.uint8))
+
+
+def _displaced(image: NDArray[np.float32], config: ColorCameraConfig, rng: np.random.Generator) -> NDArray[np.float32]:
+    if config.shift_px == (0.0, 0.0) and config.skew_px == 0.0 and config.wobble_px == 0.0:
+        return image
+    height, width = image.shape[:2]
+    v, u = np.mgrid[0:height, 0:width].astype(np.float32)
+    u = u + np.float32(config.shift_px[0]) + np.float32(config.skew_px / height) * v
+    v = v + np.float32(config.shift_px[1])
+    if config.wobble_px:
+        coarse = config.wobble_px * rng.standard_normal((2, 4, 5))
+        u, v = (
+            at + cv2.resize(field, (width, height), interpolation=cv2.INTER_CUBIC).astype(np.float32)
+            for at, field in zip((u, v), coarse, strict=True)
+        )
+    return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _smeared(image: NDArray[np.float32], motion_px: tuple[float, float]) -> NDArray[np.float32]:
+    """Return an image that moved while it was taken."""
+    size = 2 * int(np.ceil(max(abs(v) for v in motion_px) / 2)) + 1
+    kernel = np.zeros((size, size), dtype=np.float32)
+    for share in np.linspace(-0.5, 0.5, 4 * size):
+        x, y = (round(size // 2 + share * v) for v in motion_px)
+        kernel[y, x] += 1
+    return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE))

@@ -1,0 +1,113 @@
+"""Random rooms: families that share nothing, solid shapes, frames whose labels, depth and colour belong together."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.evaluation.worlds.clutter.contents import CONTENTS
+from hickory_stream.evaluation.worlds.clutter.families import FAMILIES, TABLE, Recipes
+from hickory_stream.evaluation.worlds.clutter.floorplan import OUTLINES
+from hickory_stream.evaluation.worlds.clutter.frames import Frame, frames_of
+from hickory_stream.evaluation.worlds.clutter.groups import GROUPS
+from hickory_stream.evaluation.worlds.clutter.kit import SHAPES, any_material
+from hickory_stream.evaluation.worlds.clutter.materials import MATERIALS
+from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.mesh import Mesh, is_closed, volume_m3
+from hickory_stream.geometry.rigid import apply
+
+if TYPE_CHECKING:
+    from hickory_stream.evaluation.worlds.parts import Part
+
+SHAPE_FIELDS = ("small", "supports", "seats", "bodies", "units")
+
+
+def names_of(recipes: Recipes) -> list[str]:
+    return [name for field in dataclasses.fields(recipes) for name in getattr(recipes, field.name)]
+
+
+def test_no_recipe_belongs_to_two_families() -> None:
+    for one, other in combinations(FAMILIES, 2):
+        assert set(names_of(TABLE[one])) & set(names_of(TABLE[other])) == set()
+    for family in FAMILIES:
+        names = names_of(TABLE[family])
+        assert len(names) == len(set(names))
+
+
+def test_every_recipe_is_in_the_table_and_every_name_has_a_recipe() -> None:
+    told = {f.name: {n for r in TABLE.values() for n in getattr(r, f.name)} for f in dataclasses.fields(Recipes)}
+    assert set().union(*(told[field] for field in SHAPE_FIELDS)) == set(SHAPES)
+    assert told["materials"] == set(MATERIALS)
+    assert told["contents"] == set(CONTENTS)
+    assert told["groups"] == set(GROUPS)
+    assert told["outlines"] == set(OUTLINES)
+
+
+def as_mesh(part: Part) -> Mesh:
+    count = len(part.vertices)
+    return Mesh(
+        vertices=part.vertices.astype(np.float32),
+        faces=part.faces,
+        colors=np.zeros((count, 3), dtype=np.uint8),
+        is_seen=np.ones(count, dtype=bool),
+    )
+
+
+@pytest.mark.parametrize("name", sorted(SHAPES))
+def test_every_shape_is_made_of_closed_solids_and_stands_on_its_base(name: str) -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        model = SHAPES[name](rng, lambda own: any_material(own, TABLE["training"]))
+        for part in model.parts:
+            assert is_closed(as_mesh(part))
+            assert volume_m3(as_mesh(part)) > 0
+        assert model.bounds_m()[0, 2] == pytest.approx(0.0, abs=1e-6)
+        extent = np.ptp(model.bounds_m(), axis=0).max()
+        assert 0.03 < extent < 3.2
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    return list(frames_of(3, "training", 3, width=96, height=72))
+
+
+def test_the_same_seed_gives_the_same_frames_and_a_longer_sequence_begins_alike(frames: list[Frame]) -> None:
+    again = list(frames_of(3, "training", 2, width=96, height=72))
+    for one, other in zip(frames, again, strict=False):
+        for name in ("rgb", "depth_m", "instances", "is_structure", "world_from_camera"):
+            assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=name == "depth_m")
+
+
+def test_families_and_seeds_show_different_rooms(frames: list[Frame]) -> None:
+    for seed, family in ((4, "training"), (3, "tuning"), (3, "reporting")):
+        other = next(frames_of(seed, family, 1, width=96, height=72))
+        assert not np.array_equal(frames[0].rgb, other.rgb)
+
+
+def test_a_pixel_is_of_a_thing_or_of_structure_and_the_floor_lies_at_zero(frames: list[Frame]) -> None:
+    for frame in frames:
+        assert not (frame.is_structure & (frame.instances > 0)).any()
+        assert (frame.instances > 0).any()
+        is_hit = np.isfinite(frame.exact_depth_m)
+        assert np.array_equal(is_hit, frame.is_structure | (frame.instances > 0))
+        points = apply(frame.world_from_camera, backproject(frame.exact_depth_m, frame.camera)[is_hit].astype(float))
+        assert points[:, 2].min() > -0.01
+        assert 0.29 < frame.world_from_camera[2, 3] < 1.81
+
+
+def test_sensed_depth_has_holes_and_noise_about_the_exact_one(frames: list[Frame]) -> None:
+    for frame in frames:
+        both = np.isfinite(frame.depth_m) & np.isfinite(frame.exact_depth_m)
+        error = np.abs(frame.depth_m - frame.exact_depth_m)[both]
+        assert both.mean() > 0.3
+        assert 0 < np.median(error / frame.exact_depth_m[both]) < 0.03
+
+
+def test_an_unknown_family_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="training, tuning, reporting"):
+        next(frames_of(1, "test", 1))
