@@ -77,7 +77,8 @@ def create_map_folder(
     """Return a new, empty map folder; `overwrite` replaces a map that is there, but never anything else.
 
     `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be made of what JSON knows; `extractor`
-    names what makes the features, `processor` the kind that the map depends on. The folder is locked until it is
+    names what makes the features, `processor` the kind that the map depends on. The map of a `run` has a journal from
+    its first moment, an empty one: a run that is killed at once can be gone on with. The folder is locked until it is
     closed.
 
     Raises:
@@ -95,7 +96,12 @@ def create_map_folder(
                 shutil.rmtree(missing[-1], ignore_errors=True)
             raise
         try:
-            # First of all, so that what a kill leaves is known for a map folder, opens, and can be overwritten.
+            # Before the manifest, which promises one; and that of an earlier run is not to be taken for this one's.
+            if run is not None:
+                write_atomically(path / JOURNAL, b"")
+            else:
+                (path / JOURNAL).unlink(missing_ok=True)
+            # Before all else, so that what a kill leaves is known for a map folder, opens, and can be overwritten.
             write_atomically(path / MANIFEST, manifest_json(manifest))
             _remove_map(path)
             for name in _FOLDERS:
@@ -482,9 +488,10 @@ def _is_ours(name: str) -> bool:
 
 
 def _remove_map(path: Path) -> None:
-    """Remove what a map folder holds beside its manifest, what it opens as first."""
+    """Remove what a map folder holds beside its manifest, what it opens as first, and its journal."""
     for name in _FILES:
-        (path / name).unlink(missing_ok=True)
+        if name != JOURNAL:
+            (path / name).unlink(missing_ok=True)
     for name in _FOLDERS:
         if (path / name).exists():
             shutil.rmtree(path / name)

@@ -129,6 +129,25 @@ def test_a_run_that_was_cut_before_its_first_keyframe_begins_anew(undisturbed: S
     assert resume(tmp_path / "map") == undisturbed.digest
 
 
+@pytest.mark.parametrize("is_over_another", [False, True])
+def test_a_run_that_was_killed_as_soon_as_its_folder_was_there_begins_anew(
+    undisturbed: SceneRun, tmp_path: Path, *, is_over_another: bool
+) -> None:
+    folder, manifest = tmp_path / "map", undisturbed.folder.manifest
+    if is_over_another:
+        shutil.copytree(undisturbed.folder.path, folder)
+    made = create_map_folder(
+        folder,
+        config=manifest.config,
+        source=manifest.source,
+        run=manifest.run,
+        extractor=manifest.extractor,
+        overwrite=is_over_another,
+    )
+    made.close()
+    assert resume(folder) == undisturbed.digest
+
+
 def test_a_map_with_the_features_of_another_extractor_is_not_continued(tmp_path: Path) -> None:
     source = SceneSource(NUM_FRAMES)
     create_map_folder(

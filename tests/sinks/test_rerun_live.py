@@ -86,7 +86,7 @@ def run_against(port, folder):
         [sys.executable, "-c", RUN, str(HERE), str(folder), f"127.0.0.1:{port}"],
         capture_output=True,
         text=True,
-        timeout=15,
+        timeout=60,
         check=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )

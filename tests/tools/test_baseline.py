@@ -43,6 +43,13 @@ def test_a_figure_may_fall_back_by_its_tolerance(
     assert bool(found.regressions) is is_regression
 
 
+@pytest.mark.parametrize(("value", "is_regression"), [("5e1f", False), ("b0c4", True)])
+def test_a_digest_must_stay_as_it_is(value: str, *, is_regression: bool) -> None:
+    kept = {**entry("5e1f", "same"), "tolerance": 0}
+    found = compare([figure("digest", value, "same")], {"figures": {"digest": kept}})
+    assert bool(found.regressions) is is_regression
+
+
 def test_goals_are_told_apart_from_what_was_before() -> None:
     baseline = {"figures": {"a": entry(0.6, goal=0.7), "b": entry(9.0, "lower", goal=8.0)}}
     found = compare([figure("a", 0.69), figure("b", 8.0, "lower")], baseline)

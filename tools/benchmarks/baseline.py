@@ -1,7 +1,8 @@
 """The committed baseline of a benchmark: what each figure was, what it is to become, and how far it may fall back.
 
-`baselines/NAME.json` has for each figure `value` (null: not measured yet), `goal` (null: none) and `tolerance`: a
-figure that is worse than its value by more than that is a regression. A tolerance is about the noise of the figure.
+`baselines/NAME.json` (`tests/golden/baseline.json` for the golden logs) has for each figure `value` (null: not measured
+yet), `goal` (null: none) and `tolerance`: a figure that is worse than its value by more than that is a regression. A
+tolerance is about the noise of the figure; a text whose tolerance is 0, such as a digest, must stay as it is.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.json_text import dumps
+from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,6 +40,8 @@ class Comparison:
 
 def baseline_file(name: str) -> Path:
     """Return where the baseline of a benchmark is, whether there is one or not."""
+    if name == "golden":
+        return ROOT / "tests" / "golden" / "baseline.json"
     return FOLDER / f"{name}.json"
 
 
@@ -114,7 +118,9 @@ def updated(baseline: dict[str, Any], figures: Sequence[Figure], about: str) -> 
 
 def _is_worse(value: float | str, before: float | str, tolerance: float | None, better: str) -> bool:
     """Return whether a value is worse than another; one without a tolerance is told, but judged by nobody."""
-    if tolerance is None or isinstance(value, str) or isinstance(before, str):
+    if isinstance(value, str) or isinstance(before, str):
+        return tolerance == 0 and value != before
+    if tolerance is None:
         return False
     return value < before - tolerance if better == "higher" else value > before + tolerance
 
