@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import ConfigError
+from hickory_stream.evaluation.truth import instances_of
+from hickory_stream.evaluation.worlds.cache import cached_recording, recording_name
+from hickory_stream.evaluation.worlds.clearance import clearance_among
 from hickory_stream.evaluation.worlds.clutter.contents import CONTENTS
 from hickory_stream.evaluation.worlds.clutter.families import FAMILIES, TABLE, Recipes
 from hickory_stream.evaluation.worlds.clutter.floorplan import OUTLINES
@@ -17,11 +20,20 @@ from hickory_stream.evaluation.worlds.clutter.frames import Frame, frames_of
 from hickory_stream.evaluation.worlds.clutter.groups import GROUPS
 from hickory_stream.evaluation.worlds.clutter.kit import SHAPES, any_material
 from hickory_stream.evaluation.worlds.clutter.materials import MATERIALS
+from hickory_stream.evaluation.worlds.clutter.recordings import clutter_recording
+from hickory_stream.evaluation.worlds.clutter.room import clutter_room
+from hickory_stream.evaluation.worlds.clutter.walk import wander
+from hickory_stream.evaluation.worlds.drift import DriftConfig
+from hickory_stream.evaluation.worlds.recording import RecordingConfig
+from hickory_stream.evaluation.worlds.scene import part_boxes
+from hickory_stream.evaluation.worlds.trajectory import Trajectory
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh, is_closed, volume_m3
 from hickory_stream.geometry.rigid import apply
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from hickory_stream.evaluation.worlds.parts import Part
 
 SHAPE_FIELDS = ("small", "supports", "seats", "bodies", "units")
@@ -111,3 +123,33 @@ def test_sensed_depth_has_holes_and_noise_about_the_exact_one(frames: list[Frame
 def test_an_unknown_family_is_refused_with_the_known_ones() -> None:
     with pytest.raises(ConfigError, match="training, tuning, reporting"):
         next(frames_of(1, "test", 1))
+
+
+def test_a_log_of_a_random_room_shows_what_its_truth_says(tmp_path: Path) -> None:
+    config = clutter_recording(2, "training", seconds=1.0, rate_hz=2.0, width=96, height=72)
+    log, truth = cached_recording(config, tmp_path)
+    assert log.is_file()
+    assert cached_recording(config, tmp_path)[0] == log
+    assert [frame.index for frame in truth.frames] == [0, 1]
+    shown = {int(i) for frame in truth.frames for i in np.unique(instances_of(truth, frame)) if i}
+    assert shown == {item.id for item in truth.objects if item.frames}
+    assert shown
+    assert all(0.25 < frame.world_from_camera[2, 3] < 1.85 for frame in truth.frames)
+
+
+def test_a_walk_keeps_its_distance_from_everything() -> None:
+    config = clutter_recording(2, "training")
+    room = next(room for i in range(20) if len((room := clutter_room(2, "training", i)).world.objects) >= 6)
+    walk = wander(room, 20.0, config.walk, np.random.default_rng(0))
+    assert isinstance(walk, Trajectory)
+    boxes = [box for item in room.world.objects for box in part_boxes(item.model, item.world_from_object)]
+    clearance = clearance_among(boxes, room.plan.bounds_m, room.plan.outline_m)
+    assert clearance.at(walk.world_from_camera[::30, :2, 3]).min() > 0.1
+
+
+def test_names_of_recordings_from_before_there_were_families_stay() -> None:
+    assert recording_name(RecordingConfig()) == "room-7-walk0-5cedfbc5c1"
+    drifting = RecordingConfig(scene="apartment", seed=3, drift=DriftConfig())
+    assert recording_name(drifting) == "apartment-3-walk0-a6543e6655"
+    one, other = (recording_name(RecordingConfig(scene="clutter", family=family)) for family in ("training", "tuning"))
+    assert one != other

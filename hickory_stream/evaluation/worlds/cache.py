@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hickory_stream import caches
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
+from hickory_stream.evaluation.worlds.drift import DriftConfig
 from hickory_stream.evaluation.worlds.layouts import layout_files
 from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
+from hickory_stream.evaluation.worlds.scenes import CLUTTER
+from hickory_stream.evaluation.worlds.trajectory import WalkConfig
 from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
@@ -18,6 +21,16 @@ if TYPE_CHECKING:
 
 WORLDS_VERSION = 1
 """To be raised by whoever changes what a config gives: older recordings are then made anew."""
+CLUTTER_VERSION = 1
+"""The same for random rooms only."""
+
+
+# What configs did not have at first: its default is left out of a name, so that what is cached stays valid.
+_LATER = {
+    "": (RecordingConfig(), ("layout", "family", "color")),
+    "walk": (WalkConfig(), ("pitch_deg",)),
+    "drift": (DriftConfig(), ("jitter_m", "jitter_deg")),
+}
 
 
 def cache_folder() -> Path:
@@ -51,8 +64,17 @@ def cached_recording(
 def recording_name(config: RecordingConfig) -> str:
     """Return the name of a config's recording: what it shows, in words, and a hash of all of the config."""
     values = dataclasses.asdict(config)
-    if config.layout == RecordingConfig().layout:
-        del values["layout"]  # as before there were layouts: what is cached stays valid
-    told = dumps([WORLDS_VERSION, values], sort_keys=True)
+    _forget_defaults(values)
+    version = [WORLDS_VERSION, CLUTTER_VERSION] if config.scene == CLUTTER else [WORLDS_VERSION]
+    told = dumps([*version, values], sort_keys=True)
     digest = hashlib.sha256(told.encode()).hexdigest()[:10]
     return f"{config.scene}-{config.seed}-walk{config.walk_index}-{digest}"
+
+
+def _forget_defaults(values: dict[str, Any]) -> None:
+    """Remove from the values of a config what it did not always have, where it has its default."""
+    for part, (defaults, fields) in _LATER.items():
+        held = values if not part else values[part]
+        for field in fields if held is not None else ():
+            if held[field] == getattr(defaults, field):
+                del held[field]

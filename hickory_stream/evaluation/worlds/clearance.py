@@ -8,13 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label, map_coordinates
 
+from hickory_stream.evaluation.worlds.clutter.footprints import is_inside
 from hickory_stream.evaluation.worlds.scene import part_boxes
 from hickory_stream.geometry.arrays import freeze
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.worlds.scene import World
+    from hickory_stream.geometry.boxes import OrientedBox
 
 CELL_M = 0.04
 _HEAD_M = 1.8
@@ -52,13 +56,23 @@ class Clearance:
 
 def clearance_of(world: World) -> Clearance:
     """Return the clearance of a world: objects and walls count where they reach below 1.8 m."""
-    x0, y0, x1, y1 = world.interior_m
-    xs, ys = np.arange(x0, x1, CELL_M), np.arange(y0, y1, CELL_M)
-    is_free = np.ones((len(xs), len(ys)), dtype=bool)
     boxes = [box for item in world.objects for box in part_boxes(item.model, item.world_from_object)]
     for model in world.structure:
         if model.kind in ("wall", "door_way"):
             boxes += part_boxes(model, np.eye(4), -_SKIRTING_M)
+    return clearance_among(boxes, world.interior_m)
+
+
+def clearance_among(
+    boxes: Sequence[OrientedBox], rectangle_m: tuple[float, float, float, float], outline_m: NDArray[Any] | None = None
+) -> Clearance:
+    """Return the clearance among boxes within a rectangle, or within an outline (K, 2) in it."""
+    x0, y0, x1, y1 = rectangle_m
+    xs, ys = np.arange(x0, x1, CELL_M), np.arange(y0, y1, CELL_M)
+    is_free = np.ones((len(xs), len(ys)), dtype=bool)
+    if outline_m is not None:
+        cells = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1)
+        is_free &= is_inside(cells.reshape(-1, 2), outline_m).reshape(is_free.shape)
     for box in boxes:
         if box.center[2] - box.half_extents_m[2] >= _HEAD_M:
             continue

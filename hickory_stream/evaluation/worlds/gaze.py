@@ -29,13 +29,13 @@ def gaze(
     attention = _Attention(world)
     yaw = _heading(attention.middle_of_room(positions[0]) - positions[0])
     knots = [yaw]
-    pitches = [attention.pitch(positions[0], yaw, config.eye_height_m)]
+    pitches = [attention.pitch(positions[0], yaw, config)]
     turn = np.radians(config.max_yaw_rate_dps) * _DECISION_S
     stops = positions[steps::steps]
     for i, position in enumerate(stops):
         yaw += turn * attention.best_turn(stops[i : i + _LOOKAHEAD], yaw, turn)
         knots.append(yaw)
-        pitches.append(attention.pitch(position, yaw, config.eye_height_m))
+        pitches.append(attention.pitch(position, yaw, config))
         attention.look(position, yaw)
     at = np.arange(len(positions)) / steps
     sigma = 0.45 / step_s
@@ -121,9 +121,10 @@ class _Attention:
         quality, side = self._view(position, yaw)
         self._looks[np.arange(len(side)), side] += quality
 
-    def pitch(self, position: NDArray[np.float64], yaw: float, eye_height_m: float) -> float:
-        """Return the pitch (negative = down) that centres what is worth looking at there, within -30..-8 degrees."""
+    def pitch(self, position: NDArray[np.float64], yaw: float, config: WalkConfig) -> float:
+        """Return the pitch (negative = down) that centres what is worth looking at there, as far as one tilts."""
         weight = self._gains(position, yaw) + 1e-3
         distance = np.linalg.norm(self._centers[:, :2] - position, axis=1)
-        angles = np.arctan2(self._centers[:, 2] - eye_height_m, distance)
-        return float(np.clip((weight * angles).sum() / weight.sum(), np.radians(-30), np.radians(-8)))
+        angles = np.arctan2(self._centers[:, 2] - config.eye_height_m, distance)
+        low, high = np.radians(config.pitch_deg)
+        return float(np.clip((weight * angles).sum() / weight.sum(), low, high))

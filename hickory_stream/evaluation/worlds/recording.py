@@ -16,6 +16,10 @@ import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, truth_record
+from hickory_stream.evaluation.worlds.clutter.families import recipes_of
+from hickory_stream.evaluation.worlds.clutter.room import clutter_room
+from hickory_stream.evaluation.worlds.clutter.walk import wander
+from hickory_stream.evaluation.worlds.color_camera import ColorCameraConfig, photographed
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.evaluation.worlds.drift import DriftConfig, drifted
 from hickory_stream.evaluation.worlds.layouts import LAYOUTS, layout_camera, layout_files, open_layout
@@ -23,7 +27,7 @@ from hickory_stream.evaluation.worlds.orbit import orbit
 from hickory_stream.evaluation.worlds.parts import model_mesh
 from hickory_stream.evaluation.worlds.person import PERSON_ID, Person, with_person
 from hickory_stream.evaluation.worlds.rendering import Renderer
-from hickory_stream.evaluation.worlds.scenes import SCENES, make_world
+from hickory_stream.evaluation.worlds.scenes import CLUTTER, SCENES, make_world
 from hickory_stream.evaluation.worlds.tour import tour
 from hickory_stream.evaluation.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, walk_round
 from hickory_stream.evaluation.worlds.visibility import SeenSurface
@@ -46,6 +50,7 @@ if TYPE_CHECKING:
 _START_NS = 1_752_400_000_000_000_000
 _ODOMETRY_HZ = 30
 _WORLDS = 20
+_LEAST_CLUTTER = 6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,6 +59,8 @@ class RecordingConfig:
 
     scene: str = "room"
     """One of `worlds.scenes.SCENES`."""
+    family: str = "training"
+    """Which recipes a random room (scene `clutter`) is made by: one of `worlds.clutter.families.FAMILIES`."""
     seed: int = 7
     walk_index: int = 0
     """Which of the walks through the scene; a room has one for each seed."""
@@ -72,6 +79,8 @@ class RecordingConfig:
     """How the odometry drifts; None: its poses are exact."""
     person: bool = False
     """Whether a person walks through the scene, too."""
+    color: ColorCameraConfig | None = None
+    """The defects of the colour camera beside `color_noise`; None: it has none."""
     walk: WalkConfig = field(default_factory=WalkConfig)
     depth: DepthCameraConfig = field(default_factory=DepthCameraConfig)
 
@@ -88,6 +97,7 @@ class RecordingConfig:
             raise ConfigError(f"seed {self.seed}, walk {self.walk_index}; expected 0 or more")
         if self.scene not in SCENES:
             raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
+        recipes_of(self.family)
         if self.layout not in LAYOUTS:
             raise ConfigError(f"layout {self.layout!r}; expected one of {', '.join(LAYOUTS)}")
 
@@ -182,16 +192,34 @@ def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
     Raises:
         ConfigError: none of the seed's worlds can be walked.
     """
+    if config.scene == CLUTTER:
+        return _walkable_clutter(config)
     for attempt in range(_WORLDS):
         world = make_world(config.scene, config.seed, attempt)
         trajectory = _walk(world, config, config.walk_index)
         others = {0, 1} - {config.walk_index} if config.scene == "apartment" else set()
         if not isinstance(trajectory, NoWalk) and not any(isinstance(_walk(world, config, i), NoWalk) for i in others):
             return world, trajectory
-    raise ConfigError(
+    raise _not_walkable(config)
+
+
+def _not_walkable(config: RecordingConfig) -> ConfigError:
+    return ConfigError(
         f"seed {config.seed}: none of {_WORLDS} worlds leaves {config.walk.clearance_m} m to walk; "
         "choose another --seed"
     )
+
+
+def _walkable_clutter(config: RecordingConfig) -> tuple[World, Trajectory]:
+    """Return the first of the seed's random rooms that has things and a way about it, and the walk."""
+    for attempt in range(_WORLDS):
+        room = clutter_room(config.seed, config.family, attempt)
+        if len(room.world.objects) >= _LEAST_CLUTTER:
+            rng = np.random.default_rng([config.seed, 2, config.walk_index])
+            trajectory = wander(room, 60.0 if config.seconds is None else config.seconds, config.walk, rng)
+            if not isinstance(trajectory, NoWalk):
+                return room.world, trajectory
+    raise _not_walkable(config)
 
 
 def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory | NoWalk:
@@ -204,8 +232,11 @@ def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory 
 
 
 def _person(world: World, config: RecordingConfig) -> Person | None:
-    """Return the person of a config: on another walk through the same world, faster than the camera."""
-    if not config.person:
+    """Return the person of a config: on another walk through the same world, faster than the camera.
+
+    Nobody walks through a random room.
+    """
+    if not config.person or config.scene == CLUTTER:
         return None
     faster = replace(config.walk, speed_mps=2 * config.walk.speed_mps)
     if config.scene == "tabletop":
@@ -326,4 +357,6 @@ def _sensed(
     """Return colour and depth as the camera reports them."""
     noise = config.color_noise * rng.standard_normal(rendered.rgb.shape)
     rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
+    if config.color is not None:
+        rgb = photographed(rgb, config.color, rng)
     return rgb, sensed_depth(rendered.depth_m, rendered.cosine, camera.fx, config.depth, rng, rendered.is_blind)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.worlds.apartment import apartment
+from hickory_stream.evaluation.worlds.clutter.families import FAMILIES
+from hickory_stream.evaluation.worlds.clutter.room import clutter_room
 from hickory_stream.evaluation.worlds.room import furnished_room
 from hickory_stream.evaluation.worlds.tabletop import tabletop
 
@@ -15,15 +17,19 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.worlds.scene import World
 
 _SCENES: dict[str, Callable[[int, int], World]] = {"room": furnished_room, "apartment": apartment, "tabletop": tabletop}
-SCENES = tuple(_SCENES)
+CLUTTER = "clutter"
+"""The scene that has families: random rooms (`worlds.clutter`)."""
+SCENES = (*_SCENES, CLUTTER)
 
 
 def make_world(scene: str, seed: int, attempt: int = 0) -> World:
-    """Return a world of a seed; `attempt` numbers the worlds of one seed.
+    """Return a world of a seed; `attempt` numbers the worlds of one seed. Random rooms are those of the first family.
 
     Raises:
         ConfigError: there is no such scene, or no draw of the seed fits.
     """
+    if scene == CLUTTER:
+        return clutter_room(seed, FAMILIES[0], attempt).world
     if scene not in _SCENES:
         raise ConfigError(f"scene {scene!r}; expected one of {', '.join(SCENES)}")
     return _SCENES[scene](seed, attempt)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from hickory_stream.evaluation.worlds.clearance import CELL_M, clearance_of
 from hickory_stream.evaluation.worlds.gaze import gaze
+from hickory_stream.evaluation.worlds.routes import smoothed, way_between
 from hickory_stream.evaluation.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def tour(world: World, seconds: float | None, config: WalkConfig, walk_index: in
     route = _route(world, clearance, walk_index)
     if route is None:
         return NoWalk(clearance_m=0.0)
-    line = _smooth(route)
+    line = smoothed(route)
     clearance_m = float(clearance.at(line).min())
     if clearance_m < 0.6 * config.clearance_m:
         return NoWalk(clearance_m=clearance_m)
@@ -63,7 +63,7 @@ def _route(world: World, clearance: Clearance, walk_index: int) -> NDArray[np.fl
         stops += corners
     if not stops:
         return None
-    pieces = [_way(clearance, a, b) for a, b in zip(stops, [*stops[1:], stops[0]], strict=True)]
+    pieces = [way_between(clearance, a, b) for a, b in zip(stops, [*stops[1:], stops[0]], strict=True)]
     if any(piece is None for piece in pieces):
         return None
     return np.concatenate([piece[:-1] for piece in pieces if piece is not None])
@@ -83,21 +83,3 @@ def _corners(room: tuple[float, float, float, float], clearance: Clearance) -> l
         if clear[best] >= 0.32:
             places.append(grid[best])
     return places
-
-
-def _way(clearance: Clearance, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the (N, 2) way between two places that is short and keeps clear, None where there is none."""
-    from skimage.graph import route_through_array
-
-    distance = clearance.distance_m
-    cost = np.where(distance >= 0.2, 1.0 + 6.0 * np.maximum(0.0, 0.5 - distance) / 0.5, 1e6)
-    cells, total = route_through_array(cost, clearance.cell(a), clearance.cell(b), geometric=True)
-    if total >= 1e6:
-        return None
-    return clearance.origin_m + CELL_M * np.array(cells, dtype=np.float64)
-
-
-def _smooth(route: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a closed route blurred over about a third of a metre: nobody walks on a grid."""
-    line = gaussian_filter1d(route, 8.0, axis=0, mode="wrap")
-    return np.vstack([line, line[:1]])

@@ -32,6 +32,8 @@ class WalkConfig:
     max_yaw_rate_dps: float = 36.0
     bob_m: float = 0.012
     step_hz: float = 1.7
+    pitch_deg: tuple[float, float] = (-30.0, -8.0)
+    """How far down and up one looks; negative is down."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
