@@ -1,8 +1,9 @@
 """Which kind of processor a map depends on: none, where everything that decided it rounds in one way everywhere.
 
-From pixels to layer 4 that is shown for x86-64 (`tools/bench engine --only processors`). It is not shown for networks,
-which run as onnxruntime chooses, for perception that a caller brings, for alignment, and on other architectures, where
-libraries may have been compiled with fused products.
+From pixels to layer 4 that is shown for x86-64 (`tools/bench engine --only processors`). The network of affinities adds
+integers (`perception/pixel_network.py`). It is not shown for other networks, which run as onnxruntime chooses, for
+perception that a caller brings, for alignment, and on other architectures, where libraries may have been compiled with
+fused products.
 """
 
 from __future__ import annotations
@@ -35,6 +36,6 @@ def processor_of_shapes() -> str:
 def processor_of_run(perception: PerceptionConfig, *, is_own: bool) -> str:
     """Return the kind of processor that a run's map depends on, "" for none; `is_own`: perception is the configured."""
     has_network = (
-        perception.segmenter != "geometric" or perception.extractor != "color_texture" or perception.semantics != "none"
+        perception.segmenter == "fastsam" or perception.extractor != "color_texture" or perception.semantics != "none"
     )
     return processor_kind() if has_network or not is_own else processor_of_shapes()

@@ -66,6 +66,11 @@ def _bare_segmenter(config: PerceptionConfig) -> Segmenter:
     match config.segmenter:
         case "geometric":
             return GeometricSegmenter(config.geometric)
+        case "network":
+            from hickory_stream.perception.network_segmenter import NetworkSegmenter
+            from hickory_stream.perception.pixel_network import PixelNetwork
+
+            return NetworkSegmenter(PixelNetwork(), config.affinities, config.geometric)
         case "fastsam":
             from hickory_stream.perception.models.fastsam import FastSam, FastSamSegmenter
             from hickory_stream.perception.models.library import find_model

@@ -95,10 +95,16 @@ class GeometricSegmenter:
 
     def fragments(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Fragments:
         """Return the pieces that a frame falls into, before any are joined."""
-        config = self._config
         surface = prepared if isinstance(prepared, Surface) else self.prepare(frame)
-        scenery = scenery_of(surface, prior, config.structure, config.support_area_m2)
-        floor_z_m = scenery.floor_z_m
+        return self.divided(surface, self.scenery(surface, prior))
+
+    def scenery(self, surface: Surface, prior: ObservedSpace | None) -> Scenery:
+        """Return the room in a frame; `prior` is the space as the map knows it."""
+        return scenery_of(surface, prior, self._config.structure, self._config.support_area_m2)
+
+    def divided(self, surface: Surface, scenery: Scenery) -> Fragments:
+        """Return the pieces that a surface falls into where it is not structure."""
+        config, floor_z_m = self._config, scenery.floor_z_m
         heights = np.array([p.z_m for p in scenery.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
         supports = support_labels(surface, heights, min_pixels=config.min_area_px)
         creases = concave_creases(surface, config.fragments)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.perception.fragment_odds import FragmentOdds
     from hickory_stream.perception.parts import Measures
     from hickory_stream.perception.scenery import Scenery
     from hickory_stream.perception.surface import Surface
@@ -122,12 +123,18 @@ def rounds(
     measures: Measures,
     probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]],
     config: JoinConfig,
+    odds: FragmentOdds | None = None,
 ) -> Iterator[Round]:
-    """Yield the rounds of joining by the `probabilities` of features, from single fragments to the final groups."""
+    """Yield the rounds of joining by the `probabilities` of features, from single fragments to the final groups.
+
+    With the `odds` of a network, what it says of the groups is among the features (`odds_features`).
+    """
     groups = Groups(len(measures.parts.pixels))
     for i in range(config.rounds + 1):
         numbers, names = groups.numbers()
         pairs, features = pair_features(measures, numbers, len(names))
+        if odds is not None:
+            features |= odds_features(odds.of_groups(numbers, len(names)), pairs, len(names))
         yield Round(numbers=numbers, pairs=pairs, features=features)
         # Seen so rarely that trees learn little of it, and certain.
         proven = are_one_behind(
@@ -140,6 +147,14 @@ def rounds(
         if len(chosen) == 0 or i == config.rounds:
             return
         groups.unite((int(names[a]), int(names[b])) for a, b in chosen)
+
+
+def odds_features(odds: FragmentOdds, pairs: NDArray[np.int64], count: int) -> dict[str, NDArray[np.float64]]:
+    """Return by name (K,) what a network says of (K, 2) pairs of `count` groups; NaN where it says nothing."""
+    near, far = odds.means_of(pairs, count)
+    thing = odds.thing_means()
+    large, small = pairs.T
+    return {"odds_near": near, "odds_far": far, "large_thing_odds": thing[large], "small_thing_odds": thing[small]}
 
 
 def _closest(pairs: NDArray[np.int64], probability: NDArray[np.float64], count: int, least: float) -> NDArray[np.int64]:

@@ -17,6 +17,7 @@ from hickory_stream.perception.models.dinov2 import DinoConfig
 from hickory_stream.perception.models.fastsam import FastSamConfig
 from hickory_stream.perception.models.network import NetworkConfig
 from hickory_stream.perception.models.semantic_graph import SemanticConfig
+from hickory_stream.perception.network_segmenter import AffinityConfig
 from hickory_stream.perception.observe import ObserveConfig, observe
 from hickory_stream.perception.space import SpaceConfig, observe_space
 
@@ -43,15 +44,17 @@ class PerceptionConfig:
     """The segmenter, the lifting of masks, the rays of the observed space, and the objects that the map knows.
 
     Attributes:
-        segmenter: `geometric` needs no weights; `fastsam` is a network in the folder of models.
+        segmenter: `geometric` joins by trees; `network` by a network of our own, whose weights come with the package,
+            too, or by both; `fastsam` is a network in the folder of models.
         extractor: what gives patch features: `color_texture` needs no weights; `dinov2` is a network.
         semantics: whose classes masks are rejected by: `none`, `oneformer`, or another `graph` of scores or class ids.
     """
 
-    segmenter: Literal["geometric", "fastsam"] = "geometric"
+    segmenter: Literal["geometric", "network", "fastsam"] = "geometric"
     extractor: Literal["color_texture", "dinov2"] = "color_texture"
     semantics: Literal["none", "oneformer", "graph"] = "none"
     geometric: GeometricConfig = field(default_factory=GeometricConfig)
+    affinities: AffinityConfig = field(default_factory=AffinityConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     fastsam: FastSamConfig = field(default_factory=FastSamConfig)
     dinov2: DinoConfig = field(default_factory=DinoConfig)

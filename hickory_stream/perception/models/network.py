@@ -107,8 +107,10 @@ class Network:
         self.warm_up_s = self.last_s
         self.num_runs, self.total_s = 0, 0.0
 
-    def run(self, image: NDArray[np.float32]) -> list[NDArray[Any]]:
-        """Return the outputs, in the graph's order, for an image (1, 3, H, W) float32; float16 comes back as float32.
+    def run(self, image: NDArray[Any]) -> list[NDArray[Any]]:
+        """Return the outputs, in the graph's order, for an image (1, C, H, W) float32, or of bytes where it takes them.
+
+        float16 comes back as float32.
 
         Raises:
             ModelError: the graph fails on it.

@@ -1,0 +1,126 @@
+"""What the network of affinities sees of a frame, in eight bits: geometry first, colour beside it.
+
+Depth-led, after UOIS-Net (Xie et al. 2021) and UCN (Xiang et al. 2020), whose networks were trained on synthetic
+clutter and hold on real scenes. Nothing depends on the camera: normals are told in the frame of gravity and of the
+camera's heading; steps and creases as second differences of inverse depth, which are zero on every plane, in units of
+its noise, which a stereo camera has the same everywhere. Scale and height are told as well, but the network was trained
+to do without either, and without colour.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import log
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+CHANNELS = (
+    "valid",
+    "normal_forward",
+    "normal_right",
+    "normal_up",
+    "bend_x_1",
+    "bend_y_1",
+    "bend_x_4",
+    "bend_y_4",
+    "scale",
+    "height",
+    "has_height",
+    "light",
+    "green_red",
+    "blue_yellow",
+)
+NUM_INPUTS = len(CHANNELS)
+ZERO = 128
+"""The byte that means nothing; a channel's -1 and 1 are `UNIT` away from it."""
+UNIT = 64
+MULTIPLE_PX = 32
+"""The network's sides are multiples of this; what is beyond the frame is `ZERO`."""
+
+
+def pixel_inputs(surface: Surface, floor_z_m: float | None) -> NDArray[np.uint8]:
+    """Return (NUM_INPUTS, H, W) bytes, H and W multiples of 32, for a surface (h, w) in their upper left corner."""
+    height, width = surface.depth_m.shape
+    padded = [-(-side // MULTIPLE_PX) * MULTIPLE_PX for side in (height, width)]
+    out = np.full((NUM_INPUTS, *padded), ZERO, dtype=np.uint8)
+    focal_px = np.float32((surface.camera.fx + surface.camera.fy) / 2)
+    _geometry(
+        surface.depth_m,
+        surface.points_world,
+        surface.normals_world,
+        surface.sigma_m,
+        _heading(surface.world_from_camera),
+        focal_px,
+        np.float32(np.nan if floor_z_m is None else floor_z_m),
+        out,
+    )
+    _colors(surface.lab, out)
+    return out
+
+
+def _heading(world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return (2,) where the camera looks on the level; where it looks straight down, where its top points."""
+    forward = world_from_camera[:2, 2] - 0.2 * world_from_camera[:2, 1]
+    return np.asarray(forward / max(portable.norm(forward), 1e-9), dtype=np.float32)
+
+
+@numba.njit(cache=True, nogil=True)
+def _byte(value):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return a byte for a value, of which what is over 2 (1.98) or under -2 is cut."""
+    scaled = np.float32(128.5) + np.float32(64.0) * value
+    return np.uint8(min(max(scaled, np.float32(0.0)), np.float32(255.0)))
+
+
+@numba.njit(cache=True, nogil=True)
+def _bend(depth, sigma, y, x, dy, dx):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the second difference of inverse depth in sigmas, squeezed to -2..2; 0 where it cannot be measured."""
+    height, width = depth.shape
+    ya, xa, yb, xb = y - dy, x - dx, y + dy, x + dx
+    if ya < 0 or xa < 0 or yb >= height or xb >= width or np.isnan(depth[ya, xa]) or np.isnan(depth[yb, xb]):
+        return np.float32(0.0)
+    z, one, two = depth[y, x], np.float32(1.0), np.float32(2.0)
+    bend = (one / depth[ya, xa] + one / depth[yb, xb] - two / z) * (z * z / sigma[y, x])
+    return two * bend / (abs(bend) + np.float32(4.0))
+
+
+@numba.njit(cache=True, nogil=True)
+def _geometry(depth, points, normals, sigma, heading, focal_px, floor_z_m, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    height, width = depth.shape
+    one = np.float32(1.0)
+    for y in range(height):
+        for x in range(width):
+            if np.isnan(depth[y, x]):
+                continue
+            out[0, y, x] = _byte(one)
+            if not np.isnan(normals[y, x, 0]):
+                nx, ny = normals[y, x, 0], normals[y, x, 1]
+                out[1, y, x] = _byte(nx * heading[0] + ny * heading[1])
+                out[2, y, x] = _byte(nx * heading[1] - ny * heading[0])
+                out[3, y, x] = _byte(normals[y, x, 2])
+            out[4, y, x] = _byte(_bend(depth, sigma, y, x, 0, 1))
+            out[5, y, x] = _byte(_bend(depth, sigma, y, x, 1, 0))
+            out[6, y, x] = _byte(_bend(depth, sigma, y, x, 0, 4))
+            out[7, y, x] = _byte(_bend(depth, sigma, y, x, 4, 0))
+            # Metres a pixel: from 1 mm to 5 cm.
+            out[8, y, x] = _byte(np.float32(log(depth[y, x] / focal_px)) + np.float32(5.0))
+            if not np.isnan(floor_z_m):
+                out[9, y, x] = _byte((points[y, x, 2] - floor_z_m) / np.float32(0.75) - one)
+                out[10, y, x] = _byte(one)
+
+
+@numba.njit(cache=True, nogil=True)
+def _colors(lab, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    height, width = lab.shape[:2]
+    for y in range(height):
+        for x in range(width):
+            out[11, y, x] = _byte(lab[y, x, 0] / np.float32(40.0) - np.float32(1.25))
+            out[12, y, x] = _byte(lab[y, x, 1] / np.float32(40.0))
+            out[13, y, x] = _byte(lab[y, x, 2] / np.float32(40.0))

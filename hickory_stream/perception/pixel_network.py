@@ -1,0 +1,78 @@
+"""The network of affinities: of every pixel, with which others around it is it one thing, and is it a thing at all.
+
+Affinities to neighbours at growing distances, as in Wolf et al. 2018 (mutex watershed) and Lee et al. 2017; the network
+(`tools/train_network`) is a U-Net of a megabyte whose weights come with the package. It is eight-bit throughout: its
+sums are of integers and exact, a product with a scale and one rounding make bytes of them again, so that any processor
+gives the same bytes (`tests/perception/test_pixel_network.py` holds it against integer arithmetic in NumPy).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.perception.models.network import Network, NetworkConfig
+from hickory_stream.perception.pixel_inputs import NUM_INPUTS, pixel_inputs
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+EMBEDDED = "weights/affinities.onnx"
+DISTANCES_PX = (1, 3, 9, 27)
+"""Of the neighbours, in the pixels of the output, which are two of the surface's."""
+OFFSETS = tuple((dy * d, dx * d) for d in DISTANCES_PX for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)))
+"""(down, right) from a pixel to the neighbour of which each of the first outputs tells; the last output is `THING`."""
+THING = len(OFFSETS)
+NUM_OUTPUTS = THING + 1
+ODDS_ZERO = 128
+ODDS_UNIT = 16
+"""Log-odds in bytes: `ODDS_ZERO` is even odds, `ODDS_UNIT` more is one more in the logarithm."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PixelOdds:
+    """(NUM_OUTPUTS, h, w) bytes: log-odds at half the surface's size, pixel (i, j) that of the surface's (2 i, 2 j)."""
+
+    odds: NDArray[np.uint8]
+
+
+class PixelNetwork:
+    """The network, loaded; on one thread of the processor, whatever else runs where.
+
+    Args:
+        path: the graph; None: that of the package.
+
+    Raises:
+        ModelError: the graph is missing, damaged or of another kind.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        config = NetworkConfig(provider="cpu", threads=1)
+        if path is None:
+            with resources.as_file(resources.files("hickory_stream.perception") / EMBEDDED) as embedded:
+                self._network = Network(embedded, config)
+        else:
+            self._network = Network(path, config)
+        inputs, outputs = self._network.inputs, self._network.outputs
+        if (
+            len(inputs) != 1
+            or len(outputs) != 1
+            or (inputs[0].dtype, outputs[0].dtype) != ("uint8", "uint8")
+            or inputs[0].shape[1:2] != (NUM_INPUTS,)
+            or outputs[0].shape[1:2] != (NUM_OUTPUTS,)
+        ):
+            expected = f"bytes (1, {NUM_INPUTS}, H, W) as its input and (1, {NUM_OUTPUTS}, H / 2, W / 2) as its output"
+            raise self._network.mismatch("affinity", expected)
+
+    def odds(self, surface: Surface, floor_z_m: float | None) -> PixelOdds:
+        """Return what the network says of a surface; raises `ModelError`."""
+        height, width = surface.depth_m.shape
+        found = self._network.run(pixel_inputs(surface, floor_z_m)[None])[0][0]
+        return PixelOdds(odds=np.ascontiguousarray(found[:, : (height + 1) // 2, : (width + 1) // 2]))

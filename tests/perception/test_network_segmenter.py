@@ -1,0 +1,98 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from perception_scenes import Block, best_iou, floor, looking, render
+
+from hickory_stream.engine.processor import processor_of_run
+from hickory_stream.perception.choose import make_segmenter
+from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.network_segmenter import (
+    AffinityConfig,
+    NetworkSegmenter,
+    Prepared,
+    combined,
+    corrected_structure,
+)
+from hickory_stream.perception.perceive import PerceptionConfig
+from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, OFFSETS, THING, PixelOdds
+
+VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
+LEFT = Block(low=(-0.15, 0.15, 0.0), high=(0.15, 0.45, 0.35), color=(190, 40, 40))
+RIGHT = Block(low=(-0.15, -0.45, 0.0), high=(0.15, -0.15, 0.35), color=(190, 40, 40))
+
+
+class Said:
+    """A network that says what it was told to say."""
+
+    def __init__(self, odds):
+        self._odds = odds
+
+    def odds(self, surface, floor_z_m):
+        return PixelOdds(odds=self._odds)
+
+
+def even():
+    return np.full((NUM_OUTPUTS, 120, 160), ODDS_ZERO, np.uint8)
+
+
+@pytest.fixture(scope="module")
+def two_boxes():
+    return render([floor(), LEFT, RIGHT], VIEW)
+
+
+@pytest.mark.parametrize("join", ["network", "both", "trees"])
+def test_two_boxes_apart_are_two_instances_however_fragments_are_joined(two_boxes, join):
+    frame, shown = two_boxes
+    segmenter = make_segmenter(PerceptionConfig(segmenter="network", affinities=AffinityConfig(join=join)))
+    result = segmenter.segment(frame, None, segmenter.prepare(frame))
+    (iou_left, label_left), (iou_right, label_right) = (best_iou(result.instances, shown == i) for i in (1, 2))
+    assert min(iou_left, iou_right) > 0.8
+    assert label_left != label_right
+    assert result.structure[(shown == 0) & (frame.depth_m < 5.5)].mean() > 0.9
+
+
+def test_without_a_word_of_the_network_the_trees_decide_as_they_do_alone(two_boxes):
+    frame, _ = two_boxes
+    ours = NetworkSegmenter(Said(even()), AffinityConfig(join="both"), GeometricConfig()).segment(frame)
+    trees = GeometricSegmenter(GeometricConfig()).segment(frame)
+    np.testing.assert_array_equal(ours.instances, trees.instances)
+    np.testing.assert_array_equal(ours.structure, trees.structure)
+
+
+def test_the_network_alone_joins_whatever_it_is_sure_of(two_boxes):
+    frame, shown = two_boxes
+    odds = even()
+    odds[: len(OFFSETS)] = ODDS_ZERO + 6 * ODDS_UNIT
+    instances = NetworkSegmenter(Said(odds), AffinityConfig(join="network"), GeometricConfig()).segment(frame).instances
+    assert best_iou(instances, (shown == 1) | (shown == 2))[0] > 0.8
+
+
+def test_the_odds_of_the_network_move_those_of_the_trees_by_their_weights():
+    config = AffinityConfig(trees_weight=1.0, near_weight=0.5, far_odds_weight=0.25)
+    features = {"odds_near": np.array([2.0, np.nan, -2.0]), "odds_far": np.array([4.0, np.nan, np.nan])}
+    found = combined(np.array([0.5, 0.8, 0.5]), features, config)
+    assert found == pytest.approx([1 / (1 + np.exp(-2.0)), 0.8, 1 / (1 + np.exp(1.0))])
+
+
+def test_structure_is_corrected_both_ways_and_only_where_the_network_is_sure(two_boxes):
+    frame, _ = two_boxes
+    surface = GeometricSegmenter(GeometricConfig()).prepare(frame)
+    odds = even()
+    odds[THING, :, :50], odds[THING, :, 110:] = ODDS_ZERO + 4 * ODDS_UNIT, ODDS_ZERO - 4 * ODDS_UNIT
+    structure = np.zeros((240, 320), bool)
+    structure[100:] = True
+    found = Prepared(surface=surface, odds=PixelOdds(odds=odds))
+    corrected = corrected_structure(structure, found, AffinityConfig(structure_odds=2.0, thing_odds=2.0))
+    seen = np.isfinite(surface.depth_m)
+    assert not corrected[:, :98].any()
+    assert corrected[:, 222:][seen[:, 222:]].all()
+    np.testing.assert_array_equal(corrected[:, 102:218], structure[:, 102:218])
+    np.testing.assert_array_equal(corrected_structure(structure, found, AffinityConfig()), structure)
+
+
+def test_a_map_made_with_it_depends_on_no_processor():
+    default = PerceptionConfig()
+    of_network = processor_of_run(replace(default, segmenter="network"), is_own=True)
+    assert of_network == processor_of_run(default, is_own=True)
+    assert processor_of_run(replace(default, segmenter="fastsam"), is_own=True) != ""

@@ -1,0 +1,113 @@
+"""Train the network of affinities from synthetic scenes, write it in eight bits, and its card.
+
+A run that was broken off goes on from its checkpoint. Frames are rendered once and kept in the cache of recordings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.caches import cache_folder
+from hickory_stream.json_text import dumps_exactly
+from hickory_stream.perception import pixel_network
+from hickory_stream.perception.pixel_inputs import CHANNELS
+from tools.network_training.frames import frames_of_scene
+from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, STAGES, drawn_frames, told
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_PACKAGE = Path(pixel_network.__file__).parent
+_CALIBRATED_ON = 64
+LICENCE = "Apache-2.0, as the project: trained on scenes of its own generators alone, no data of others"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Return the exit status."""
+    parser = argparse.ArgumentParser(prog="tools/train_network", description=__doc__)
+    file = Path(pixel_network.EMBEDDED)
+    parser.add_argument("--out", type=Path, default=_PACKAGE / file.parent, help="folder of the network and its card")
+    parser.add_argument("--frames", type=Path, help="folder of rendered frames; by default in the cache of recordings")
+    parser.add_argument("--checkpoint", type=Path, help="by default beside the frames; an old one is gone on from")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--threads", type=int, default=1, help="of torch")
+    parser.add_argument("--export-only", action="store_true", help="write what the checkpoint has, whatever its step")
+    options = parser.parse_args(arguments)
+    try:
+        import torch
+
+        from tools.network_training.export import export
+        from tools.network_training.lessons import lesson_of
+        from tools.network_training.model import AffinityNet
+        from tools.network_training.train import Schedule, accuracies, train
+    except ModuleNotFoundError as error:
+        print(f"{error.name} is missing; install the extra: pip install -e '.[train]'", file=sys.stderr)
+        return 2
+    import cv2
+
+    torch.set_num_threads(options.threads)
+    cv2.setNumThreads(1)
+    frames = options.frames or cache_folder("recordings") / "network-frames"
+    checkpoint = options.checkpoint or frames / "affinities.pt"
+    started_s, started_cpu_s = time.monotonic(), time.process_time()
+    drawn = drawn_frames(frames)
+    schedule = Schedule(seed=options.seed, steps=options.steps)
+    if options.export_only:
+        net = AffinityNet()
+        kept = torch.load(checkpoint, weights_only=True)
+        net.load_state_dict(kept["net"])
+        net.eval()
+        schedule = dataclasses.replace(schedule, steps=kept["step"])
+    else:
+        net = train(drawn, schedule, checkpoint)
+    rng = np.random.default_rng([options.seed, 77])
+    calibration = [lesson_of(drawn(schedule.steps, rng), rng).inputs for _ in range(_CALIBRATED_ON)]
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / file.name
+    export(net, calibration, path)
+    held_out = {}
+    for scene in HELD_OUT:
+        rng = np.random.default_rng([scene.seed, 78])
+        held_out[scene.name] = accuracies(net, [lesson_of(frame, rng) for frame in frames_of_scene(scene, frames)])
+    card = {
+        "what": "A U-Net in eight bits: affinities of pixels to neighbours at four distances, and thing or structure.",
+        "follows": [
+            "UOIS-Net (Xie et al. 2021), UCN (Xiang et al. 2020): led by depth, trained on synthetic clutter",
+            "Wolf et al. 2018, Lee et al. 2017: affinities at growing distances; Bailoni et al. 2019: average linkage",
+        ],
+        "made_by": f"tools/train_network --seed {options.seed} --steps {schedule.steps}",
+        "licence": LICENCE,
+        "torch": torch.__version__,
+        "trained_on": {
+            "own": told(OWN),
+            "broad": told(BROAD),
+            "broad_scenes_from_step": STAGES,
+            "own_share": OWN_SHARE,
+        },
+        "schedule": dataclasses.asdict(schedule),
+        "inputs": list(CHANNELS),
+        "weights": sum(p.numel() for p in net.parameters()),
+        "bytes": path.stat().st_size,
+        "held_out_balanced_accuracy": held_out,
+        "minutes": round((time.monotonic() - started_s) / 60, 1),
+        "processor_minutes": round((time.process_time() - started_cpu_s) / 60, 1),
+    }
+    text = dumps_exactly(card, indent=2)
+    path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+    print(text)
+    return 0
+
+
+STEPS = 1500
+"""Those of the weights in the package."""
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,209 @@
+"""Frames to learn from, rendered without defects and kept: each lesson puts its own defects on them.
+
+Cameras stand where one can walk, but look from any height between a small robot's and a tall person's, at any pitch,
+with a little roll and a field of view of their own.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.evaluation.worlds.clutter.frames import frames_of
+from hickory_stream.evaluation.worlds.recording import RecordingConfig, walkable_world
+from hickory_stream.evaluation.worlds.rendering import Renderer
+from hickory_stream.evaluation.worlds.trajectory import camera_rotation
+from hickory_stream.geometry.camera import Camera, backproject
+from hickory_stream.geometry.rigid import from_rotation_translation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.evaluation.worlds.trajectory import Trajectory
+
+WIDTH_PX, HEIGHT_PX = 320, 240
+_NEAR_M = 0.35
+_LEAST_THING_PX = 100
+_TRIES = 4
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TrueFrame:
+    """A frame without defects, and `sensed_m` (H, W) float32: depth with those of a camera, where the scene has one.
+
+    `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32, NaN without a hit; `cosine` (H, W) float32 of the angle between ray
+    and surface; `instances` (H, W) int32: a thing, 0 for structure, -1 where it is not known; the floor is at z = 0.
+    """
+
+    rgb: NDArray[np.uint8]
+    depth_m: NDArray[np.float32]
+    cosine: NDArray[np.float32]
+    instances: NDArray[np.int32]
+    camera: Camera
+    world_from_camera: NDArray[np.float64]
+    sensed_m: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scene:
+    """A synthetic world and how many frames of it are learnt from.
+
+    `kind` is that of a recording, or `clutter-FAMILY`: random rooms.
+    """
+
+    kind: str
+    seed: int
+    frames: int
+
+    @property
+    def name(self) -> str:
+        """What its file is called."""
+        return f"{self.kind}-{self.seed}-{self.frames}"
+
+
+def frames_of_scene(scene: Scene, folder: Path) -> list[TrueFrame]:
+    """Return the frames of a scene; rendered if they are not kept in `folder` yet."""
+    file = folder / f"{scene.name}.npz"
+    if not file.is_file():
+        started = time.monotonic()
+        _write(file, list(_rendered(scene)))
+        print(f"rendered {scene.name} ({time.monotonic() - started:.1f} s)", file=sys.stderr, flush=True)
+    return _read(file)
+
+
+def _rendered(scene: Scene) -> Iterator[TrueFrame]:
+    kind, _, family = scene.kind.partition("-")
+    return _of_random_rooms(scene, family) if kind == "clutter" else _of_walk(scene)
+
+
+def _of_random_rooms(scene: Scene, family: str) -> Iterator[TrueFrame]:
+    for frame in frames_of(scene.seed, family, scene.frames, WIDTH_PX, HEIGHT_PX):
+        instances = np.where(frame.is_structure | (frame.instances > 0), frame.instances, -1)
+        yield TrueFrame(
+            rgb=frame.rgb,
+            depth_m=frame.exact_depth_m,
+            cosine=_cosine(frame.exact_depth_m, frame.camera),
+            instances=instances.astype(np.int32),
+            camera=frame.camera,
+            world_from_camera=frame.world_from_camera,
+            sensed_m=frame.depth_m,
+        )
+
+
+def _cosine(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Return (H, W) the cosine between ray and surface, by the neighbours to the right and below; 1 at edges."""
+    points = backproject(depth_m, camera).astype(np.float64)
+    right, below = np.roll(points, -1, axis=1) - points, np.roll(points, -1, axis=0) - points
+    normal = np.cross(right, below)
+    lengths = np.linalg.norm(normal, axis=2) * np.linalg.norm(points, axis=2)
+    cosine = np.abs((normal * points).sum(axis=2)) / np.maximum(lengths, 1e-12)
+    is_edge = np.maximum(np.abs(right[..., 2]), np.abs(below[..., 2])) > 0.05 * depth_m
+    return np.where(is_edge | ~np.isfinite(cosine), 1.0, cosine).astype(np.float32)
+
+
+def _of_walk(scene: Scene) -> Iterator[TrueFrame]:
+    rng = np.random.default_rng([scene.seed, 71])
+    try:
+        world, trajectory = walkable_world(RecordingConfig(scene=scene.kind, seed=scene.seed, seconds=None))
+    except ConfigError:
+        return  # a seed without a walk teaches nothing
+    renderer = Renderer(world)
+    for _ in range(scene.frames):
+        for _ in range(_TRIES):
+            camera = _camera(rng)
+            pose = _pose(scene.kind, trajectory, rng)
+            seen = renderer.render(camera, pose)
+            near = np.mean(seen.depth_m < _NEAR_M)
+            ids, pixels = np.unique(seen.instances[seen.instances > 0], return_counts=True)
+            if near < 0.1 and np.count_nonzero(pixels >= _LEAST_THING_PX) >= 2 and len(ids) >= 2:
+                yield TrueFrame(
+                    rgb=seen.rgb,
+                    depth_m=seen.depth_m,
+                    cosine=seen.cosine,
+                    instances=seen.instances.astype(np.int32),
+                    camera=camera,
+                    world_from_camera=pose,
+                )
+                break
+
+
+def _camera(rng: np.random.Generator) -> Camera:
+    focal_px = WIDTH_PX / 2 / np.tan(np.radians(rng.uniform(50, 95)) / 2)
+    cx, cy = (WIDTH_PX - 1) / 2 + rng.normal(0, 3), (HEIGHT_PX - 1) / 2 + rng.normal(0, 3)
+    return Camera(width=WIDTH_PX, height=HEIGHT_PX, fx=float(focal_px), fy=float(focal_px), cx=float(cx), cy=float(cy))
+
+
+def _pose(kind: str, trajectory: Trajectory, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return `world_from_camera` near a walk."""
+    before = trajectory.pose_at(float(rng.uniform(0, trajectory.times_s[-1])))
+    forward = before[:3, 2]
+    yaw, pitch = np.arctan2(forward[1], forward[0]), np.arcsin(np.clip(forward[2], -1, 1))
+    place = before[:3, 3].copy()
+    if kind == "tabletop":
+        place += rng.normal(0, 0.08, 3)
+        yaw, pitch = yaw + rng.normal(0, 0.1), pitch + rng.normal(0, 0.1)
+    else:
+        place[2] = rng.uniform(0.3, 1.8)
+        yaw += rng.normal(0, 0.5)
+        pitch = np.radians(rng.uniform(-45, 5)) * min(1.0, place[2] / 1.4) + np.radians(rng.normal(0, 5))
+    roll = np.radians(rng.normal(0, 3))
+    return from_rotation_translation(camera_rotation(float(yaw), float(pitch), float(roll)), place)
+
+
+def _write(file: Path, frames: Sequence[TrueFrame]) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = file.with_suffix(".unfinished.npz")
+    empty = (0, HEIGHT_PX, WIDTH_PX)
+    np.savez_compressed(
+        unfinished,
+        rgb=np.array([f.rgb for f in frames], np.uint8).reshape(-1, *empty[1:], 3),
+        depth_mm=np.array([_millimetres(f.depth_m) for f in frames], np.uint16).reshape(-1, *empty[1:]),
+        cosine=np.array([f.cosine * 255 for f in frames]).astype(np.uint8).reshape(-1, *empty[1:]),
+        instances=np.array([f.instances for f in frames], np.int16).reshape(-1, *empty[1:]),
+        camera=np.array([[f.camera.fx, f.camera.fy, f.camera.cx, f.camera.cy] for f in frames]).reshape(-1, 4),
+        pose=np.array([f.world_from_camera for f in frames]).reshape(-1, 4, 4),
+        **({} if any(f.sensed_m is None for f in frames) else {"sensed": _stacked_millimetres(frames)}),
+    )
+    unfinished.replace(file)
+
+
+def _stacked_millimetres(frames: Sequence[TrueFrame]) -> NDArray[np.uint16]:
+    return np.array([_millimetres(f.sensed_m) for f in frames if f.sensed_m is not None], np.uint16)
+
+
+def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return depth in a fifth of a millimetre, 0 for none."""
+    return np.nan_to_num(np.clip(np.round(5000.0 * depth_m), 0, 65535))
+
+
+def _read(file: Path) -> list[TrueFrame]:
+    with np.load(file) as kept:
+        arrays = {name: kept[name] for name in kept.files}
+    frames = []
+    for i in range(len(arrays["rgb"])):
+        fx, fy, cx, cy = arrays["camera"][i].tolist()
+        frames.append(
+            TrueFrame(
+                rgb=arrays["rgb"][i],
+                depth_m=_metres(arrays["depth_mm"][i]),
+                cosine=arrays["cosine"][i].astype(np.float32) / np.float32(255),
+                instances=arrays["instances"][i].astype(np.int32),
+                camera=Camera(width=WIDTH_PX, height=HEIGHT_PX, fx=fx, fy=fy, cx=cx, cy=cy),
+                world_from_camera=arrays["pose"][i],
+                sensed_m=_metres(arrays["sensed"][i]) if "sensed" in arrays else None,
+            )
+        )
+    return frames
+
+
+def _metres(fifths_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
+    depth = fifths_mm.astype(np.float32) / np.float32(5000)
+    return np.where(depth > 0, depth, np.float32(np.nan))
