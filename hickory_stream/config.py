@@ -198,6 +198,8 @@ def _converted(hint: Any, value: Any, where: str) -> Any:
             raise ConfigError(f"{where} is {value!r}; expected one of {', '.join(map(repr, get_args(hint)))}")
         return value
     if origin in (Union, types.UnionType):
+        if value is None and type(None) in get_args(hint):  # as a map's manifest has what is not set; TOML has no null
+            return None
         return next((_converted(part, value, where) for part in get_args(hint) if part is not type(None)), None)
     if origin is tuple:
         if not isinstance(value, list | tuple):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import pytest
@@ -207,3 +208,8 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_the_python_api_takes_the_mappers_sections_alone(file: Path) -> None:
     file.write_text("[run]\nworkers = 2\n")
     assert read_config(MapperConfig, file) == MapperConfig(run=RunConfig(workers=2))
+
+
+def test_a_configuration_is_read_again_as_a_manifest_has_it() -> None:
+    config = MapperConfig()
+    assert from_dict(MapperConfig, json.loads(json.dumps(dataclasses.asdict(config)))) == config
