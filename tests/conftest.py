@@ -104,6 +104,17 @@ def coarse_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="session")
+def short_map(short_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of the first three seconds of the demo, as the command line makes it; not to be changed."""
+    from tests.test_cli import EAGER, run
+
+    out = tmp_path_factory.mktemp("short") / "map"
+    ended = run("play", short_log, "--config", coarse_config, "--viewer", "none", "--out", out, *EAGER)
+    assert ended.status == 0, ended.stderr
+    return out
+
+
 def copy_log(source: Path, target: Path, *, seconds: float) -> Path:
     """Write the beginning of an MCAP file to another one."""
     from mcap.reader import make_reader

@@ -59,6 +59,11 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Compare a map with the truth of its log: objects, surfaces, containment, poses and masks.",
         "evaluate demo.map --truth demo.truth --html demo.html",
     ),
+    "explain": (
+        "Say why something is not in a map, or how it came to be there: what every keyframe took it for, and what "
+        "became of its masks and tracks.",
+        "explain demo.map --truth demo.truth --object 3",
+    ),
     "evaluate-views": (
         "Compare the ways to choose an object's view: each log is mapped once for each of them.",
         "evaluate-views demo.mcap --truth demo.truth",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.step import JournalEntry
+    from hickory_stream.engine.step import FramePose, JournalEntry
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.mapping.core import MappingConfig
     from hickory_stream.records import Decision, MapSnapshot
@@ -114,6 +114,22 @@ def frame_indices(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
             if step.kind is StepKind.KEYFRAME and step.frames:
                 keyframes.add(step.frames[-1].index)
     return np.array(sorted(keyframes), dtype=np.int64), np.array(sorted(frames), dtype=np.int64)
+
+
+def frame_pose(path: Path, frame: int) -> tuple[Camera, FramePose]:
+    """Return the camera of a frame, and its stamp and pose, as the odometry had it.
+
+    Raises:
+        LookupError: the run has no such frame.
+        MapFolderError: there is no journal, or it is damaged or of another version.
+    """
+    with Journal(path) as journal:
+        for index in range(len(journal) - 1, -1, -1):
+            step = journal.step(index)
+            for pose in step.frames:
+                if pose.index == frame:
+                    return step.camera, pose
+    raise LookupError(f"no frame {frame}")
 
 
 def _told(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntry, Told]]:

@@ -1,0 +1,109 @@
+"""Where an object of a map comes from that is no true object: one origin of a closed list, and how it came about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from hickory_stream.evaluation.miss_reasons import extents_text, lies_on_text
+from hickory_stream.geometry.boxes import box_iou
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from hickory_stream.evaluation.miss_reasons import Evidence
+
+FalseOrigin = Literal[
+    "a piece of an object",
+    "an object whose box is off",
+    "several things in one",
+    "structure",
+    "nothing there",
+]
+
+FALSE_ORIGINS: dict[FalseOrigin, str] = {
+    "a piece of an object": "it lies mostly on a true object, which another object matches, or which is in pieces",
+    "an object whose box is off": "it is the only object on a true one, but their boxes have an IoU under 0.25",
+    "several things in one": "no true object has more than half of its points, nor structure, nor nothing",
+    "structure": "most of its points lie on floor, walls or ceiling",
+    "nothing there": "most of its points lie on nothing that the truth has: noise of depth, or what it leaves out",
+}
+
+_HALF = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FalseObject:
+    """An object without a match, that is not left aside either; `truth_ids` are what the text is about."""
+
+    map_id: int
+    origin: FalseOrigin
+    text: str
+    truth_ids: tuple[int, ...]
+
+
+def origin_of(
+    map_id: int, owner: int | None, tracks_of: Mapping[int, tuple[int, ...]], evidence: Evidence
+) -> FalseObject:
+    """Return where an object comes from.
+
+    Args:
+        map_id: the object.
+        owner: the true object that most of its points lie on, None where there is none.
+        tracks_of: the objects that lie mostly on each true object.
+        evidence: what the run saw, and where its objects lie.
+    """
+    lies_on = evidence.overlap.lies_on[map_id]
+    of = lies_on_text(lies_on, evidence.names)
+    history = history_text(map_id, evidence)
+    if owner is not None:
+        true, found = evidence.overlap.true_boxes[owner], evidence.boxes[map_id]
+        others = [i for i in tracks_of.get(owner, ()) if i != map_id]
+        name = evidence.names[owner]
+        if others:
+            beside = ", ".join(f"#{i}" for i in others)
+            text = f"of {name}, which {beside} lies on, too; {history}"
+            return FalseObject(map_id=map_id, origin="a piece of an object", text=text, truth_ids=(owner,))
+        text = f"IoU {box_iou(true, found):.2f} with {name}: {extents_text(true, found)}; {history}"
+        return FalseObject(map_id=map_id, origin="an object whose box is off", text=text, truth_ids=(owner,))
+    text = f"{of}; {history}"
+    if lies_on.structure > _HALF:
+        return FalseObject(map_id=map_id, origin="structure", text=text, truth_ids=())
+    if lies_on.nothing > _HALF:
+        return FalseObject(map_id=map_id, origin="nothing there", text=text, truth_ids=())
+    ids = tuple(i for i, share in sorted(lies_on.things.items(), key=lambda kv: (-kv[1], kv[0])) if share >= 0.1)
+    return FalseObject(map_id=map_id, origin="several things in one", text=text, truth_ids=ids)
+
+
+def history_text(map_id: int, evidence: Evidence) -> str:
+    """Return how an object came about: its first mask, how many there were, and what they showed."""
+    fate = evidence.sightings.fates.fates.get(map_id)
+    if fate is None:
+        return "the journal tells nothing of it"
+    merged = [
+        i
+        for i, other in evidence.sightings.fates.fates.items()
+        if other.ending is not None and other.ending.into == map_id
+    ]
+    first = "at the end" if fate.born.frame is None else f"in frame {fate.born.frame}"
+    with_merged = f", with #{', #'.join(map(str, merged))} merged into it" if merged else ""
+    masks = f"masks in {len(fate.frames)} keyframe{'' if len(fate.frames) == 1 else 's'}"
+    told = f"made {first} ({fate.born.text.partition(': ')[0]}) of {masks}{with_merged}"
+    shown = shown_text(map_id, evidence)
+    return f"{told}; {shown}" if shown else told
+
+
+def shown_text(map_id: int, evidence: Evidence) -> str:
+    """Return what the masks of an object, and of what was merged into it, showed in truth; "" where there are none."""
+    counts: dict[int | None, int] = {}
+    for track_id, pixels in evidence.sightings.masks_of.items():
+        if evidence.sightings.fates.final(track_id) == map_id:
+            for truth_id, px in pixels.items():
+                counts[truth_id] = counts.get(truth_id, 0) + px
+    total = sum(counts.values())
+    if not total:
+        return ""
+    names = {i: "no object" if i is None else evidence.names[i] for i in counts}
+    ordered = sorted(counts.items(), key=lambda kv: (-kv[1], names[kv[0]]))
+    told = ", ".join(f"{px / total:.0%} {names[i]}" for i, px in ordered if px >= 0.05 * total)
+    return f"its masks show {told}"

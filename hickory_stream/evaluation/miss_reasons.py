@@ -1,0 +1,320 @@
+"""Why a true object that counts is not in the map: one reason of a closed list, and the numbers that speak for it.
+
+The first of these that holds: what the map has on it (in pieces, or one object whose box is off), whether it was large
+enough on any keyframe, what swallowed it, and else what most keyframes took it for, or what became of its own tracks.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hickory_stream.evaluation.track_story import ending_text, when
+from hickory_stream.geometry.boxes import OrientedBox, box_iou
+from hickory_stream.geometry.rigid import apply, invert
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from hickory_stream.engine.fates import Ending
+    from hickory_stream.evaluation.overlap import LiesOn, Overlap
+    from hickory_stream.evaluation.truth_sightings import Part, Sighting, TruthSightings
+
+MissReason = Literal[
+    "on no keyframe",
+    "too small in the image",
+    "outside the depth range",
+    "no depth",
+    "taken for structure",
+    "in no mask",
+    "mask rejected",
+    "one mask with another",
+    "merged with another",
+    "in pieces",
+    "too few sightings",
+    "dropped as structure",
+    "looked through",
+    "box is off",
+]
+
+MISS_REASONS: dict[MissReason, str] = {
+    "on no keyframe": "no keyframe shows a pixel of it",
+    "too small in the image": "too few keyframes for a track show it as large as 98 % of the run's masks are",
+    "outside the depth range": "most keyframes see it nearer or farther than observations are made of",
+    "no depth": "most keyframes have no depth where it is",
+    "taken for structure": "most keyframes take it for floor, wall or ceiling",
+    "in no mask": "most keyframes have depth of it, which is neither structure nor in any mask",
+    "mask rejected": "most keyframes reject its mask",
+    "one mask with another": "most keyframes that show it have it in a mask that is mostly something else",
+    "merged with another": "it has masks of its own, but their track went into another object, or gave its points away",
+    "in pieces": "the map has several objects on it, or most keyframes several masks",
+    "too few sightings": "fewer keyframes show it than a track needs, or its masks went to several tracks",
+    "dropped as structure": "its track was found to be structure, or to lie in some",
+    "looked through": "its track was dropped since later depth was seen behind it",
+    "box is off": "one object lies on it, but their boxes have an IoU under 0.25",
+}
+
+State = Literal[
+    "in a mask of its own",
+    "in one mask with another",
+    "in pieces",
+    "taken for structure",
+    "mask rejected",
+    "outside the depth range",
+    "without depth",
+    "in no mask",
+]
+_REASON_OF: dict[State, MissReason] = {
+    "in one mask with another": "one mask with another",
+    "in pieces": "in pieces",
+    "taken for structure": "taken for structure",
+    "mask rejected": "mask rejected",
+    "outside the depth range": "outside the depth range",
+    "without depth": "no depth",
+    "in no mask": "in no mask",
+}
+_HALF = 0.5
+# An object that has this much of a missed thing has swallowed it.
+_SWALLOWED = 0.3
+_EXTENT_SLACK_M, _EXTENT_SLACK = 0.03, 0.1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Missed:
+    """A true object that has no match; `map_ids` are the objects that the text is about."""
+
+    truth_id: int
+    kind: str
+    reason: MissReason
+    text: str
+    map_ids: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Evidence:
+    """All that reasons are made of; `names` are those of true objects, `boxes` those of the map's objects."""
+
+    names: Mapping[int, str]
+    sightings: TruthSightings
+    overlap: Overlap
+    boxes: Mapping[int, OrientedBox]
+    confirm_sightings: int
+
+
+def state_of(sighting: Sighting) -> State:
+    """Return what a keyframe took a thing for."""
+    masks = [part for part in sighting.parts if part.where == "mask"]
+    if sum(part.share for part in masks) >= _HALF:
+        if masks[0].share >= _HALF:
+            return "in a mask of its own" if _is_own(masks[0]) else "in one mask with another"
+        return "in pieces" if _is_own(masks[0]) else "in one mask with another"
+    shares: dict[State, float] = {
+        "taken for structure": sighting.share("structure"),
+        "mask rejected": sighting.share("rejected mask"),
+        "outside the depth range": sighting.share("too near", "too far"),
+        "without depth": sighting.share("no depth"),
+        "in no mask": sighting.share("no mask"),
+    }
+    best = max(shares, key=lambda state: shares[state])
+    if masks and masks[0].share > shares[best]:
+        return "in a mask of its own" if _is_own(masks[0]) else "in one mask with another"
+    return best
+
+
+def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> Missed:
+    """Return why a true object is missed; `track_ids` are the objects that lie mostly on it."""
+    seen = evidence.sightings.of_object[truth_id]
+    if not seen:
+        text = f"none of {evidence.sightings.num_keyframes} keyframes shows it"
+        return _missed(truth_id, "on no keyframe", text, (), evidence)
+    if track_ids:
+        return _has_objects(truth_id, track_ids, evidence)
+    smallest = evidence.sightings.smallest_mask_px
+    large = [sighting for sighting in seen if sighting.num_px >= smallest]
+    told = tally_text(Counter(state_of(sighting) for sighting in seen), len(seen))
+    covered = evidence.overlap.covered(truth_id)
+    swallower = min(covered, key=lambda i: (-covered[i], i), default=None)
+    if swallower is not None and covered[swallower] >= _SWALLOWED:
+        return _swallowed(truth_id, swallower, told, evidence)
+    needed = evidence.confirm_sightings
+    if len(large) < needed:
+        if len(seen) < needed:
+            text = f"{told}; {needed} sightings confirm a track"
+            return _missed(truth_id, "too few sightings", text, (), evidence)
+        most = max(sighting.num_px for sighting in seen)
+        often = f"it has that in {len(large)} of {len(seen)} keyframes, at most {most}"
+        text = f"98 % of the masks have {smallest:.0f} pixels and more, {often}"
+        return _missed(truth_id, "too small in the image", f"{text}; {told}", (), evidence)
+    states = [state_of(sighting) for sighting in large]
+    tally = Counter(states)
+    common = max(tally, key=lambda state: tally[state])
+    if common == "in a mask of its own":
+        return _lost_track(truth_id, large, states, told, evidence)
+    reason = _REASON_OF[common]
+    shown = [sighting for sighting, state in zip(large, states, strict=True) if state == common]
+    return _missed(truth_id, reason, f"{told}; {_detail(common, shown, evidence)}", (), evidence)
+
+
+def tally_text(tally: Counter[State], count: int) -> str:
+    """Return how often a thing was taken for what, the most frequent first."""
+    parts = ", ".join(f"{number} {state}" for state, number in sorted(tally.items(), key=lambda kv: (-kv[1], kv[0])))
+    return f"{count} keyframe{'s show' if count > 1 else ' shows'} it: {parts}"
+
+
+def extents_text(true: OrientedBox, found: OrientedBox) -> str:
+    """Return which extents of a box differ from the true ones, and how far it is off, in the true box's directions."""
+    corners = apply(invert(true.world_from_box), found.corners_world())
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    half = true.half_extents_m
+    order = ("length", "width") if half[0] >= half[1] else ("width", "length")
+    differing, off = [], []
+    for axis, name in enumerate((*order, "height")):
+        size, wanted = float(high[axis] - low[axis]), float(2 * half[axis])
+        slack = max(_EXTENT_SLACK_M, _EXTENT_SLACK * wanted)
+        if abs(size - wanted) > slack:
+            differing.append(f"{name} {size:.2f} m, true {wanted:.2f} m")
+        shift = float(low[axis] + high[axis]) / 2
+        if abs(shift) > slack:
+            off.append(f"{abs(shift):.2f} m in {name}")
+    told = [*differing, *([f"its middle is off by {', '.join(off)}"] if off else [])]
+    return "; ".join(told) or "no extent by more than a tenth: it is turned, or thin"
+
+
+def lies_on_text(lies_on: LiesOn, names: Mapping[int, str]) -> str:
+    """Return of what an object's points are, the largest shares first."""
+    shares = [(share, names.get(i, str(i))) for i, share in lies_on.things.items()]
+    shares += [(lies_on.structure, "structure"), (lies_on.nothing, "nothing that the truth has")]
+    told = [f"{share:.0%} {name}" for share, name in sorted(shares, key=lambda p: (-p[0], p[1])) if share >= 0.05]
+    return ", ".join(told)
+
+
+def _is_own(part: Part) -> bool:
+    return part.purity is not None and part.purity >= _HALF
+
+
+def _missed(truth_id: int, reason: MissReason, text: str, map_ids: Sequence[int], evidence: Evidence) -> Missed:
+    return Missed(truth_id=truth_id, kind=evidence.names[truth_id], reason=reason, text=text, map_ids=tuple(map_ids))
+
+
+def _has_objects(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> Missed:
+    true = evidence.overlap.true_boxes[truth_id]
+    covered = evidence.overlap.covered(truth_id)
+    if len(track_ids) > 1:
+        told = ", ".join(f"#{i} has {covered.get(i, 0.0):.0%} of what was seen" for i in track_ids)
+        return _missed(truth_id, "in pieces", told, track_ids, evidence)
+    found = evidence.boxes[track_ids[0]]
+    iou = box_iou(true, found)
+    of = lies_on_text(evidence.overlap.lies_on[track_ids[0]], evidence.names)
+    text = f"#{track_ids[0]} has a box IoU of only {iou:.2f}: {extents_text(true, found)}; its points are {of}"
+    return _missed(truth_id, "box is off", text, track_ids, evidence)
+
+
+def _swallowed(truth_id: int, map_id: int, told: str, evidence: Evidence) -> Missed:
+    tally = Counter(state_of(sighting) for sighting in evidence.sightings.of_object[truth_id])
+    of = lies_on_text(evidence.overlap.lies_on[map_id], evidence.names)
+    share = evidence.overlap.covered(truth_id)[map_id]
+    text = f"{share:.0%} of what was seen of it is in #{map_id}, which is {of}; {told}"
+    joined, own = tally["in one mask with another"], tally["in a mask of its own"]
+    reason: MissReason = "merged with another" if own > joined else "one mask with another"
+    if own > joined:
+        tracks = _own_tracks(truth_id, evidence)
+        gone = [i for i in tracks if evidence.sightings.fates.final(i) == map_id and i != map_id]
+        text += f"; {_merge_text(gone, map_id, evidence)}"
+    return _missed(truth_id, reason, text, (map_id,), evidence)
+
+
+def _merge_text(gone: Sequence[int], map_id: int, evidence: Evidence) -> str:
+    fates = evidence.sightings.fates.fates
+    told = []
+    for track_id in gone[:3]:
+        ending = fates[track_id].ending
+        if ending is not None:
+            told.append(f"its track #{track_id} was merged {when(ending.frame)}: {ending.text}")
+    return "; ".join(told) or f"its masks went to #{map_id} as they were"
+
+
+def _own_tracks(truth_id: int, evidence: Evidence) -> Counter[int]:
+    """Return how many masks of its own each track got, the most first."""
+    tracks: Counter[int] = Counter()
+    for sighting in evidence.sightings.of_object[truth_id]:
+        if state_of(sighting) == "in a mask of its own":
+            track_id = next(part.track_id for part in sighting.parts if part.where == "mask")
+            if track_id is not None:
+                tracks[track_id] += 1
+    return Counter(dict(sorted(tracks.items(), key=lambda kv: (-kv[1], kv[0]))))
+
+
+def _lost_track(
+    truth_id: int, large: Sequence[Sighting], states: Sequence[State], told: str, evidence: Evidence
+) -> Missed:
+    """Return why a thing is missed that mostly had masks of its own: what became of their tracks."""
+    tracks, fates = _own_tracks(truth_id, evidence), evidence.sightings.fates
+    own = sum(tracks.values())
+    ends: Counter[MissReason] = Counter()
+    for track_id, count in tracks.items():
+        last = fates.last(track_id)
+        ends[_reason_of_end(last.ending if last is not None else None)] += count
+    reason = max(ends, key=lambda reason: ends[reason]) if ends else "too few sightings"
+    where = "; ".join(
+        f"{count} of its {own} masks went to {ending_text(fates, i)}" for i, count in list(tracks.items())[:3]
+    )
+    more = f" and {len(tracks) - 3} more tracks" if len(tracks) > 3 else ""
+    needed = f"; {evidence.confirm_sightings} sightings confirm a track" if reason == "too few sightings" else ""
+    kept = tuple(sorted({i for track_id in tracks if (i := fates.final(track_id)) is not None}))
+    return _missed(truth_id, reason, f"{told}; {where}{more}{needed}", kept, evidence)
+
+
+def _reason_of_end(ending: Ending | None) -> MissReason:
+    if ending is None:
+        return "merged with another"
+    causes: dict[str | None, MissReason] = {
+        "structure": "dropped as structure",
+        "in structure": "dropped as structure",
+        "looked through": "looked through",
+    }
+    return causes.get(ending.cause, "too few sightings")
+
+
+def _detail(state: State, shown: Sequence[Sighting], evidence: Evidence) -> str:
+    """Return what there is to say of the keyframes that took a thing for the same."""
+    if state == "taken for structure":
+        share = np.mean([sighting.share("structure") for sighting in shown])
+        return f"there {share:.0%} of its pixels are taken for floor, wall or ceiling"
+    if state == "mask rejected":
+        return f"most often: {_most_pixels('rejected mask', shown)}"
+    if state == "outside the depth range":
+        near, far = (f([s.distance_m for s in shown]) for f in (min, max))
+        return f"its middle is {near:.1f} to {far:.1f} m away there"
+    if state == "in one mask with another":
+        names: Counter[str] = Counter()
+        tracks: Counter[int] = Counter()
+        for sighting in shown:
+            part = next(part for part in sighting.parts if part.where == "mask")
+            names[_other_name(part, evidence)] += 1
+            if part.track_id is not None:
+                tracks[part.track_id] += 1
+        with_what = ", ".join(f"{name} ({count})" for name, count in names.most_common(3))
+        end = f"; most of these masks went to {ending_text(evidence.sightings.fates, tracks.most_common(1)[0][0])}"
+        return f"with {with_what}{end if tracks else ''}"
+    if state == "in pieces":
+        return f"{np.median([sum(p.where == 'mask' for p in s.parts) for s in shown]):.0f} masks in the median"
+    return f"at {np.median([s.distance_m for s in shown]):.1f} m in the median"
+
+
+def _other_name(part: Part, evidence: Evidence) -> str:
+    if not part.others:
+        return "many things"
+    other = part.others[0].truth_id
+    return "structure" if other is None else evidence.names[other]
+
+
+def _most_pixels(where: str, shown: Sequence[Sighting]) -> str:
+    reasons: Counter[str] = Counter()
+    for sighting in shown:
+        for part in sighting.parts:
+            if part.where == where:
+                reasons[part.reason] += 1
+    return reasons.most_common(1)[0][0]

@@ -1,0 +1,103 @@
+"""Where the objects of a map lie on the true surfaces, and how much of each true thing they cover."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.evaluation.match import SURFACE_REACH_M
+from hickory_stream.evaluation.raycast import Scene, Surface
+from hickory_stream.evaluation.truth import mesh_of, moved_mesh, structure_meshes
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.mesh import sample_surface
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.records import MapSnapshot, TrackedObject
+
+_MAX_POINTS = 3000
+_SAMPLES = 600
+_LEAST_SEEN = 1e-3
+_STRUCTURE = -2
+_MIN_HALF_EXTENT_M = 0.005
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LiesOn:
+    """Of what the points of an object are: shares by true object, of structure, and of nothing that is known."""
+
+    things: dict[int, float]
+    structure: float
+    nothing: float
+
+    def largest(self) -> tuple[int, float] | None:
+        """Return the true object that most points lie on, and their share; None where they lie on none."""
+        if not self.things:
+            return None
+        truth_id = min(self.things, key=lambda i: (-self.things[i], i))
+        return truth_id, self.things[truth_id]
+
+
+class Overlap:
+    """The objects of a map (without tentative ones) on the things of a truth in the same world.
+
+    `lies_on` by object, `true_boxes` by true object.
+
+    Raises:
+        RecordingError: a mesh of the truth cannot be read.
+        InputError: Open3D is not installed.
+    """
+
+    def __init__(self, snapshot: MapSnapshot, truth: Truth) -> None:
+        self._objects = [tracked for tracked in snapshot.objects if tracked.phase is not Phase.TENTATIVE]
+        self._meshes = {item.id: moved_mesh(mesh_of(truth, item), item.world_from_object) for item in truth.objects}
+        self._seen = {item.id: max(item.seen_fraction, _LEAST_SEEN) for item in truth.objects}
+        surfaces = [_surface(mesh, truth_id) for truth_id, mesh in self._meshes.items()]
+        self._scene = Scene([*surfaces, *(_surface(mesh, _STRUCTURE) for mesh in structure_meshes(truth))])
+        self._covered: dict[int, dict[int, float]] = {}
+        self.lies_on = {tracked.id: _lies_on(tracked, self._scene) for tracked in self._objects}
+        self.true_boxes = {i: gravity_aligned_box(m.vertices, _MIN_HALF_EXTENT_M) for i, m in self._meshes.items()}
+
+    def covered(self, truth_id: int) -> dict[int, float]:
+        """Return how much of what the log shows of a true object each object has, where it has any.
+
+        That is the share of its surface within 3 cm of those points of the object that are nearer to it than to any
+        other true surface, by the share that the log shows.
+        """
+        known = self._covered.get(truth_id)
+        if known is None:
+            known = self._covered[truth_id] = self._cover(truth_id)
+        return known
+
+    def _cover(self, truth_id: int) -> dict[int, float]:
+        samples, _ = sample_surface(self._meshes[truth_id], _SAMPLES, np.random.default_rng(truth_id))
+        low, high = samples.min(axis=0) - SURFACE_REACH_M, samples.max(axis=0) + SURFACE_REACH_M
+        found = {}
+        for tracked in self._objects:
+            points = tracked.points_world[((tracked.points_world >= low) & (tracked.points_world <= high)).all(axis=1)]
+            points = points[:: max(1, len(points) // _MAX_POINTS)]
+            if len(points):
+                distance_m, owners = self._scene.nearest(points)
+                points = points[(owners == truth_id) & (distance_m <= SURFACE_REACH_M)]
+            if len(points):
+                distance_m, _ = cKDTree(points).query(samples, distance_upper_bound=SURFACE_REACH_M)
+                found[tracked.id] = min(1.0, float(np.isfinite(distance_m).mean()) / self._seen[truth_id])
+        return found
+
+
+def _surface(mesh: Mesh, owner: int) -> Surface:
+    return Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=owner)
+
+
+def _lies_on(tracked: TrackedObject, scene: Scene) -> LiesOn:
+    some = tracked.points_world[:: max(1, len(tracked.points_world) // _MAX_POINTS)]
+    distance_m, owners = scene.nearest(some)
+    ids, counts = np.unique(owners[distance_m <= SURFACE_REACH_M], return_counts=True)
+    shares = {int(i): float(count / max(len(some), 1)) for i, count in zip(ids, counts, strict=True)}
+    structure = shares.pop(_STRUCTURE, 0.0)
+    return LiesOn(things=shares, structure=structure, nothing=max(0.0, 1.0 - structure - sum(shares.values())))

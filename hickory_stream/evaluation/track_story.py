@@ -1,0 +1,87 @@
+"""What became of a track in words, and what is said of frames in a row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from hickory_stream.engine.fates import FateBook, TrackFate
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrackStory:
+    """What became of a track: where it was first seen, in how many keyframes, and how it ended ("" where it did not).
+
+    `map_id` is the object that it is, or is a part of, in the map; None for one that was dropped.
+    """
+
+    id: int
+    first_frame: int | None
+    born: str
+    num_keyframes: int
+    turns: tuple[str, ...]
+    ending: str
+    map_id: int | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Stretch:
+    """Keyframes in a row of which the same is to be said: the frames of the first and the last, and how many."""
+
+    first_frame: int
+    last_frame: int
+    num_keyframes: int
+    text: str
+
+
+def track_story(fate: TrackFate, map_id: int | None) -> TrackStory:
+    """Return a track's history in words."""
+    ending = fate.ending
+    told = ""
+    if ending is not None:
+        at = when(ending.frame)
+        told = (
+            f"merged into #{ending.into} {at}: {ending.text}"
+            if ending.kind == "merged"
+            else f"dropped {at}: {ending.text}"
+        )
+    return TrackStory(
+        id=fate.id,
+        first_frame=fate.born.frame,
+        born=fate.born.text,
+        num_keyframes=len(fate.frames),
+        turns=tuple(f"{when(t.frame)}: {t.text}" for t in fate.turns),
+        ending=told,
+        map_id=map_id,
+    )
+
+
+def stretches_of(told: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
+    """Return what is said of frames, those in a row together of which the same is said."""
+    stretches: list[Stretch] = []
+    for frame, text in told:
+        if stretches and stretches[-1].text == text:
+            last = stretches[-1]
+            stretches[-1] = replace(last, last_frame=frame, num_keyframes=last.num_keyframes + 1)
+        else:
+            stretches.append(Stretch(first_frame=frame, last_frame=frame, num_keyframes=1, text=text))
+    return tuple(stretches)
+
+
+def ending_text(fates: FateBook, track_id: int) -> str:
+    """Return what became of a track, in a phrase."""
+    last = fates.last(track_id)
+    if last is None:
+        return f"#{track_id}, of which nothing is known"
+    through = f" (merged into #{last.id})" if last.id != track_id else ""
+    if last.ending is None:
+        return f"#{track_id}{through}, which is in the map"
+    return f"#{track_id}{through}, dropped {when(last.ending.frame)}: {last.ending.text}"
+
+
+def when(frame: int | None) -> str:
+    """Return when something happened, by the index of a frame; None is the end."""
+    return "at the end" if frame is None else f"in frame {frame}"

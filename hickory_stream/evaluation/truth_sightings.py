@@ -1,0 +1,272 @@
+"""What a run saw of every true object, keyframe by keyframe: how many pixels, and what these were taken for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.engine.fates import FateBook
+from hickory_stream.engine.recorded import recorded_steps
+from hickory_stream.engine.resume import recorded_config
+from hickory_stream.evaluation.raycast import Scene, Surface
+from hickory_stream.evaluation.seen_as import (
+    LEAST_CODE,
+    NO_MASK,
+    STRUCTURE,
+    Where,
+    area_px,
+    on_structure,
+    range_of,
+    rays_of,
+    seen_as,
+)
+from hickory_stream.evaluation.truth import frame_at, instances_of, mesh_of, moved_mesh
+from hickory_stream.geometry.rigid import apply, invert
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.recorded import RecordedKeyframe
+    from hickory_stream.evaluation.seen_as import SeenAs
+    from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.records import MapSnapshot
+
+# Parts of a thing that have less of it than this are not told.
+_LEAST_PART = 0.02
+_LEAST_OTHER = 0.05
+# Of two pixels each way one ray, where an older journal has no structure by pixel.
+_RAY_STRIDE = 2
+# The smallest mask in a hundred that a run takes tells what is too small for it.
+_SMALLEST_MASKS = 0.02
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Other:
+    """Something else in a mask: a true object, None for what is none (structure); `share` is its part of the mask."""
+
+    truth_id: int | None
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Part:
+    """What a part of a thing's pixels was taken for; `share` is that part.
+
+    Of a mask: `observation_index`, the track that it went to, `purity`, the share of the mask that is the thing, and
+    the `others` in it. Of a rejected mask its `reason`.
+    """
+
+    where: Where
+    share: float
+    observation_index: int | None = None
+    track_id: int | None = None
+    purity: float | None = None
+    others: tuple[Other, ...] = ()
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sighting:
+    """What one keyframe shows of a thing; `parts` are the largest first, `distance_m` that of the thing's middle."""
+
+    frame: int
+    keyframe: int
+    stamp_ns: int
+    num_px: int
+    distance_m: float
+    parts: tuple[Part, ...]
+
+    def share(self, *where: Where) -> float:
+        """Return the share of the thing's pixels that were taken for one of these."""
+        return sum(part.share for part in self.parts if part.where in where)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TruthSightings:
+    """What a run saw of true objects by their ids, what became of its tracks, and the size of its smallest masks.
+
+    `masks_of` says of each track which true objects its masks showed, in pixels; None is what is no object.
+    """
+
+    of_object: dict[int, tuple[Sighting, ...]]
+    fates: FateBook
+    num_keyframes: int
+    smallest_mask_px: float
+    masks_of: dict[int, dict[int | None, int]]
+    has_coarse_depth: bool
+
+
+def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSightings:
+    """Return what the run of a map folder saw of a truth that lies in the map's world.
+
+    Raises:
+        MapFolderError: there is no journal, or it is damaged or of another version.
+        RecordingError: an image of the truth cannot be read.
+    """
+    config = recorded_config(path)
+    reach, voxel_m = range_of(config), config.mapping.space_voxel_m
+    stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
+    middles = {item.id: _middle(truth, i) for i, item in enumerate(truth.objects)}
+    found: dict[int, list[Sighting]] = {item.id: [] for item in truth.objects}
+    book, areas, num_keyframes, is_coarse = FateBook(), [], 0, True
+    masks_of: dict[int, dict[int | None, int]] = {}
+    scene: Scene | None = None
+    for step in recorded_steps(path, final):
+        keyframe = step.keyframe
+        book.add(None if keyframe is None else keyframe.observed.frame_index, step.decisions)
+        if keyframe is None:
+            continue
+        num_keyframes += 1
+        areas += [area_px(observation) for observation in keyframe.observed.observations]
+        at = frame_at(stamps, keyframe.observed.stamp_ns)
+        if at is None:
+            continue
+        shown = _shown(truth, at, found)
+        labels = seen_as(keyframe, reach)
+        codes = np.asarray(labels.codes)
+        if keyframe.observed.coarse is None:
+            is_coarse = False
+            scene = scene or _scene(truth)
+            codes = _with_structure(keyframe, shown, codes, scene, voxel_m)
+        camera_from_map = invert(keyframe.map_from_odometry @ keyframe.observed.world_from_camera)
+        table = _table(shown, codes)
+        for truth_id in sorted(found.keys() & table.keys()):
+            parts = _parts(truth_id, table, labels, keyframe, book)
+            found[truth_id].append(
+                Sighting(
+                    frame=keyframe.observed.frame_index,
+                    keyframe=keyframe.number,
+                    stamp_ns=keyframe.observed.stamp_ns,
+                    num_px=sum(table[truth_id].values()),
+                    distance_m=float(np.linalg.norm(apply(camera_from_map, middles[truth_id][None])[0])),
+                    parts=parts,
+                )
+            )
+        _count_masks(masks_of, table, labels, keyframe, book)
+    return TruthSightings(
+        of_object={truth_id: tuple(sightings) for truth_id, sightings in found.items()},
+        fates=book,
+        num_keyframes=num_keyframes,
+        smallest_mask_px=float(np.quantile(areas, _SMALLEST_MASKS)) if areas else 0.0,
+        masks_of=masks_of,
+        has_coarse_depth=is_coarse,
+    )
+
+
+def _middle(truth: Truth, index: int) -> NDArray[np.float64]:
+    item = truth.objects[index]
+    vertices = moved_mesh(mesh_of(truth, item), item.world_from_object).vertices
+    return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0, dtype=np.float64)
+
+
+def _scene(truth: Truth) -> Scene:
+    surfaces = []
+    for item in truth.objects:
+        mesh = moved_mesh(mesh_of(truth, item), item.world_from_object)
+        surfaces.append(Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=item.id))
+    return Scene(surfaces)
+
+
+def _shown(truth: Truth, at: int, known: dict[int, list[Sighting]]) -> NDArray[np.int64]:
+    """Return (H, W) the true object that each pixel shows, 0 for what is none that we know of."""
+    image = instances_of(truth, truth.frames[at]).astype(np.int64)
+    return np.where(np.isin(image, list(known)), image, 0)
+
+
+def _table(shown: NDArray[np.int64], codes: NDArray[np.int32]) -> dict[int, dict[int, int]]:
+    """Return how many pixels of each true object (0: of none) have each code, where there are any."""
+    height, width = min(shown.shape[0], codes.shape[0]), min(shown.shape[1], codes.shape[1])
+    shown, shifted = shown[:height, :width], codes[:height, :width].astype(np.int64) - LEAST_CODE
+    num_codes = int(shifted.max(initial=0)) + 1
+    counts = np.bincount((shown * num_codes + shifted).ravel())
+    table: dict[int, dict[int, int]] = {}
+    for place in np.flatnonzero(counts).tolist():
+        table.setdefault(place // num_codes, {})[place % num_codes + LEAST_CODE] = int(counts[place])
+    return table
+
+
+def _parts(
+    truth_id: int,
+    table: dict[int, dict[int, int]],
+    labels: SeenAs,
+    keyframe: RecordedKeyframe,
+    book: FateBook,
+) -> tuple[Part, ...]:
+    row = table[truth_id]
+    total = sum(row.values())
+    parts = []
+    for code in sorted(row, key=lambda code: (-row[code], code)):
+        share = row[code] / total
+        if share < _LEAST_PART:
+            continue
+        where = labels.where(code)
+        if where == "mask":
+            of_mask = {i: other[code] for i, other in table.items() if code in other}
+            size = sum(of_mask.values())
+            observation = keyframe.observed.observations[code - 1]
+            others = [
+                Other(truth_id=i or None, share=px / size)
+                for i, px in sorted(of_mask.items(), key=lambda pair: (-pair[1], pair[0]))
+                if i != truth_id and px >= _LEAST_OTHER * size
+            ]
+            parts.append(
+                Part(
+                    where=where,
+                    share=share,
+                    observation_index=observation.index,
+                    track_id=book.home(keyframe.observed.frame_index, observation.index),
+                    purity=row[code] / size,
+                    others=tuple(others),
+                )
+            )
+        elif where == "rejected mask":
+            reason = keyframe.observed.rejected[code - labels.num_masks - 1].reason
+            parts.append(Part(where=where, share=share, reason=reason))
+        else:
+            parts.append(Part(where=where, share=share))
+    return tuple(parts)
+
+
+def _count_masks(
+    masks_of: dict[int, dict[int | None, int]],
+    table: dict[int, dict[int, int]],
+    labels: SeenAs,
+    keyframe: RecordedKeyframe,
+    book: FateBook,
+) -> None:
+    for truth_id, row in table.items():
+        for code, px in row.items():
+            if 0 < code <= labels.num_masks:
+                observation = keyframe.observed.observations[code - 1]
+                track_id = book.home(keyframe.observed.frame_index, observation.index)
+                if track_id is not None:
+                    counts = masks_of.setdefault(track_id, {})
+                    counts[truth_id or None] = counts.get(truth_id or None, 0) + px
+
+
+def _with_structure(
+    keyframe: RecordedKeyframe, shown: NDArray[np.int64], codes: NDArray[np.int32], scene: Scene, voxel_m: float
+) -> NDArray[np.int32]:
+    """Return the codes with structure by voxels, for pixels that show a true object and are in no mask."""
+    step = _RAY_STRIDE
+    rows, columns = np.nonzero((shown[::step, ::step] > 0) & (codes[::step, ::step] == NO_MASK))
+    if len(rows) == 0:
+        return codes
+    odometry_from_camera = keyframe.observed.world_from_camera
+    map_from_camera = keyframe.map_from_odometry @ odometry_from_camera
+    rays = rays_of(keyframe.camera, np.stack([columns, rows], axis=1) * float(step))
+    lengths = np.linalg.norm(rays, axis=1, keepdims=True)
+    directions = (rays / lengths) @ map_from_camera[:3, :3].T
+    hits = scene.cast(np.broadcast_to(map_from_camera[:3, 3], directions.shape), directions).distance_m
+    met = np.isfinite(hits)
+    points = apply(odometry_from_camera, (rays / lengths)[met] * hits[met, None])
+    is_structure = np.zeros(len(rows), dtype=bool)
+    is_structure[met] = on_structure(keyframe, np.asarray(points, dtype=np.float64), voxel_m)
+    small = np.zeros(codes[::step, ::step].shape, dtype=bool)
+    small[rows[is_structure], columns[is_structure]] = True
+    large = np.repeat(np.repeat(small, step, axis=0), step, axis=1)[: codes.shape[0], : codes.shape[1]]
+    return np.where(large & (codes == NO_MASK), np.int32(STRUCTURE), codes)

@@ -1,0 +1,199 @@
+"""Why true objects are not in a map, and where its false objects come from."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.engine.recorded import final_snapshot
+from hickory_stream.engine.resume import recorded_config
+from hickory_stream.errors import InputError
+from hickory_stream.evaluation.false_origins import FalseObject, origin_of
+from hickory_stream.evaluation.match import best_box, meshes_of, score_map
+from hickory_stream.evaluation.miss_reasons import Evidence, Missed, state_of, why_missed
+from hickory_stream.evaluation.overlap import Overlap
+from hickory_stream.evaluation.placement import placed_truth
+from hickory_stream.evaluation.track_story import Stretch, TrackStory, stretches_of, track_story
+from hickory_stream.evaluation.truth_sightings import sightings_of_truth
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.evaluation.match import Score, TruthScore
+    from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.evaluation.truth_sightings import Sighting
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReasonCount:
+    """How many of the missed true objects, or false objects, have one reason; those that none has are left out."""
+
+    reason: str
+    count: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Why:
+    """Reasons and origins of a whole map.
+
+    `num_truth` true objects count, `num_little_seen` others do not; of `num_objects` objects (without tentative ones)
+    `num_aside` lie on what does not count, and are not held against the map.
+    """
+
+    num_truth: int
+    num_little_seen: int
+    num_objects: int
+    num_aside: int
+    num_keyframes: int
+    has_coarse_depth: bool
+    reasons: tuple[ReasonCount, ...]
+    origins: tuple[ReasonCount, ...]
+    missed: tuple[Missed, ...]
+    false: tuple[FalseObject, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Investigation:
+    """A map, a truth in its world, how they compare, and all that the run saw of the truth."""
+
+    score: Score
+    evidence: Evidence
+
+    def row(self, truth_id: int) -> TruthScore:
+        """Return what became of a true object.
+
+        Raises:
+            InputError: there is none of this id.
+        """
+        for row in self.score.truth:
+            if row.truth_id == truth_id:
+                return row
+        known = ", ".join(str(row.truth_id) for row in self.score.truth)
+        raise InputError(f"found --object {truth_id}, expected the id of a true object: {known}")
+
+
+def investigate(saved: SavedMap, truth: Truth) -> Investigation:
+    """Return what a map and its journal tell of a truth; of a run that did not end, as far as it came.
+
+    Raises:
+        MapFolderError: there is no journal, or it or a mesh is damaged.
+        RecordingError: the truth is not of this map's log, or cannot be read.
+        InputError: Open3D is not installed.
+    """
+    saved = replace(saved, snapshot=final_snapshot(saved.folder))
+    placed = placed_truth(saved, truth).truth
+    meshes = meshes_of(saved)
+    evidence = Evidence(
+        names={item.id: f"{item.id} {item.kind}" for item in placed.objects},
+        sightings=sightings_of_truth(saved.folder, saved.snapshot, placed),
+        overlap=Overlap(saved.snapshot, placed),
+        boxes={o.id: best_box(o, meshes) for o in saved.snapshot.objects if o.phase is not Phase.TENTATIVE},
+        confirm_sightings=recorded_config(saved.folder).mapping.lifecycle.confirm_sightings,
+    )
+    return Investigation(score=score_map(saved.snapshot, meshes, placed), evidence=evidence)
+
+
+def why_of(found: Investigation) -> Why:
+    """Return the reason of every true object that counts and is missed, and the origin of every false object."""
+    score, evidence = found.score, found.evidence
+    counting = [row for row in score.truth if row.counts]
+    missed = tuple(why_missed(row.truth_id, row.track_ids, evidence) for row in counting if row.map_id is None)
+    matched = {row.map_id for row in counting}
+    aside = set(score.ignored_ids) - matched
+    owners = {i: row.truth_id for row in score.truth for i in row.track_ids}
+    tracks_of = {row.truth_id: _on_or_matched(row) for row in score.truth}
+    false = tuple(
+        origin_of(i, owners.get(i), tracks_of, evidence) for i in sorted(evidence.boxes) if i not in matched | aside
+    )
+    return Why(
+        num_truth=score.num_truth,
+        num_little_seen=len(score.truth) - len(counting),
+        num_objects=score.num_objects,
+        num_aside=len(aside),
+        num_keyframes=evidence.sightings.num_keyframes,
+        has_coarse_depth=evidence.sightings.has_coarse_depth,
+        reasons=_counts(item.reason for item in missed),
+        origins=_counts(item.origin for item in false),
+        missed=missed,
+        false=false,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObjectStory:
+    """The fate of one true object: `missed` is None where it is matched (`map_id`, `iou`) or does not count."""
+
+    truth_id: int
+    kind: str
+    seen_fraction: float
+    counts: bool
+    map_id: int | None
+    iou: float
+    missed: Missed | None
+    tracks: tuple[TrackStory, ...]
+    stretches: tuple[Stretch, ...]
+    sightings: tuple[Sighting, ...]
+
+
+def story_of(found: Investigation, truth_id: int) -> ObjectStory:
+    """Return the fate of a true object, keyframe by keyframe.
+
+    Raises:
+        InputError: there is none of this id.
+    """
+    row, evidence = found.row(truth_id), found.evidence
+    sightings = evidence.sightings.of_object[truth_id]
+    tracks = Counter(
+        part.track_id
+        for sighting in sightings
+        for part in sighting.parts
+        if part.track_id is not None and part.share >= 0.2
+    )
+    fates = evidence.sightings.fates
+    is_missed = row.counts and row.map_id is None
+    return ObjectStory(
+        truth_id=truth_id,
+        kind=row.kind,
+        seen_fraction=row.seen_fraction,
+        counts=row.counts,
+        map_id=row.map_id,
+        iou=row.iou,
+        missed=why_missed(truth_id, row.track_ids, evidence) if is_missed else None,
+        tracks=tuple(track_story(fates.fates[i], fates.final(i)) for i in sorted(tracks) if i in fates.fates),
+        stretches=stretches_of((s.frame, sighting_text(s, evidence)) for s in sightings),
+        sightings=sightings,
+    )
+
+
+def sighting_text(sighting: Sighting, evidence: Evidence) -> str:
+    """Return what a keyframe took a thing for, in words that are the same where that is the same."""
+    state = state_of(sighting)
+    masks = [part for part in sighting.parts if part.where == "mask"]
+    if state == "in a mask of its own":
+        return f"in a mask of its own, which went to #{masks[0].track_id}"
+    if state == "in one mask with another":
+        other = masks[0].others[0].truth_id if masks[0].others else None
+        name = "structure" if other is None else evidence.names[other]
+        return f"in one mask with {name}, which went to #{masks[0].track_id}"
+    if state == "in pieces":
+        return f"in pieces, which went to {', '.join(f'#{part.track_id}' for part in masks)}"
+    if state == "mask rejected":
+        reason = next(part.reason for part in sighting.parts if part.where == "rejected mask")
+        return f"its mask was rejected: {reason}"
+    return state
+
+
+def _counts(reasons: Iterable[str]) -> tuple[ReasonCount, ...]:
+    counted = Counter(reasons)
+    return tuple(
+        ReasonCount(reason=reason, count=count)
+        for reason, count in sorted(counted.items(), key=lambda p: (-p[1], p[0]))
+    )
+
+
+def _on_or_matched(row: TruthScore) -> tuple[int, ...]:
+    """Return the objects that lie mostly on a true object, or are its match."""
+    return tuple(sorted({*row.track_ids, *([] if row.map_id is None else [row.map_id])}))

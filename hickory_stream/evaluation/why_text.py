@@ -1,0 +1,97 @@
+"""Fates and reasons as text for people; as JSON they are the records themselves."""
+
+from __future__ import annotations
+
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
+from hickory_stream.evaluation.miss_reasons import MISS_REASONS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from hickory_stream.evaluation.track_story import Stretch, TrackStory
+    from hickory_stream.evaluation.why import ObjectStory, ReasonCount, Why
+    from hickory_stream.evaluation.why_here import PlaceStory
+
+_WIDTH = 120
+
+
+def why_text(why: Why) -> str:
+    """Return the reasons of all missed true objects and the origins of all false objects."""
+    lines = [missed_title(why), *_counted(why.reasons, len(why.missed), MISS_REASONS), ""]
+    for item in why.missed:
+        lines += [f"{item.kind}: {item.reason}", _indented(item.text)]
+    lines += ["", false_title(why), *_counted(why.origins, len(why.false), FALSE_ORIGINS), ""]
+    for found in why.false:
+        lines += [f"#{found.map_id}: {found.origin}", _indented(found.text)]
+    return "\n".join(lines).rstrip()
+
+
+def missed_title(why: Why) -> str:
+    """Return how many true objects are missed of how many, and what does not count."""
+    aside = f"; {why.num_little_seen} more were seen too little to count" if why.num_little_seen else ""
+    return f"{len(why.missed)} of {why.num_truth} true objects that count are missed{aside}"
+
+
+def false_title(why: Why) -> str:
+    """Return how many objects are false of how many, and what is left aside."""
+    aside = f"; {why.num_aside} more are of true objects that do not count" if why.num_aside else ""
+    return f"{len(why.false)} of {why.num_objects - why.num_aside} objects are no true object{aside}"
+
+
+def object_text(story: ObjectStory) -> str:
+    """Return the fate of one true object."""
+    if story.missed is not None:
+        answer = f"missed: {story.missed.reason} ({MISS_REASONS[story.missed.reason]})\n{_indented(story.missed.text)}"
+    elif story.map_id is not None:
+        answer = f"found: it is #{story.map_id}, box IoU {story.iou:.2f}"
+    else:
+        answer = f"not counted: the log shows {story.seen_fraction:.0%} of its surface, 30 % would count"
+    return "\n".join([f"{story.truth_id} {story.kind}: {answer}", *_history(story.tracks, story.stretches)])
+
+
+def place_text(story: PlaceStory) -> str:
+    """Return the fate of a place."""
+    lines = []
+    if story.asked is not None:
+        u, v = story.asked.pixel
+        lines.append(f"pixel {u:g},{v:g} of frame {story.asked.frame}: {story.asked.text}")
+    if story.point_m is not None:
+        lines.append(f"at ({', '.join(f'{value:.2f}' for value in story.point_m)}) m: {story.verdict}")
+    else:
+        lines.append(story.verdict)
+    return "\n".join([*lines, *_history(story.tracks, story.stretches)])
+
+
+def _history(tracks: Sequence[TrackStory], stretches: Sequence[Stretch]) -> list[str]:
+    lines = []
+    if stretches:
+        width = max(len(_frames(stretch)) for stretch in stretches)
+        lines += ["", "frame by frame (keyframes):"]
+        lines += [f"  {_frames(s):<{width}}  {s.num_keyframes:>3}  {s.text}" for s in stretches]
+    if tracks:
+        lines += ["", "its tracks:"]
+        lines += [_track(track) for track in tracks]
+    return lines
+
+
+def _frames(stretch: Stretch) -> str:
+    first, last = stretch.first_frame, stretch.last_frame
+    return f"{first}" if first == last else f"{first}-{last}"
+
+
+def _track(track: TrackStory) -> str:
+    first = "at the end" if track.first_frame is None else f"in frame {track.first_frame}"
+    end, s = track.ending or "in the map", "" if track.num_keyframes == 1 else "s"
+    return _indented(f"#{track.id} made {first}: {track.born}; seen in {track.num_keyframes} keyframe{s}; {end}")
+
+
+def _counted(counts: Sequence[ReasonCount], total: int, meanings: Mapping[Any, str]) -> list[str]:
+    width = max((len(item.reason) for item in counts), default=0)
+    return [f"  {item.count:>3} of {total}  {item.reason:<{width}}  {meanings[item.reason]}" for item in counts]
+
+
+def _indented(text: str) -> str:
+    return fill(text, _WIDTH, initial_indent="    ", subsequent_indent="    ")

@@ -1,0 +1,258 @@
+"""`explain` on a map of the first seconds of the demo: places, pixels and truth, older journals and killed runs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from hickory_stream.cli import main
+from hickory_stream.engine.journal import Journal, JournalWriter
+from hickory_stream.engine.recorded import frame_indices, recorded_steps
+from hickory_stream.engine.session import open_map
+from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
+from hickory_stream.evaluation.miss_reasons import MISS_REASONS
+from hickory_stream.events import FrameObserved
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.engine.recorded import RecordedStep
+    from hickory_stream.records import Observation
+
+pytestmark = pytest.mark.timeout(180)
+
+
+@pytest.fixture(scope="module")
+def older(short_map: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map as a version wrote it whose journal kept neither decisions nor coarse depth."""
+    copy = tmp_path_factory.mktemp("older") / "map"
+    shutil.copytree(short_map, copy)
+    with Journal(short_map) as journal:
+        writer = JournalWriter(copy, flush_s=0.0)
+        for entry in journal.entries():
+            events = tuple(replace(e, coarse=None) if isinstance(e, FrameObserved) else e for e in entry.events)
+            writer.append(replace(entry, events=events, told=None))
+        writer.close()
+    return copy
+
+
+class Explain:
+    """Runs the command and gives what it printed."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def json(self, *arguments: object) -> Any:
+        assert main(["explain", *map(str, arguments), "--json"]) == 0
+        return json.loads(self._capsys.readouterr().out)
+
+    def text(self, *arguments: object) -> str:
+        assert main(["explain", *map(str, arguments)]) == 0
+        return self._capsys.readouterr().out
+
+    def refusal(self, *arguments: object) -> str:
+        assert main(["explain", *map(str, arguments)]) == 2
+        return self._capsys.readouterr().err
+
+
+@pytest.fixture
+def explain(capsys: pytest.CaptureFixture[str]) -> Explain:
+    return Explain(capsys)
+
+
+def keyframes(path: Path) -> list[RecordedStep]:
+    return [step for step in recorded_steps(path, open_map(path).snapshot) if step.keyframe is not None]
+
+
+def middle_of(observation: Observation) -> tuple[int, int]:
+    """The pixel of a mask that is nearest to its middle."""
+    rows, columns = np.nonzero(observation.mask)
+    middle = np.argmin(np.hypot(rows - rows.mean(), columns - columns.mean()))
+    return int(observation.box_px[0] + columns[middle]), int(observation.box_px[1] + rows[middle])
+
+
+# ---- places ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_point_of_an_object_is_in_it_and_its_masks_went_there(short_map: Path, explain: Explain) -> None:
+    tracked = max(open_map(short_map).snapshot.objects, key=lambda o: o.sightings)
+    middle = tracked.points_world[np.argmin(np.linalg.norm(tracked.points_world - tracked.box.center, axis=1))]
+    told = explain.json(short_map, f"--point={','.join(f'{value:.4f}' for value in middle)}")
+    assert told["objects"][0]["id"] == tracked.id
+    assert told["verdict"].startswith(f"in object #{tracked.id}; of ")
+    masks = [sighting for sighting in told["sightings"] if sighting["where"] == "mask"]
+    assert len(masks) >= tracked.sightings // 2
+    assert tracked.id in {sighting["track_id"] for sighting in masks}
+    story = next(track for track in told["tracks"] if track["id"] == tracked.id)
+    assert (story["ending"], story["map_id"]) == ("", tracked.id)
+    assert told["num_keyframes"] == len(keyframes(short_map))
+
+
+def test_a_place_behind_every_camera_is_in_no_image(short_map: Path, explain: Explain) -> None:
+    text = explain.text(short_map, "--point=0,0,500")
+    assert text == "at (0.00, 0.00, 500.00) m: in no object; no keyframe has it in its image\n"
+
+
+def test_a_place_on_the_floor_was_taken_for_structure_and_one_in_the_air_was_looked_through(
+    short_map: Path, explain: Explain
+) -> None:
+    space = open_map(short_map).snapshot.submaps[0].observed_space
+    step = keyframes(short_map)[0]
+    assert step.keyframe is not None
+    coarse = step.keyframe.observed.coarse
+    assert coarse is not None
+    rows, columns = np.nonzero(coarse.structure & (coarse.depth_mm > 0))
+    middle = len(rows) // 2
+    pixel = (columns[middle] + 0.5) * coarse.stride_px, (rows[middle] + 0.5) * coarse.stride_px
+    frame = step.keyframe.observed.frame_index
+    told = explain.json(short_map, "--at-pixel", f"{frame},{pixel[0]:.0f},{pixel[1]:.0f}")
+    assert told["asked"]["text"] == "taken for structure"
+    own = next(sighting for sighting in told["sightings"] if sighting["frame"] == frame)
+    assert own["where"] == "structure"
+    camera = step.keyframe.observed.world_from_camera[:3, 3]
+    between = (camera + np.array(told["point_m"])) / 2
+    told = explain.json(short_map, f"--point={','.join(map(str, between))}")
+    assert next(s for s in told["sightings"] if s["frame"] == frame)["where"] == "looked through"
+    assert told["verdict"].startswith("in no object; of ")
+    assert space.floor_z_m is not None
+
+
+# ---- pixels ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("is_older", [False, True])
+def test_a_pixel_of_a_mask_goes_to_the_track_that_its_mask_went_to(
+    short_map: Path, older: Path, is_older: bool, explain: Explain
+) -> None:
+    step = keyframes(short_map)[-1]
+    assert step.keyframe is not None
+    observed = step.keyframe.observed
+    for observation in observed.observations[:2]:
+        u, v = middle_of(observation)
+        told = explain.json(older if is_older else short_map, "--at-pixel", f"{observed.frame_index},{u},{v}")
+        track_id = next(d.object_id for d in step.decisions if d.observation_index == observation.index)
+        assert told["asked"]["text"] == f"in a mask that went to #{track_id}"
+        own = next(sighting for sighting in told["sightings"] if sighting["frame"] == observed.frame_index)
+        assert own["where"] == "mask"
+        assert np.hypot(own["pixel"][0] - u, own["pixel"][1] - v) < 8
+
+
+def test_a_pixel_of_another_frame_needs_the_log_and_is_then_found_in_the_keyframes(
+    short_map: Path, short_log: Path, explain: Explain
+) -> None:
+    of_keyframes, frames = frame_indices(short_map)
+    frame = int(next(i for i in frames if i not in of_keyframes))
+    told = explain.refusal(short_map, "--at-pixel", f"{frame},320,180")
+    assert f"frame {frame} of {short_map} is no keyframe" in told
+    assert "or give --log LOG" in told
+    # The camera moves little between two frames: what the keyframe before has in a mask's middle is there, too.
+    step = [s for s in keyframes(short_map) if s.keyframe is not None and s.keyframe.observed.frame_index < frame][-1]
+    assert step.keyframe is not None
+    largest = max(step.keyframe.observed.observations, key=lambda o: int(o.mask.sum()))
+    u, v = middle_of(largest)
+    found = explain.json(short_map, "--at-pixel", f"{frame},{u},{v}", "--log", short_log)
+    assert found["asked"]["text"] == "the frame is no keyframe: the place is from the log's depth"
+    own = found["sightings"][0]
+    assert own["where"] == "mask"
+    x0, y0, x1, y1 = step.keyframe.observed.observations[own["observation_index"]].box_px
+    assert x0 <= own["pixel"][0] <= x1
+    assert y0 <= own["pixel"][1] <= y1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--point", "1,2"], "found --point 1,2, expected X,Y,Z in metres"),
+        (["--point", "1,2,nan"], "expected three finite numbers"),
+        (["--at-pixel", "0.5,1,1"], "expected FRAME,U,V"),
+        (["--at-pixel", "900,1,1"], "found frame 900, expected one of the 18 frames"),
+        (["--at-pixel", "0,9999,1"], "found the pixel 9999,1, expected a column of 0 to"),
+        (["--point", "1,2,3", "--object", "1"], "without --truth DIR"),
+        (["--point", "1,2,3", "--log", "x.mcap"], "found --log without --at-pixel"),
+        (["--truth", "nowhere"], "nowhere is no truth folder"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_in_a_line(
+    short_map: Path, explain: Explain, arguments: list[str], told: str
+) -> None:
+    assert told in explain.refusal(short_map, *arguments)
+
+
+def test_a_map_without_a_journal_says_so(short_map: Path, tmp_path: Path, explain: Explain) -> None:
+    copy = tmp_path / "map"
+    shutil.copytree(short_map, copy, ignore=shutil.ignore_patterns("journal.mcap"))
+    assert "the map keeps no history; play the log again" in explain.refusal(copy, "--point", "0,0,0")
+
+
+# ---- truth -----------------------------------------------------------------------------------------------------------
+
+
+def test_every_missed_object_has_a_reason_and_every_false_one_an_origin(
+    short_map: Path, demo_truth: Path, explain: Explain
+) -> None:
+    why = explain.json(short_map, "--truth", demo_truth)
+    assert main(["evaluate", str(short_map), "--truth", str(demo_truth), "--json"]) == 0
+    found = json.loads(explain._capsys.readouterr().out)
+    assert {m["truth_id"] for m in why["missed"]} == {o["truth_id"] for o in found["objects"] if o["map_id"] is None}
+    assert why["num_truth"] == found["num_truth"]
+    assert len(why["missed"]) > 3
+    matched = {o["map_id"] for o in found["objects"]}
+    objects = {o.id for o in open_map(short_map).snapshot.objects if o.phase != "tentative"}
+    assert {f["map_id"] for f in why["false"]} == objects - matched - set(found["ignored_ids"])
+    assert {m["reason"] for m in why["missed"]} <= set(MISS_REASONS)
+    assert {f["origin"] for f in why["false"]} <= set(FALSE_ORIGINS)
+    assert sum(item["count"] for item in why["reasons"]) == len(why["missed"])
+    text = explain.text(short_map, "--truth", demo_truth)
+    assert f"{len(why['missed'])} of {why['num_truth']} true objects that count are missed" in text
+    assert all(f"of {len(why['missed'])}  {item['reason']}" in text for item in why["reasons"])
+
+
+def test_what_no_keyframe_shows_is_missed_for_that_and_what_is_found_is_said_to_be(
+    short_map: Path, demo_truth: Path, explain: Explain
+) -> None:
+    why = explain.json(short_map, "--truth", demo_truth)
+    unseen = next(m for m in why["missed"] if m["reason"] == "on no keyframe")
+    story = explain.json(short_map, "--truth", demo_truth, "--object", unseen["truth_id"])
+    assert story["sightings"] == []
+    assert story["missed"]["text"] == f"none of {why['num_keyframes']} keyframes shows it"
+    assert main(["evaluate", str(short_map), "--truth", str(demo_truth), "--json"]) == 0
+    rows = json.loads(explain._capsys.readouterr().out)["objects"]
+    good = max(rows, key=lambda row: row["iou"])
+    told = explain.text(short_map, "--truth", demo_truth, "--object", good["truth_id"])
+    assert f"found: it is #{good['map_id']}, box IoU {good['iou']:.2f}" in told
+    assert f"in a mask of its own, which went to #{good['map_id']}" in told
+    assert "expected the id of a true object" in explain.refusal(short_map, "--truth", demo_truth, "--object", 999)
+
+
+def test_an_older_journal_gives_the_same_reasons(
+    short_map: Path, older: Path, demo_truth: Path, explain: Explain
+) -> None:
+    now, then = (explain.json(path, "--truth", demo_truth) for path in (short_map, older))
+    assert (now["has_coarse_depth"], then["has_coarse_depth"]) == (True, False)
+    reasons = [{m["truth_id"]: m["reason"] for m in why["missed"]} for why in (now, then)]
+    assert reasons[0] == reasons[1]
+    assert now["origins"] == then["origins"]
+
+
+def test_a_run_that_was_killed_is_explained_as_far_as_it_came(
+    short_map: Path, demo_truth: Path, tmp_path: Path, explain: Explain
+) -> None:
+    killed = tmp_path / "map"
+    shutil.copytree(short_map, killed)
+    manifest = json.loads((killed / "manifest.json").read_text())
+    (killed / "manifest.json").write_text(json.dumps({**manifest, "finished_cleanly": False, "digest": None}))
+    (killed / "objects.json").unlink()
+    with Journal(short_map) as journal:
+        writer = JournalWriter(killed, flush_s=0.0)
+        num_keyframes = 5
+        for i in range(num_keyframes):
+            writer.append(journal.entry(i))
+        writer.abandon()
+    why = explain.json(killed, "--truth", demo_truth)
+    assert why["num_keyframes"] == num_keyframes
+    assert len(why["missed"]) >= len(explain.json(short_map, "--truth", demo_truth)["missed"])
