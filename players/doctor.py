@@ -14,9 +14,12 @@ import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, RecordingError
+from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe, motion
 from players.agreement import BorderScores, border_scores, color_agreement
+from players.depth_noise import FlatPatches, depth_bias, depth_noise, flat_patches
 from players.folder import FolderSource
+from players.light import Light, light_of, light_of_all
 from players.log_opening import open_log, read_opening
 from players.log_source import LogSource
 from players.opening import open_container, open_source
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Source
     from players.agreement import ColorAgreement
     from players.containers import Log
+    from players.depth_noise import DepthBias, DepthNoise
     from players.flaws import Flaws
     from players.options import SourceOptions
 
@@ -174,6 +178,9 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     due, first_ns, last_ns = 0.0, 0, 0
     invalid: list[float] = []
     borders: list[BorderScores] = []
+    patches: list[FlatPatches] = []
+    lights: list[Light] = []
+    sensor = DepthSensor()
     started_s = time.perf_counter()
     for raw in source.frames():
         num_frames += 1
@@ -189,6 +196,9 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
             try:
                 frame = raw.decode()
                 invalid.append(float(1.0 - np.isfinite(frame.depth_m).mean()))
+                sensor = config.sensor.over(frame.sensor)
+                patches.append(flat_patches(frame))
+                lights.append(light_of(frame.rgb))
                 if (scores := border_scores(frame)) is not None:
                     borders.append(scores)
             except RecordingError as error:
@@ -197,11 +207,16 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     source.close()
     camera = source.info.camera
     agreement = color_agreement(borders)
+    noise, bias, light = depth_noise(patches), depth_bias(patches), light_of_all(lights)
     found.frames = {
         "frames": num_frames,
         "keyframes": num_keyframes,
         "keyframes_due": round(due, 1),
         "color_on_depth": {"is_off": agreement.is_off, **asdict(agreement)} if agreement is not None else None,
+        "depth_noise": {"ratio": round(noise.ratio_to(sensor), 3), **asdict(noise)} if noise is not None else None,
+        "depth_bias": {"is_off": bias.is_off, **asdict(bias)} if bias is not None else None,
+        "sensor": asdict(sensor),
+        "light": asdict(light) if light is not None else None,
         "size": [camera.width, camera.height],
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
         "pose_jumps": jumps,
@@ -216,6 +231,8 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     _tell_frames(found, dict(source.ledger()))
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
     judge_color(found, agreement)
+    judge_depth(found, noise, bias, sensor)
+    judge_light(found, light)
     if isinstance(source, LogSource):
         setup = source.setup
         color, depth = (
@@ -263,6 +280,34 @@ def judge_color(found: Diagnosis, agreement: ColorAgreement | None) -> None:
         f"colour does not lie on depth: it fits best {x_mm:+.0f} mm to the right and {y_mm:+.0f} mm down of where the "
         f"calibration has it ({agreement.offset_px:.1f} pixels); correct the link between the two cameras"
     )
+
+
+def judge_depth(found: Diagnosis, noise: DepthNoise | None, bias: DepthBias | None, sensor: DepthSensor) -> None:
+    """Say where depth is off by a constant, or much noisier or better than the sensor is believed to be."""
+    if bias is not None and bias.is_off:
+        long = "long" if bias.bias_m > 0 else "short"
+        found.problems.append(
+            f"depth is {1e3 * abs(bias.bias_m):.0f} mm too {long} at every distance: {bias.num_frames} floors are "
+            f"straight without it; map with --set mapper.sensor.bias_m={sensor.bias_m + bias.bias_m:.3f}, or put "
+            f"bias_m under [sensor] in a profile"
+        )
+    if noise is not None and noise.is_other_than(sensor):
+        found.notes.append(
+            f"depth has {noise.ratio_to(sensor):.1f} times the noise that the sensor is believed to have; map with "
+            f"--set mapper.sensor.noise_per_m={noise.noise_per_m:.4f} --set mapper.sensor.noise_m={noise.noise_m:.4f}, "
+            f"or put them under [sensor] in a profile"
+        )
+
+
+def judge_light(found: Diagnosis, light: Light | None) -> None:
+    """Say where colour tells nothing, or less than it could."""
+    if light is not None and light.is_dark:
+        found.problems.append(
+            f"colour is black or nearly so (half of the pixels are below {light.median:.0f} of 255): things are told "
+            f"apart by depth alone, and those of one surface are one; record with light, or check the exposure"
+        )
+    elif light is not None and light.is_grey:
+        found.notes.append("the camera has no colour, only brightness: things are told apart by that and by depth")
 
 
 def _estimate(found: Diagnosis, megapixels: float, num_keyframes: int) -> None:

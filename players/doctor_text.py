@@ -44,7 +44,7 @@ def diagnosis_text(found: Diagnosis) -> str:
         lines[-1] += f"median {found.sync['median_ms']} ms, 95 % within {found.sync['p95_ms']} ms"
         lines += _histogram_lines(found.sync["histogram"])
     if found.frames:
-        lines += ["", _frames_line(found.frames)]
+        lines += ["", _frames_line(found.frames), _depth_line(found.frames)]
         lines.append(
             f"mapping should take about {found.estimate['map_s']:.0f} s and {found.estimate['memory_mb']:.0f} MB "
             "(two cores, no GPU)"
@@ -141,6 +141,22 @@ def _frames_line(frames: dict[str, Any]) -> str:
     return f"{frames['frames']} frames of {size}, {keyframes}{depth}{torn}, {_color_told(frames['color_on_depth'])}"
 
 
+def _depth_line(frames: dict[str, Any]) -> str:
+    """Return what was found of the depth camera, in one line."""
+    noise, bias, sensor = frames["depth_noise"], frames["depth_bias"], frames["sensor"]
+    believed = f"{sensor['noise_per_m']:.4f} z2" + (f" + {1e3 * sensor['noise_m']:.1f} mm" * (sensor["noise_m"] > 0))
+    told = f"depth: too little is flat to tell its noise, taken for {believed}"
+    if noise is not None:
+        constant = f" + {1e3 * noise['noise_m']:.1f} mm" * (noise["noise_m"] >= 5e-5)
+        told = (
+            f"depth: noise {noise['noise_per_m']:.4f} z2{constant} on {noise['num_patches']} flat patches from "
+            f"{noise['near_m']:.1f} to {noise['far_m']:.1f} m, taken for {believed}"
+        )
+    if bias is None:
+        return f"{told}; too little floor to tell a bias"
+    return f"{told}; bias {1e3 * bias['bias_m']:+.0f} +- {1e3 * bias['error_m']:.0f} mm"
+
+
 def _color_told(agreement: dict[str, Any] | None) -> str:
     if agreement is None:
         return "nothing to tell by whether colour lies on depth"
@@ -192,7 +208,8 @@ def diagnosis_page(found: Diagnosis) -> str:
         parts.append(f"<h2>What would be played</h2><table>{rows}</table>")
     if found.frames:
         parts.append(
-            f"<p>{e(_frames_line(found.frames))}. Mapping should take about {found.estimate['map_s']:.0f} s.</p>"
+            f"<p>{e(_frames_line(found.frames))}; {e(_depth_line(found.frames))}. "
+            f"Mapping should take about {found.estimate['map_s']:.0f} s.</p>"
         )
     if found.ledger and "topics" in found.ledger:
         parts.append(f"<p>{e(ledger_line(found.ledger))}.</p>")

@@ -11,8 +11,9 @@ from scipy.ndimage import find_objects
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points, sums_of_equal
+from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points
 from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.records import Observation, RejectedMask
 
@@ -29,19 +30,22 @@ class ObserveConfig(Ranged):
 
     Attributes:
         min_depth_m, max_depth_m: returns outside are unreliable.
-        erode_px: pixels taken off a mask's rim before lifting, where depth mixes two surfaces; thin parts keep theirs.
+        agree_sigmas: beside a step of depth, as far as the sensor says, a return counts only if it is within so many
+            sigmas of the one next to it further inside.
         voxel_m: points are averaged over the cells of this lattice.
-        min_neighbors: a point is kept if its 27 cells of three voxels hold at least this many points.
-        min_points: observations with fewer points are rejected.
+        min_neighbors: a return is kept if so many of the 24 around it are within `agree_sigmas` of it.
+        min_returns: a mask with fewer returns is rejected ...
+        min_points: ... and so is one whose returns lie in fewer cells.
         max_box_m: a box with a longer side is no object.
     """
 
     min_depth_m: float = number(0.2, 0, 100, "m")
     max_depth_m: float = number(5.0, 0.1, 1000, "m")
-    erode_px: int = number(2, 0, 100, "px")
+    agree_sigmas: float = number(3.0, 0, 100, "sigmas")
     voxel_m: float = number(0.01, 0.001, 1, "m")
-    min_neighbors: int = number(4, 0, 1000, "points")
-    min_points: int = number(30, 1, 1_000_000, "points")
+    min_neighbors: int = number(5, 0, 24, "returns")
+    min_returns: int = number(24, 1, 1_000_000, "returns")
+    min_points: int = number(12, 1, 1_000_000, "points")
     max_box_m: float = number(3.0, 0.01, 1000, "m")
 
     def __post_init__(self) -> None:
@@ -107,11 +111,12 @@ def _lift(
     """Return a mask in 3D, or why it has no place there."""
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
+    depth = frame.depth_m[y0:y1, x0:x1]
     points, colors, num_reliable = _returns(
-        frame.depth_m[y0:y1, x0:x1],
+        depth,
         frame.rgb[y0:y1, x0:x1],
         mask,
-        _eroded(mask, config.erode_px),
+        _supported(depth, _agreeing(depth, mask, frame, config), frame, config),
         ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32),
         ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32),
         np.float32(config.min_depth_m),
@@ -119,11 +124,11 @@ def _lift(
     )
     if len(points) == 0:
         return "no reliable depth in the mask"
-    points, colors, counts = voxel_means(apply(frame.world_from_camera, points), colors, config.voxel_m)
-    dense = np.flatnonzero(_is_dense(points, counts, config))
-    points, colors = points.take(dense, axis=0), colors.take(dense, axis=0)
+    if len(points) < config.min_returns:
+        return f"{len(points)} sure returns, fewer than {config.min_returns}"
+    points, colors, _ = voxel_means(apply(frame.world_from_camera, points), colors, config.voxel_m)
     if len(points) < config.min_points:
-        return f"{len(points)} points after filtering, fewer than {config.min_points}"
+        return f"{len(points)} points, fewer than {config.min_points}"
     company = points[in_company(points)]
     size_m = max(float(np.ptp(column)) for column in company.T)
     if size_m > config.max_box_m:
@@ -198,9 +203,63 @@ def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
     return kept[erode_px : erode_px + mask.shape[0], erode_px : erode_px + mask.shape[1]]
 
 
-def _is_dense(points: NDArray[np.float32], counts: NDArray[np.int64], config: ObserveConfig) -> NDArray[np.bool_]:
-    """Return which voxels have company: the coarse cell of three voxels around them holds enough points."""
-    return sums_of_equal(keys_of_points(points, 3 * config.voxel_m), counts) >= config.min_neighbors
+def _agreeing(
+    depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame, config: ObserveConfig
+) -> NDArray[np.bool_]:
+    """Return the mask without the rim that is of another surface, or of a mixture of two."""
+    edge_px = frame.sensor.edge_px(frame.camera.fx)
+    inner = _eroded(mask, edge_px)
+    law = frame.sensor.law
+    for _ in range(edge_px):
+        inner = _with_agreeing(depth, mask, inner, law, config.agree_sigmas)
+    return inner
+
+
+@numba.njit(cache=True, nogil=True)
+def _with_agreeing(depth, mask, inner, law, sigmas):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return `inner` with the pixels of the mask beside it whose depth is within so many sigmas of a neighbour's."""
+    height, width = mask.shape
+    out = inner.copy()
+    for y in range(height):
+        for x in range(width):
+            z = np.float64(depth[y, x])
+            if not mask[y, x] or inner[y, x] or not z > 0.0:
+                continue
+            gate = sigmas * sigma_at(z, law)
+            for yy in range(max(0, y - 1), min(height, y + 2)):
+                for xx in range(max(0, x - 1), min(width, x + 2)):
+                    if inner[yy, xx] and abs(depth[yy, xx] - z) <= gate:
+                        out[y, x] = True
+    return out
+
+
+def _supported(
+    depth: NDArray[np.float32], inner: NDArray[np.bool_], frame: Frame, config: ObserveConfig
+) -> NDArray[np.bool_]:
+    """Return which of the returns have enough of the same surface around them: in the image, at any distance."""
+    supported: NDArray[np.bool_] = _with_support(
+        depth, inner, frame.sensor.law, config.agree_sigmas, config.min_neighbors
+    )
+    return supported
+
+
+@numba.njit(cache=True, nogil=True)
+def _with_support(depth, inner, law, sigmas, least):  # type: ignore[no-untyped-def] # pragma: no cover
+    height, width = inner.shape
+    out = np.zeros((height, width), dtype=np.bool_)
+    for y in range(height):
+        for x in range(width):
+            z = np.float64(depth[y, x])
+            if not inner[y, x] or not z > 0.0:
+                continue
+            gate = sigmas * sigma_at(z, law)
+            count = -1
+            for yy in range(max(0, y - 2), min(height, y + 3)):
+                for xx in range(max(0, x - 2), min(width, x + 3)):
+                    if inner[yy, xx] and abs(depth[yy, xx] - z) <= gate:
+                        count += 1
+            out[y, x] = count >= least
+    return out
 
 
 def _touches_border(box_px: tuple[int, int, int, int], camera: Camera) -> bool:

@@ -1,14 +1,17 @@
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from perception_scenes import CAMERA, Block, floor, looking, render
 
+from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_points
 from hickory_stream.perception.observe import ObserveConfig, mask_area_of, observe, voxel_means
 from hickory_stream.perception.space import SpaceConfig, observe_space
 from hickory_stream.records import Frame, Segmentation
+from hickory_stream.testing import SceneBox, cast_scene
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 BOX = Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=(190, 40, 40))
@@ -122,3 +125,50 @@ def test_a_voxels_mean_is_that_of_its_points_in_the_order_of_keys(seed, count):
         assert np.allclose(means[i], points[own].mean(axis=0), atol=1e-7)
         assert np.array_equal(shades[i], np.rint(colors[own].mean(axis=0)))
     assert len(means) == len(np.unique(keys))
+
+
+ZED = Camera(width=640, height=480, fx=350.0, fy=350.0, cx=319.5, cy=239.5)
+
+
+def can_at(distance_m):
+    """Return a frame of a can of 10 x 10 x 14 cm so far away, as a stereo camera sees it, and where it shows."""
+    can = SceneBox(low=(distance_m, -0.05, 0.93), high=(distance_m + 0.1, 0.05, 1.07), rgb=(160, 40, 40))
+    wall = SceneBox(low=(distance_m + 0.8, -5.0, 0.0), high=(distance_m + 1.0, 5.0, 4.0), rgb=(220, 220, 210))
+    pose = np.eye(4)
+    pose[:3, :3] = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
+    pose[2, 3] = 1.0
+    rgb, depth_m, shown = cast_scene([can, wall], ZED, pose)
+    config = DepthCameraConfig(dropout_share=0.0)
+    noisy = sensed_depth(depth_m, np.ones_like(depth_m), ZED.fx, config, np.random.default_rng(3))
+    frame = Frame(index=0, stamp_ns=0, rgb=rgb, depth_m=noisy, camera=ZED, world_from_camera=pose)
+    return frame, shown == 1
+
+
+@pytest.mark.parametrize("distance_m", [1.0, 2.0, 3.0, 4.0])
+def test_a_can_is_lifted_as_wide_and_as_tall_as_it_is_at_any_distance(distance_m):
+    frame, mask = can_at(distance_m)
+    segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask)
+    observations, rejected = observe(frame, segmentation, ObserveConfig())
+    assert rejected == ()
+    size = np.ptp(observations[0].points_world, axis=0)
+    # To a pixel on each side and two voxels; edges of stereo images are lost.
+    slack_m = 2 * distance_m / ZED.fx + 0.02
+    assert size[1:] == pytest.approx([0.10, 0.14], abs=slack_m)
+
+
+def test_the_rim_of_a_mask_that_shows_the_wall_behind_is_left_out():
+    frame, mask = can_at(2.0)
+    wide = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8))
+    segmentation = Segmentation(instances=wide.astype(np.int32), structure=wide == 0)
+    points = observe(frame, segmentation, ObserveConfig())[0][0].points_world
+    assert points[:, 0].max() < 2.0 + 5 * float(frame.sensor.sigma_m(np.array([2.0], dtype=np.float32))[0])
+
+
+def test_returns_of_which_no_two_agree_are_no_thing():
+    frame, mask = can_at(2.0)
+    depth = frame.depth_m.copy()
+    depth[mask] = np.random.default_rng(0).uniform(1.0, 4.0, int(mask.sum())).astype(np.float32)
+    segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask)
+    observations, rejected = observe(with_depth(frame, depth), segmentation, ObserveConfig())
+    assert observations == ()
+    assert "sure returns, fewer than 24" in rejected[0].reason
