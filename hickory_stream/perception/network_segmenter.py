@@ -46,6 +46,8 @@ class AffinityConfig(Ranged):
         trees_weight: of the trees' log-odds, where both join.
         near_weight: of the mean log-odds at short distances, where both join.
         far_odds_weight: of those at long distances, where both join.
+        odds_shift: what is added where the network says anything: it was trained to be surer of seams than they are
+            frequent.
         structure_odds: a pixel is structure whatever geometry says where it is no thing by more than this; 8: never.
         thing_odds: a pixel is none where it is a thing by more than this; 8: never.
     """
@@ -53,9 +55,10 @@ class AffinityConfig(Ranged):
     join: Literal["network", "trees", "both"] = "both"
     least_odds: float = number(0.0, -8, 8, "log-odds")
     far_weight: float = number(0.25, 0, 10, "pairs")
-    trees_weight: float = number(1.0, 0, 10, "weight")
-    near_weight: float = number(0.5, 0, 10, "weight")
-    far_odds_weight: float = number(0.25, 0, 10, "weight")
+    trees_weight: float = number(0.65, 0, 10, "weight")
+    near_weight: float = number(0.35, 0, 10, "weight")
+    far_odds_weight: float = number(0.35, 0, 10, "weight")
+    odds_shift: float = number(0.7, -8, 8, "log-odds")
     structure_odds: float = number(8.0, 0, 8, "log-odds")
     thing_odds: float = number(8.0, 0, 8, "log-odds")
 
@@ -125,13 +128,14 @@ def combined(
 ) -> NDArray[np.float64]:
     """Return (K,) the probability that each pair is one thing, by the trees and by the network's odds together.
 
-    Of a pair of which the network says nothing, the trees' log-odds alone are weighed.
+    Where the network says nothing of a pair, the trees decide alone.
     """
     likely = np.clip(by_trees, _SURE, 1 - _SURE)
-    odds = config.trees_weight * (portable.log(likely) - portable.log(1 - likely))
-    odds = odds + config.near_weight * np.nan_to_num(features["odds_near"])
-    odds = odds + config.far_odds_weight * np.nan_to_num(features["odds_far"])
-    return np.asarray(1 / (1 + portable.exp(-odds)))
+    near, far = features["odds_near"], features["odds_far"]
+    says = np.isfinite(near) | np.isfinite(far)
+    odds = config.trees_weight * (portable.log(likely) - portable.log(1 - likely)) + config.odds_shift
+    odds = odds + config.near_weight * np.nan_to_num(near) + config.far_odds_weight * np.nan_to_num(far)
+    return np.where(says, 1 / (1 + portable.exp(-odds)), by_trees)
 
 
 def corrected_structure(structure: NDArray[np.bool_], found: Prepared, config: AffinityConfig) -> NDArray[np.bool_]:

@@ -52,9 +52,10 @@ def test_two_boxes_apart_are_two_instances_however_fragments_are_joined(two_boxe
     assert result.structure[(shown == 0) & (frame.depth_m < 5.5)].mean() > 0.9
 
 
-def test_without_a_word_of_the_network_the_trees_decide_as_they_do_alone(two_boxes):
+def test_with_even_odds_and_the_weight_of_the_trees_alone_both_decide_as_the_trees_do(two_boxes):
     frame, _ = two_boxes
-    ours = NetworkSegmenter(Said(even()), AffinityConfig(join="both"), GeometricConfig()).segment(frame)
+    config = AffinityConfig(join="both", trees_weight=1.0, odds_shift=0.0)
+    ours = NetworkSegmenter(Said(even()), config, GeometricConfig()).segment(frame)
     trees = GeometricSegmenter(GeometricConfig()).segment(frame)
     np.testing.assert_array_equal(ours.instances, trees.instances)
     np.testing.assert_array_equal(ours.structure, trees.structure)
@@ -69,10 +70,10 @@ def test_the_network_alone_joins_whatever_it_is_sure_of(two_boxes):
 
 
 def test_the_odds_of_the_network_move_those_of_the_trees_by_their_weights():
-    config = AffinityConfig(trees_weight=1.0, near_weight=0.5, far_odds_weight=0.25)
+    config = AffinityConfig(trees_weight=0.5, near_weight=0.5, far_odds_weight=0.25, odds_shift=0.5)
     features = {"odds_near": np.array([2.0, np.nan, -2.0]), "odds_far": np.array([4.0, np.nan, np.nan])}
     found = combined(np.array([0.5, 0.8, 0.5]), features, config)
-    assert found == pytest.approx([1 / (1 + np.exp(-2.0)), 0.8, 1 / (1 + np.exp(1.0))])
+    assert found == pytest.approx([1 / (1 + np.exp(-2.5)), 0.8, 1 / (1 + np.exp(0.5))])
 
 
 def test_structure_is_corrected_both_ways_and_only_where_the_network_is_sure(two_boxes):

@@ -1,37 +1,47 @@
 """Ways to come from fragments to masks, compared on the same frames: learned trees, the network, and both.
 
 Frames are those of labelled clouds, of the worlds that may be tuned on, each keyframe with the map as the trees leave
-it, and own rooms that nothing was trained on. Masks are scored as `tools/bench perception` does.
+it, and synthetic rooms that nothing was trained on. Masks are scored as `tools/bench perception` does; `joins` is what
+the truth would make of the same fragments.
 """
 
 from __future__ import annotations
 
+import argparse
+import sys
+import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from hickory_stream.evaluation.ladder import TrueImages
+from hickory_stream.caches import cache_folder
+from hickory_stream.evaluation.ladder import TrueImages, truly_joined
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
+from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.network_segmenter import AffinityConfig, NetworkSegmenter
+from hickory_stream.perception.pixel_network import PixelNetwork
 from hickory_stream.records import Frame
 from tools.benchmarks.first_layer import play_first_layer
 from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
 from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
 from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_masks, total
-from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, Scene, frames_of_scene
+from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, frames_of_scene
+from tools.network_training.scenes import HELD_OUT
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from hickory_stream.records import ObservedSpace
+    from tools.network_training.frames import Scene
 
 MIN_SHARE = 0.002
-_CLEAN = DepthCameraConfig(disparity_sigma_px=0.03, correlation_px=1.6, disparity_step_px=1 / 32)
+_USUAL = DepthCameraConfig(disparity_sigma_px=0.03, correlation_px=1.6, disparity_step_px=1 / 32)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -44,7 +54,71 @@ class Shown:
     truth: NDArray[np.int32]
 
 
-Way = "Callable[[Shown], NDArray[np.int32]]"
+SETS = ("clouds", "home", "bookstore", *(scene.name for scene in HELD_OUT))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Return the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m tools.network_training.compare", description=__doc__)
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=SETS)
+    parser.add_argument("--ways", nargs="+", choices=("trees", "network", "both", "joins"))
+    parser.add_argument("--every", type=int, default=3, help="keyframes of the worlds, one of so many")
+    parser.add_argument("--most", type=int, default=40, help="frames of a set")
+    parser.add_argument("--worlds", type=Path, help="folder of the worlds")
+    parser.add_argument("--clouds", type=Path, help="folder of labelled clouds; by default beside that of the worlds")
+    parser.add_argument("--frames", type=Path, help="folder of rendered frames, as of tools/train_network")
+    parser.add_argument("--network", type=Path, help="a graph other than that of the package")
+    parser.add_argument("--pictures", type=Path, help="folder for a picture of each frame and its masks")
+    options = parser.parse_args(arguments)
+    ways = ways_of(PixelNetwork(options.network))
+    ways = {name: ways[name] for name in options.ways or ways}
+    for name in options.sets:
+        scores: dict[str, list[MaskScore]] = {way: [] for way in ways}
+        spent_s = dict.fromkeys(ways, 0.0)
+        for shown in _frames_of_set(name, options):
+            masks = {}
+            for way, segment in ways.items():
+                started_s = time.process_time()
+                masks[way] = segment(shown)
+                spent_s[way] += time.process_time() - started_s
+                scores[way].append(scored(masks[way], shown))
+            if options.pictures is not None:
+                options.pictures.mkdir(parents=True, exist_ok=True)
+                cv2.imwrite(str(options.pictures / f"{shown.name}.png"), picture(shown, masks)[..., ::-1])
+        for way, of_frames in scores.items():
+            each_ms = 1e3 * spent_s[way] / max(len(of_frames), 1)
+            print(f"{told(f'{name}, {way}', of_frames)}, {each_ms:.0f} ms a frame", flush=True)
+    return 0
+
+
+def ways_of(network: PixelNetwork) -> dict[str, Callable[[Shown], NDArray[np.int32]]]:
+    """Return by name what gives the masks of a frame."""
+    config = GeometricConfig()
+    trees = GeometricSegmenter(config)
+
+    def joined_by(way: str) -> Callable[[Shown], NDArray[np.int32]]:
+        segmenter = NetworkSegmenter(network, AffinityConfig(join="network" if way == "network" else "both"), config)
+        return lambda shown: segmenter.segment(shown.frame, shown.prior).instances
+
+    def by_truth(shown: Shown) -> NDArray[np.int32]:
+        pieces = trees.fragments(shown.frame, shown.prior)
+        return trees.segmentation(shown.frame, pieces, truly_joined(pieces, shown.truth)).instances
+
+    return {
+        "trees": lambda shown: trees.segment(shown.frame, shown.prior).instances,
+        "network": joined_by("network"),
+        "both": joined_by("both"),
+        "joins": by_truth,
+    }
+
+
+def _frames_of_set(name: str, options: argparse.Namespace) -> Iterator[Shown]:
+    if name == "clouds":
+        return of_clouds(options.clouds or worlds_folder(options.worlds).parent / "data" / "mosd")
+    scene = next((scene for scene in HELD_OUT if scene.name == name), None)
+    if scene is None:
+        return of_world(options.worlds, name, options.every, options.most)
+    return of_scene(scene, options.frames or cache_folder("recordings") / "network-frames")
 
 
 def of_clouds(folder: Path) -> Iterator[Shown]:
@@ -71,22 +145,23 @@ def of_world(worlds: Path | None, world: str, every: int, most: int) -> Iterator
         prior = seen.snapshot.submaps[0].observed_space
 
 
-def of_scenes(scenes: Sequence[Scene], folder: Path) -> Iterator[Shown]:
-    """Yield the frames of synthetic scenes as a usual depth camera sees them."""
-    for scene in scenes:
-        rng = np.random.default_rng([scene.seed, 9])
-        for i, true in enumerate(frames_of_scene(scene, folder)):
-            depth = sensed_depth(true.depth_m, true.cosine, true.camera.fx, _CLEAN, rng)
-            frame = Frame(
-                index=i,
-                stamp_ns=0,
-                rgb=true.rgb,
-                depth_m=depth,
-                camera=true.camera,
-                world_from_camera=true.world_from_camera,
-            )
-            assert depth.shape == (HEIGHT_PX, WIDTH_PX)
-            yield Shown(name=f"{scene.name}-{i}", frame=frame, prior=None, truth=true.instances)
+def of_scene(scene: Scene, folder: Path) -> Iterator[Shown]:
+    """Yield the frames of a synthetic scene as a usual depth camera sees them, or as the scene's own does."""
+    rng = np.random.default_rng([scene.seed, 9])
+    for i, true in enumerate(frames_of_scene(scene, folder)):
+        sensed = true.sensed_m
+        if sensed is None:
+            sensed = sensed_depth(true.depth_m, true.cosine, true.camera.fx, _USUAL, rng)
+        frame = Frame(
+            index=i,
+            stamp_ns=0,
+            rgb=true.rgb,
+            depth_m=sensed,
+            camera=true.camera,
+            world_from_camera=true.world_from_camera,
+        )
+        assert sensed.shape == (HEIGHT_PX, WIDTH_PX)
+        yield Shown(name=f"{scene.name}-{i}", frame=frame, prior=None, truth=true.instances)
 
 
 def scored(masks: NDArray[np.int32], shown: Shown) -> MaskScore:
@@ -125,3 +200,7 @@ def painted(rgb: NDArray[np.uint8], masks: NDArray[np.int32]) -> NDArray[np.uint
     grey = np.asarray(rgb).mean(axis=2, keepdims=True)
     mixed = np.where((masks > 0)[..., None], 0.35 * grey + 0.65 * colors[masks], 0.5 * grey)
     return np.asarray(mixed.astype(np.uint8))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -19,7 +19,7 @@ OWN = (
     *(Scene(kind="tabletop", seed=seed, frames=10) for seed in range(350, 366, 2)),
 )
 BROAD = tuple(Scene(kind="clutter-training", seed=seed, frames=48) for seed in range(24))
-STAGES = ((0, 0), (700, 4), (800, 10), (1000, 16), (1300, 24))
+STAGES = ((0, 0), (700, 4), (800, 10), (1000, 16), (1200, 24))
 """From which step so many of the broad scenes are learnt from: it began while they were still being rendered."""
 OWN_SHARE = 0.2
 HELD_OUT = (

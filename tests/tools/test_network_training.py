@@ -1,0 +1,96 @@
+"""The training of the segmenter's network, on a few lessons.
+
+Needs the extra `train` (torch); skipped without. Run: pytest -m reference tests/tools/test_network_training.py
+"""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the extra `train`: pip install -e '.[train]'")
+
+from test_network_lessons import true_frame  # noqa: E402 -- after what is skipped without torch
+
+from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
+from hickory_stream.perception.pixel_network import NUM_OUTPUTS, OFFSETS, THING, PixelNetwork  # noqa: E402
+from tools.network_training.export import export  # noqa: E402
+from tools.network_training.lessons import UNKNOWN, lesson_of  # noqa: E402
+from tools.network_training.model import inputs_of  # noqa: E402
+from tools.network_training.train import Schedule, accuracies, train, truth_of  # noqa: E402
+
+pytestmark = [pytest.mark.reference, pytest.mark.timeout(600)]
+SHORT = Schedule(steps=6, batch=1, rising=2, told_every=100, kept_every=3, precision="float32")
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    checkpoint = tmp_path_factory.mktemp("network") / "net.pt"
+    return train(lambda step, rng: true_frame(), SHORT, checkpoint), checkpoint
+
+
+def test_a_run_that_was_broken_off_ends_as_one_that_was_not(trained, tmp_path):
+    whole, _ = trained
+    broken_off = tmp_path / "net.pt"
+    frame = true_frame()
+
+    def stops(step, rng):
+        if step == 4:
+            raise KeyboardInterrupt
+        return frame
+
+    with pytest.raises(KeyboardInterrupt):
+        train(stops, SHORT, broken_off)
+    assert torch.load(broken_off, weights_only=True)["step"] == 3
+    again = train(lambda step, rng: frame, SHORT, broken_off)
+    for a, b in zip(whole.state_dict().values(), again.state_dict().values(), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+
+
+def test_the_exported_network_is_exact_and_close_to_the_trained_one(trained, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "perception"))
+    from integer_graph import run_in_integers
+
+    net, _ = trained
+    inputs = [lesson_of(true_frame(), np.random.default_rng(seed)).inputs for seed in range(4)]
+    path = tmp_path / "net.onnx"
+    export(net, inputs, path)
+    part = inputs[0][None, :, :64, :96]
+    exported = Network(path, NetworkConfig(provider="cpu", threads=1)).run(part)[0]
+    np.testing.assert_array_equal(exported, run_in_integers(path, part))
+    with torch.no_grad():
+        said = net(inputs_of(part))[0].numpy()
+    assert np.abs((exported[0].astype(float) - 128) / 16 - said).mean() < 0.1
+    PixelNetwork(path)
+
+
+def test_what_is_to_be_said_of_pairs_follows_from_their_labels():
+    labels = torch.full((1, 40, 60), 0, dtype=torch.int32)
+    labels[0, 10:30, 10:30] = 3
+    labels[0, 10:30, 30:50] = 4
+    labels[0, :, 55:] = UNKNOWN
+    true, known = (v[0].numpy() for v in truth_of(labels))
+    assert true.shape == known.shape == (NUM_OUTPUTS, 40, 60)
+    right = OFFSETS.index((0, 1))
+    assert known[right, 15, 15]
+    assert true[right, 15, 15]
+    assert known[right, 15, 29]
+    assert not true[right, 15, 29]
+    # Of two pixels of structure, and of what is not known, nothing is said.
+    assert not known[right, 2, 2]
+    assert not known[right, 2, 54]
+    assert true[THING, 15, 15]
+    assert not true[THING, 2, 2]
+    left_below = OFFSETS.index((9, -9))
+    assert true[left_below, 12, 25]
+    assert known[left_below, 12, 12]
+    assert not true[left_below, 12, 12]
+
+
+def test_it_learns_what_it_is_shown(tmp_path):
+    schedule = dataclasses.replace(SHORT, steps=40, rising=5, rate=4e-3)
+    frame = true_frame()
+    net = train(lambda step, rng: frame, schedule, tmp_path / "net.pt")
+    found = accuracies(net, [lesson_of(frame, np.random.default_rng(seed)) for seed in range(100, 104)])
+    assert found["thing"] > 0.9
