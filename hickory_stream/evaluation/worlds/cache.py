@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 WORLDS_VERSION = 1
 """To be raised by whoever changes what a config gives: older recordings are then made anew."""
-CLUTTER_VERSION = 1
+CLUTTER_VERSION = 2
 """The same for random rooms only."""
 
 

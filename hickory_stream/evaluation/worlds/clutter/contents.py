@@ -120,7 +120,7 @@ def _beside(
 def row(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
     """Return things flush in a row, their fronts in line: books, cartons, files, jars; some rows have gaps."""
     tall = min(place.headroom_m, uniform(rng, 0.1, 0.5))
-    name = one_of(rng, kit.recipes.small)
+    name = one_of(rng, kit.recipes.flat if chance(rng, 0.5) else kit.recipes.small)
     mixed, gap = chance(rng, 0.3), one_of(rng, (0.0, 0.0, 0.001, 0.004, 0.02))
     size, is_level = tall * uniform(rng, 0.6, 1.0), chance(rng, 0.4)
     shared = [kit.skin(rng) for _ in range(count(rng, 1, 3))]
@@ -187,11 +187,8 @@ def stacks(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
     """Return a few stacks: things on one another, each turned and moved a little."""
     things: Things = []
     taken = Taken()
-    flat = [
-        name for name in kit.recipes.small if name in ("carton", "book", "paper_pile", "folded_cloth", "tray", "device")
-    ]
     for _ in range(count(rng, 1, 4)):
-        name = one_of(rng, flat or kit.recipes.small)
+        name = one_of(rng, kit.recipes.flat)
         at, yaw = rng.uniform(-0.9, 0.9, size=2) * place.half_m, uniform(rng, -0.6, 0.6)
         z, last, alike, make = 0.0, np.inf, chance(rng, 0.4), kit.alike(rng, 1)[0]
         for level in range(count(rng, 2, 7)):
@@ -208,8 +205,6 @@ def stacks(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
             things.append((model, pose))
             z += float(high[2]) + REST_M
             last = float((high - low)[:2].max()) * 1.1
-            if not (_is_flat(model) or name in ("book", "paper_pile", "folded_cloth")):
-                break
     return things
 
 
@@ -298,7 +293,8 @@ def leaning_row(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
 
 def pyramid(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
     """Return things of one make in layers, each over the joints of the one below."""
-    model = fitted(kit.alike(rng, 1)[0], (place.half_m[0], 0.5 * place.half_m[1], 0.3 * place.headroom_m))
+    drawn = kit.make(rng, one_of(rng, kit.recipes.flat))
+    model = fitted(drawn, (place.half_m[0], 0.5 * place.half_m[1], 0.3 * place.headroom_m))
     if model is None:
         return []
     low, high = model.bounds_m()

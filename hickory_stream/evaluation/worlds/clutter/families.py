@@ -19,12 +19,13 @@ FAMILIES: tuple[Family, ...] = get_args(Family)
 class Recipes:
     """The names of a family's recipes, by what they make.
 
-    `small` things, `supports` with places for others, `seats`, `bodies` that stand on the floor, `units` that stand
-    flush in rows; `materials`; `contents`: ways of filling a level place; `groups`: arrangements on the floor;
-    `outlines` of rooms.
+    `small` things, and which of them are `flat` enough to be piled; `supports` with places for others, `seats`,
+    `bodies` that stand on the floor, `units` that stand flush in rows; `materials`; `contents`: ways of filling a level
+    place; `groups`: arrangements on the floor; `outlines` of rooms.
     """
 
     small: tuple[str, ...]
+    flat: tuple[str, ...]
     supports: tuple[str, ...]
     seats: tuple[str, ...]
     bodies: tuple[str, ...]
@@ -40,9 +41,11 @@ TABLE: dict[Family, Recipes] = {
         small=(
             "carton", "book", "tin", "turned", "open_vessel", "blob", "superquadric", "composed", "ring", "tray",
             "crate", "pouch", "folded_cloth", "crumpled_cloth", "bent_bar", "wire_rack", "tool", "device", "framed",
-            "sprig", "paper_pile", "usual_mug", "usual_bottle", "usual_can", "usual_cereal_box", "usual_small_box",
+            "sprig", "paper_pile", "wire_basket", "sleeve", "bent_panel",
+            "usual_mug", "usual_bottle", "usual_can", "usual_cereal_box", "usual_small_box",
             "usual_monitor", "usual_squeeze_bottle", "usual_vase", "usual_ball", "usual_cushion",
         ),
+        flat=("carton", "book", "paper_pile", "folded_cloth", "device"),
         supports=(
             "table", "round_table", "cabinet", "counter", "shelf", "rack", "pallet", "bed", "sofa", "usual_desk",
             "usual_shelf", "usual_dresser", "usual_coffee_table",
@@ -60,29 +63,31 @@ TABLE: dict[Family, Recipes] = {
         contents=("spread", "touching", "row", "same", "stacks", "heap", "cloth_and_things"),
         groups=(
             "flush_row", "filled_support", "table_with_seats", "floor_heap", "floor_stacks", "floor_spread",
-            "carton_wall", "solitary", "leaning",
+            "carton_wall", "solitary", "leaning", "clothes_rail", "wall_boards",
         ),
         outlines=("rectangle", "l_shape", "cut_corner", "skewed"),
     ),
     "tuning": Recipes(
         small=(
-            "goblet", "star_prism", "wedge", "usual_kettle", "usual_jar", "usual_toy_car", "usual_packet",
-            "usual_laptop",
+            "ribbed_pack", "binder", "goblet", "star_prism", "wedge", "usual_kettle", "usual_jar", "usual_toy_car",
+            "usual_packet", "usual_laptop",
         ),
+        flat=("ribbed_pack", "binder", "usual_packet"),
         supports=("trestle", "cube_shelf", "usual_table", "usual_nightstand"),
         seats=("shell_chair", "usual_bench"),
         bodies=("ladder", "usual_plant", "usual_basket"),
         units=("tower",),
         materials=("lacquered", "veneer", "brushed", "checked", "tiled"),
         contents=("ring_of_things", "leaning_row"),
-        groups=("back_to_back", "corner_pile"),
+        groups=("back_to_back", "corner_pile", "curtained"),
         outlines=("octagon",),
     ),
     "reporting": Recipes(
         small=(
-            "spool", "lattice_cube", "coil", "arch", "usual_bowl", "usual_carton", "usual_pot", "usual_pan",
-            "usual_table_lamp", "usual_clock",
+            "lidded_case", "slab", "grating", "spool", "lattice_cube", "coil", "arch", "usual_bowl", "usual_carton",
+            "usual_pot", "usual_pan", "usual_table_lamp", "usual_clock",
         ),
+        flat=("lidded_case", "slab"),
         supports=("ladder_shelf", "trolley", "usual_bed"),
         seats=("usual_office_chair",),
         bodies=("usual_speaker", "tent"),

@@ -332,11 +332,13 @@ def _pictures(
 ) -> list[tuple[str, list[Part]]]:
     """Return flat things fixed to the wall, which are no things: pictures, a clock, panels."""
     pieces: list[tuple[str, list[Part]]] = []
+    taken = [(o.low_y, o.high_y) for o in openings]
     for _ in range(count(rng, 0, 2) if half > 0.4 else 0):
         wide, high, thick = uniform(rng, 0.2, min(1.2, half)), uniform(rng, 0.2, 0.9), uniform(rng, 0.008, 0.025)
         y = uniform(rng, -1, 1) * max(half - wide / 2 - 0.05, 0.0)
-        if any(o.low_y - 0.05 < y + wide / 2 and y - wide / 2 < o.high_y + 0.05 for o in openings):
+        if any(low - 0.05 < y + wide / 2 and y - wide / 2 < high_y + 0.05 for low, high_y in taken):
             continue
+        taken.append((y - wide / 2, y + wide / 2))
         pieces.append(
             ("picture", [block((thick, wide, high), kit.skin(rng), at=(thick / 2, y, uniform(rng, 1.4, 1.8)))])
         )

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.evaluation.worlds.clutter.cloths import curtain, hung_cloth, rail, tablecloth
 from hickory_stream.evaluation.worlds.clutter.contents import CONTENTS, Place
 from hickory_stream.evaluation.worlds.clutter.draws import about_y, chance, count, one_of, uniform
 from hickory_stream.evaluation.worlds.clutter.footprints import Taken, corners_of, do_overlap
 from hickory_stream.evaluation.worlds.clutter.heaps import heap
 from hickory_stream.evaluation.worlds.clutter.kit import SHAPES
-from hickory_stream.evaluation.worlds.clutter.solids import stretched
+from hickory_stream.evaluation.worlds.clutter.solids import block, stretched
+from hickory_stream.evaluation.worlds.parts import Model, Surface
 from hickory_stream.evaluation.worlds.placing import REST_M
 from hickory_stream.evaluation.worlds.scene import Placement, at_place, part_boxes, shared_volume_m3
 from hickory_stream.geometry.rigid import from_rotation_translation
@@ -26,7 +28,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.worlds.clutter.kit import Kit
-    from hickory_stream.evaluation.worlds.parts import Model, Surface
+    from hickory_stream.evaluation.worlds.clutter.materials import Skin
+
+
+# Above an open top one reaches from everywhere: a cloth can hang down its sides.
+_OPEN_M = 0.9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -38,7 +44,13 @@ class Group:
 
     def corners(self) -> NDArray[np.float64]:
         """Return the (4, 2) corners of the rectangle that all of it takes."""
-        points = np.concatenate([corners_of(one.model, one.world_from_object) for one in self.placed])
+        points = np.concatenate(
+            [
+                part.vertices @ one.world_from_object[:2, :3].T + one.world_from_object[:2, 3]
+                for one in self.placed
+                for part in one.model.parts
+            ]
+        )
         (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
         return np.array([[x1, y1], [x0, y1], [x0, y0], [x1, y0]])
 
@@ -104,7 +116,31 @@ def flush_row(rng: np.random.Generator, kit: Kit) -> Group:
         low, top = model.bounds_m()
         units.append(_backed(model, y - float(low[1]), uniform(rng, 0.0, 0.01)))
         y += float(top[1] - low[1]) + gap
+    low_z = uniform(rng, 1.35, 1.6)
+    if chance(rng, 0.5) and all(unit.model.bounds_m()[1, 2] < low_z for unit in units):
+        units = [replace(unit, model=_under(unit.model, low_z)) for unit in units]
+        units += _overhead(rng, kit, y, low_z, (lambda _: skin) if alike else kit.skin)
     return Group(placed=(*units, *(thing for unit in units for thing in filled(rng, kit, unit, 0.5))), is_at_wall=True)
+
+
+def _under(model: Model, low_z: float) -> Model:
+    """Return a model on which things end below a height."""
+    surfaces = tuple(replace(s, headroom_m=min(s.headroom_m, low_z - s.center_m[2] - 0.02)) for s in model.surfaces)
+    return replace(model, surfaces=surfaces)
+
+
+def _overhead(rng: np.random.Generator, kit: Kit, length: float, low_z: float, skin: Skin) -> list[Placement]:
+    """Return a flush row of units that hang on the wall above another row."""
+    depth, high = uniform(rng, 0.25, 0.42), uniform(rng, 0.3, 0.75)
+    units, y = [], uniform(rng, 0.0, 0.5)
+    while y < length - 0.3:
+        model = SHAPES[one_of(rng, kit.recipes.units)](rng, skin)
+        size = np.ptp(model.bounds_m(), axis=0)
+        model = replace(stretched(model, (depth / size[0], 1.0, high / size[2])), surfaces=())
+        low, top = model.bounds_m()
+        units.append(_at(model, 0.001 - float(low[0]), y - float(low[1]), 0.0, low_z))
+        y += float(top[1] - low[1]) + 0.001
+    return units
 
 
 def filled_support(rng: np.random.Generator, kit: Kit) -> Group:
@@ -137,7 +173,64 @@ def table_with_seats(rng: np.random.Generator, kit: Kit) -> Group:
             if _is_clear(one, [support, *seats]):
                 seats.append(one)
                 break
-    return Group(placed=(support, *seats, *filled(rng, kit, support)), is_at_wall=False)
+    things = filled(rng, kit, support)
+    if len(support.model.surfaces) == 1 and support.model.surfaces[0].headroom_m >= _OPEN_M and chance(rng, 0.3):
+        things = _on_cloth(rng, kit, support, things)
+    return Group(placed=(support, *seats, *things), is_at_wall=False)
+
+
+def _on_cloth(rng: np.random.Generator, kit: Kit, support: Placement, things: Sequence[Placement]) -> list[Placement]:
+    """Return a cloth over a support and, raised by its thickness, the things on it."""
+    surface = support.model.surfaces[0]
+    half = np.asarray(surface.half_m) + 0.012
+    fall = min(uniform(rng, 0.05, 0.35), 0.9 * surface.center_m[2])
+    cloth = tablecloth(rng, (float(half[0]), float(half[1])), fall, kit.skin(rng))
+    x, y, z = surface.center_m
+    world_from_cloth = support.world_from_object @ at_place(x, y, z + REST_M, 0.0)
+    lift = at_place(0.0, 0.0, float(cloth.bounds_m()[1, 2]) + REST_M, 0.0)
+    lifted = [replace(one, world_from_object=lift @ one.world_from_object) for one in things]
+    return [Placement(model=cloth, world_from_object=world_from_cloth), *lifted]
+
+
+def clothes_rail(rng: np.random.Generator, kit: Kit) -> Group:
+    """Return a rail with cloths that hang over it side by side, some touching."""
+    length, height = uniform(rng, 0.6, 1.6), uniform(rng, 0.7, 1.6)
+    frame = Model(kind="rail", parts=rail(rng, length, height, kit.skin(rng)))
+    placed, y = [_at(frame, 0.0, 0.0)], -length / 2 + 0.03
+    while y < length / 2 - 0.15:
+        width = min(uniform(rng, 0.12, 0.6), length / 2 - 0.03 - y)
+        falls = (uniform(rng, 0.15, 0.9) * (height - 0.1), uniform(rng, 0.1, 0.9) * (height - 0.1))
+        cloth = hung_cloth(rng, width, falls, kit.skin(rng))
+        placed.append(_at(cloth, 0.0, y + width / 2, 0.0, height + 0.01))
+        y += width + uniform(rng, 0.0, 0.2)
+    return _pulled(placed, is_at_wall=chance(rng, 0.6))
+
+
+def wall_boards(rng: np.random.Generator, kit: Kit) -> Group:
+    """Return boards fixed to the wall, one above the other, with things on them."""
+    depth, length, thick = uniform(rng, 0.12, 0.35), uniform(rng, 0.4, 1.8), uniform(rng, 0.015, 0.05)
+    skin, gap, placed = kit.skin(rng), uniform(rng, 0.25, 0.45), []
+    for i in range(count(rng, 1, 3)):
+        board = block((depth, length, thick), skin, at=(0, 0, thick / 2))
+        top = Surface(
+            center_m=(0.0, 0.0, thick), half_m=(depth / 2 - 0.005, length / 2 - 0.01), headroom_m=gap - thick - 0.01
+        )
+        one = _at(Model(kind="board", parts=(board,), surfaces=(top,)), depth / 2 + 0.001, 0.0, 0.0, 0.7 + i * gap)
+        placed += [one, *filled(rng, kit, one)]
+    return Group(placed=tuple(placed), is_at_wall=True)
+
+
+def curtained(rng: np.random.Generator, kit: Kit) -> Group:
+    """Return one or two curtains before a wall, a body between or beside them."""
+    skin, placed, y = kit.skin(rng), [], 0.0
+    for _ in range(count(rng, 1, 2)):
+        width, height = uniform(rng, 0.3, 1.2), uniform(rng, 1.2, 2.1)
+        placed.append(_at(curtain(rng, (width, height), skin), 0.09, y + width / 2, 0.0, uniform(rng, 0.005, 0.08)))
+        y += width + uniform(rng, 0.02, 0.6)
+    if chance(rng, 0.5):
+        body = kit.make(rng, one_of(rng, kit.recipes.bodies))
+        placed.append(_at(body, 0.18 - float(body.bounds_m()[0, 0]), y * uniform(rng, 0.2, 0.8)))
+    return Group(placed=tuple(placed), is_at_wall=True)
 
 
 def _is_clear(one: Placement, others: Sequence[Placement]) -> bool:
@@ -154,7 +247,7 @@ def floor_heap(rng: np.random.Generator, kit: Kit) -> Group:
     number, most = count(rng, 5, 16), uniform(rng, 0.15, 0.6)
     drawn = kit.alike(rng, number) if chance(rng, 0.3) else [kit.small(rng) for _ in range(number)]
     grown = [_grown(model, uniform(rng, 0.4, 1.0) * most) for model in drawn]
-    half = uniform(rng, 0.15, 0.6)
+    half = max(uniform(rng, 0.2, 0.7), 0.8 * most)
     placed = [
         Placement(model=m, world_from_object=pose)
         for m, pose in heap(rng, grown, (half, half * uniform(rng, 0.5, 1.5)))
@@ -325,7 +418,7 @@ GROUPS: dict[str, Callable[[np.random.Generator, Kit], Group]] = {
     f.__name__: f
     for f in (
         flush_row, filled_support, table_with_seats, floor_heap, floor_stacks, floor_spread, carton_wall, solitary,
-        leaning, back_to_back, corner_pile, island, aisle,
+        leaning, clothes_rail, wall_boards, curtained, back_to_back, corner_pile, island, aisle,
     )
 }  # fmt: skip
 """The arrangements by name."""

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.worlds.parts import Model
 
 _CELLS = 96
-_SAMPLES = 700
-_TRIES, _TIPS = 5, 9
-_TIP_RAD = 0.09
+_SAMPLES = 400
+_TRIES, _TIPS = 4, 8
+_TIP_RAD = 0.1
 _CONTACT_M = 0.004
 
 
@@ -67,7 +67,7 @@ def _samples(model: Model, rng: np.random.Generator) -> NDArray[np.float64]:
     fold = u + v > 1
     u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
     on = chosen[:, 0] + u * (chosen[:, 1] - chosen[:, 0]) + v * (chosen[:, 2] - chosen[:, 0])
-    some = vertices[:: max(1, len(vertices) // 300)].astype(np.float64)
+    some = vertices[:: max(1, len(vertices) // 150)].astype(np.float64)
     points = np.concatenate([on, some])
     return points
 

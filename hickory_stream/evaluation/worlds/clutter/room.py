@@ -47,7 +47,7 @@ def clutter_room(seed: int, family: str, index: int = 0) -> ClutterRoom:
     x0, y0, x1, y1 = plan.bounds_m
     taken = list(plan.taken)
     placed: list[Placement] = []
-    crowd = uniform(rng, 0.3, 1.3)
+    crowd = uniform(rng, 0.4, 1.5)
     for _ in range(int(6 + crowd * 0.7 * (x1 - x0) * (y1 - y0))):
         group = GROUPS[one_of(rng, kit.recipes.groups)](rng, kit)
         world_from_group = _place_for(rng, plan, group, taken)

@@ -448,12 +448,122 @@ def arch(rng: np.random.Generator, skin: Skin) -> Model:
     return grounded("arch", [sweep(outline, path, skin(rng))])
 
 
+def wire_basket(rng: np.random.Generator, skin: Skin) -> Model:
+    """Return a basket of wires or straps: one looks through all of its sides, and things lie in it."""
+    x, y, z = uniform(rng, 0.15, 0.45), uniform(rng, 0.15, 0.45), uniform(rng, 0.08, 0.3)
+    wire, metal, pitch = uniform(rng, 0.0015, 0.006), skin(rng), uniform(rng, 0.025, 0.07)
+    lean = uniform(rng, 1.0, 1.2)
+    parts = []
+    for h in (*np.arange(wire, z - pitch / 2, pitch), z):
+        grow = 1.0 + (lean - 1.0) * h / z
+        parts += _frame((x * grow, y * grow), float(h), 1.4 * wire if h == z else wire, metal)
+    for axis, (long, wide) in enumerate(((x, y), (y, x))):
+        for at in np.arange(-long / 2 + pitch, long / 2 - pitch / 2, pitch):
+            ends = [np.array([at, s * wide / 2]) for s in (-1, 1)]
+            path = [[*(ends[0] * lean), z], [*ends[0], wire], [*(ends[0] + ends[1]) / 2, wire], [*ends[1], wire]]
+            path.append([*(ends[1] * lean), z])
+            turned = [p if axis == 0 else [p[1], p[0], p[2]] for p in path]
+            parts.append(sweep(regular(5, wire), turned, metal))
+    model = grounded("wire_basket", parts)
+    floor = Surface(center_m=(0.0, 0.0, 2.5 * wire), half_m=(x / 2 - 0.02, y / 2 - 0.02), headroom_m=2 * z)
+    return Model(kind=model.kind, parts=model.parts, surfaces=(floor,))
+
+
+def _frame(size: tuple[float, float], z: float, wire: float, texture: Texture) -> list[Part]:
+    """Return the four sides of a level rectangle as bars."""
+    x, y = size
+    parts = [block((2 * wire, y, 2 * wire), texture, at=(s * x / 2, 0, z), radius_m=0.5 * wire) for s in (-1, 1)]
+    parts += [block((x, 2 * wire, 2 * wire), texture, at=(0, s * y / 2, z), radius_m=0.5 * wire) for s in (-1, 1)]
+    return parts
+
+
+def sleeve(rng: np.random.Generator, skin: Skin) -> Model:
+    """Return a tube that is open at both ends, standing or lying: rolls, rings, pieces of pipe."""
+    radius, height = log_uniform(rng, 0.025, 0.12), log_uniform(rng, 0.02, 0.35)
+    wall = radius * uniform(rng, 0.08, 0.6)
+    ring = torus(1.0, 0.5, skin(rng), segments=(32, 4))
+    # The four corners of the section, from the ring's round one.
+    section = np.array([[radius, height], [radius - wall, height], [radius - wall, 0.0], [radius, 0.0]])
+    turn = np.arctan2(ring.vertices[:, 1], ring.vertices[:, 0])
+    corner = section[np.arange(len(turn)) % 4]
+    vertices = np.stack([np.cos(turn) * corner[:, 0], np.sin(turn) * corner[:, 0], corner[:, 1]], axis=1)
+    part = Part(vertices=vertices, faces=ring.faces, texture=ring.texture)
+    lies = about_x(np.pi / 2) if chance(rng, 0.4) else np.eye(3)
+    return grounded("sleeve", [part.moved((0, 0, 0), lies)])
+
+
+def bent_panel(rng: np.random.Generator, skin: Skin) -> Model:
+    """Return a thin panel bent about a line, standing on its rim or lying as a bridge: shells, folders, scales."""
+    radius, width, turn = log_uniform(rng, 0.05, 0.25), uniform(rng, 0.08, 0.4), uniform(rng, 0.6, 2.8)
+    s, t = np.meshgrid(np.linspace(-turn / 2, turn / 2, 15), np.linspace(-0.5, 0.5, 7), indexing="ij")
+    points = np.stack([radius * np.sin(s), t * width, radius * np.cos(s)], axis=-1)
+    part = sheet(points, uniform(rng, 0.003, 0.012), skin(rng))
+    return grounded("bent_panel", [part.moved((0, 0, 0), about_x(np.pi / 2) if chance(rng, 0.5) else np.eye(3))])
+
+
+def ribbed_pack(rng: np.random.Generator, skin: Skin) -> Model:
+    """Return a pack of equal pieces under one wrapping: a box with rounded ribs."""
+    pieces, x, y, z = count(rng, 2, 6), uniform(rng, 0.06, 0.2), uniform(rng, 0.03, 0.08), uniform(rng, 0.06, 0.25)
+    wrap = skin(rng)
+    parts = [
+        block((x, y * 1.04, z), wrap, at=(0, (i - (pieces - 1) / 2) * y, z / 2), radius_m=0.3 * y)
+        for i in range(pieces)
+    ]
+    parts.append(block((x * 1.01, y * pieces * 0.8, z * 0.4), skin(rng), at=(0, 0, z / 2)))
+    top = Surface(center_m=(0.0, 0.0, z), half_m=(x / 2, y * pieces / 2))
+    return Model(kind="ribbed_pack", parts=tuple(parts), surfaces=(top,))
+
+
+def binder(rng: np.random.Generator, skin: Skin) -> Model:
+    """Return a standing binder or magazine holder, open behind and above."""
+    x, y, z, wall = uniform(rng, 0.2, 0.3), uniform(rng, 0.05, 0.11), uniform(rng, 0.22, 0.34), 0.004
+    cover = skin(rng)
+    parts = [block((wall, y, z), cover, at=((x - wall) / 2, 0, z / 2)), block((x, y, wall), cover, at=(0, 0, wall / 2))]
+    parts += [block((x, wall, z), cover, at=(0, s * (y - wall) / 2, z / 2)) for s in (-1, 1)]
+    parts.append(block((x * 0.9, y * uniform(rng, 0.3, 0.85), z * 0.92), skin(rng), at=(-0.01, 0, z * 0.46 + wall)))
+    return grounded("binder", parts)
+
+
+def lidded_case(rng: np.random.Generator, skin: Skin) -> Model:
+    """Return a case with a lid that stands out and grips at its ends."""
+    x, y, z = uniform(rng, 0.1, 0.45), uniform(rng, 0.12, 0.5), uniform(rng, 0.06, 0.3)
+    lid, lip = z * uniform(rng, 0.12, 0.35), uniform(rng, 0.004, 0.015)
+    cover = skin(rng)
+    parts = [
+        block((x, y, z - lid / 2), skin(rng), at=(0, 0, (z - lid / 2) / 2)),
+        block((x + 2 * lip, y + 2 * lip, lid), cover, at=(0, 0, z - lid / 2), radius_m=0.006),
+    ]
+    parts += [block((0.3 * x, 0.02, 0.02), cover, at=(0, s * (y / 2 + 0.008), 0.5 * z)) for s in (-1, 1)]
+    top = Surface(center_m=(0.0, 0.0, z), half_m=(x / 2, y / 2))
+    return Model(kind="lidded_case", parts=tuple(parts), surfaces=(top,))
+
+
+def slab(rng: np.random.Generator, skin: Skin) -> Model:
+    """Return a flat piece with rounded corners: tablets, boards, bars."""
+    semi = (uniform(rng, 0.06, 0.18), uniform(rng, 0.04, 0.14), uniform(rng, 0.005, 0.025))
+    part = superellipsoid(semi, (0.15, uniform(rng, 0.15, 0.6)), skin(rng))
+    top = Surface(center_m=(0.0, 0.0, 2 * semi[2]), half_m=(0.7 * semi[0], 0.7 * semi[1]))
+    return Model(kind="slab", parts=grounded("slab", [part]).parts, surfaces=(top,))
+
+
+def grating(rng: np.random.Generator, skin: Skin) -> Model:
+    """Return a perforated plate, bars across bars, upright on two feet or lying."""
+    y, z, pitch = uniform(rng, 0.12, 0.4), uniform(rng, 0.12, 0.35), uniform(rng, 0.02, 0.05)
+    bar, metal = pitch * uniform(rng, 0.15, 0.5), skin(rng)
+    parts = [block((0.006, bar, z), metal, at=(0, v, z / 2), radius_m=0.001) for v in np.arange(-y / 2, y / 2, pitch)]
+    parts += [block((0.006, y, bar), metal, at=(0, 0, h), radius_m=0.001) for h in np.arange(bar, z, pitch)]
+    if chance(rng, 0.5):
+        return grounded("grating", [part.moved((0, 0, 0), about_y(np.pi / 2)) for part in parts])
+    parts += [block((0.08, 0.02, 0.012), metal, at=(0, s * 0.35 * y, 0.006)) for s in (-1, 1)]
+    return grounded("grating", parts)
+
+
 SMALL_SHAPES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
     f.__name__: f
     for f in (
         carton, book, tin, turned, open_vessel, blob, superquadric, composed, ring, tray, crate, pouch, folded_cloth,
         crumpled_cloth, bent_bar, wire_rack, tool, device, framed, sprig, paper_pile, goblet, star_prism, wedge, spool,
-        lattice_cube, coil, arch,
+        lattice_cube, coil, arch, wire_basket, sleeve, bent_panel, ribbed_pack, binder, lidded_case, slab, grating,
     )
 }  # fmt: skip
 """The recipes of small things by name."""

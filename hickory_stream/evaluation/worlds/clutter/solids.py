@@ -54,7 +54,7 @@ def cylinder(
     *,
     top_radius_m: float | None = None,
     at: Sequence[float] = (0.0, 0.0, 0.0),
-    segments: int = 24,
+    segments: int = 32,
 ) -> Part:
     """Return a standing cylinder or a blunt cone with its base at `at`; few segments give a prism."""
     top = radius_m if top_radius_m is None else max(top_radius_m, 1e-4)
@@ -62,7 +62,7 @@ def cylinder(
 
 
 def torus(
-    ring_m: float, bar_m: float, texture: Texture, *, flat: float = 1.0, segments: tuple[int, int] = (28, 10)
+    ring_m: float, bar_m: float, texture: Texture, *, flat: float = 1.0, segments: tuple[int, int] = (36, 14)
 ) -> Part:
     """Return a ring about z, its middle at the origin; `flat` scales the bar's height."""
     around = 2 * np.pi * np.arange(segments[0]) / segments[0]
@@ -83,8 +83,8 @@ def superellipsoid(
     exponents: tuple[float, float],
     texture: Texture,
     *,
-    rings: int = 15,
-    around: int = 28,
+    rings: int = 21,
+    around: int = 40,
 ) -> Part:
     """Return a superellipsoid about the origin: exponents 0.1 is a box, 1 an ellipsoid, 2 a double pyramid."""
     polar = np.linspace(-np.pi / 2, np.pi / 2, rings)

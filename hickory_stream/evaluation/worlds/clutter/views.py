@@ -32,19 +32,20 @@ def random_view(
     """
     if not room.world.objects:
         return None
-    least = 1 if chance(rng, 0.15) else 3
+    least = 1 if chance(rng, 0.1) else 3
+    covered = uniform(rng, 0.03, 0.4)
     small = camera.scaled(_PROBE_PX / camera.width)
     for _ in range(_DRAWS):
         pose = _at_something(rng, room) if chance(rng, 0.75) else _anywhere(rng, room)
-        if is_inside(pose[None, :2, 3], room.plan.outline_m)[0] and _shows(renderer.probe(small, pose), least):
+        if is_inside(pose[None, :2, 3], room.plan.outline_m)[0] and _shows(renderer.probe(small, pose), least, covered):
             return pose
     return None
 
 
-def _shows(probe: Probe, least: int) -> bool:
-    """Return whether a view is from free space, neither too near nor empty."""
+def _shows(probe: Probe, least: int, covered: float) -> bool:
+    """Return whether a view is from free space, not too near, and has so many things on such a share of it."""
     near = float((probe.depth_m < 0.25).mean())
-    ids, counts = np.unique(probe.instances[probe.instances > 0], return_counts=True)
+    counts = np.unique(probe.instances[probe.instances > 0], return_counts=True)[1]
     shares = counts / len(probe.instances)
     return (
         near < 0.03
@@ -52,7 +53,7 @@ def _shows(probe: Probe, least: int) -> bool:
         and 0.45 < float(np.median(probe.depth_m)) < 7.0
         and int((shares > 0.003).sum()) >= least
         and float(shares.max(initial=0.0)) < 0.65
-        and len(ids) >= least
+        and float(shares.sum()) >= covered
     )
 
 
@@ -62,7 +63,7 @@ def _at_something(rng: np.random.Generator, room: ClutterRoom) -> NDArray[np.flo
     low, high = item.model.bounds_m()
     center = (item.world_from_object @ [*((low + high) / 2), 1.0])[:3]
     size = float(np.linalg.norm(high - low))
-    turn, away = uniform(rng, 0, 2 * np.pi), log_uniform(rng, 0.45, 3.0) + 0.5 * size
+    turn, away = uniform(rng, 0, 2 * np.pi), log_uniform(rng, 0.4, 2.6) + 0.45 * size
     eye = np.array([center[0] + away * np.cos(turn), center[1] + away * np.sin(turn), uniform(rng, _LOW_M, _HIGH_M)])
     to = center - eye
     yaw = float(np.arctan2(to[1], to[0])) + float(rng.normal(0, 0.2))
