@@ -23,6 +23,7 @@ from hickory_stream.ranges import Ranged, number, ranges_of
 from hickory_stream.shapes.build import ShapeConfig
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 T = TypeVar("T")
@@ -127,6 +128,26 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
         raise ConfigError(f"{where}{error}") from error
     except ValueError as error:
         raise ConfigError(f"configuration {where.rstrip('.') or 'of the mapper'}: {error}") from error
+
+
+def as_far_as_known(kind: type[T], data: Mapping[str, Any]) -> T:
+    """Return the configuration that another version wrote, as far as this one knows it; the rest has its defaults."""
+    values: dict[str, Any] = {}
+    for name, hint in get_type_hints(kind).items():
+        if name not in data:
+            continue
+        value = data[name]
+        if dataclasses.is_dataclass(hint) and isinstance(value, dict):
+            values[name] = as_far_as_known(hint, value)  # type: ignore[arg-type]
+            continue
+        try:
+            values[name] = _converted(hint, value, name)
+        except ConfigError:
+            pass  # it means something else there
+    try:
+        return kind(**values)
+    except ValueError:
+        return kind()
 
 
 def to_toml(config: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import shutil
 from dataclasses import replace
@@ -229,6 +230,26 @@ def test_what_no_keyframe_shows_is_missed_for_that_and_what_is_found_is_said_to_
     assert "expected the id of a true object" in explain.refusal(short_map, "--truth", demo_truth, "--object", 999)
 
 
+def test_the_page_of_an_evaluation_says_why_of_every_missed_and_every_false_object(
+    short_map: Path, demo_truth: Path, tmp_path: Path, explain: Explain
+) -> None:
+    why = explain.json(short_map, "--truth", demo_truth)
+    assert main(["evaluate", str(short_map), "--truth", str(demo_truth), "--html", str(tmp_path / "page.html")]) == 0
+    page = html.unescape((tmp_path / "page.html").read_text())
+    assert f"<h3>{len(why['missed'])} of {why['num_truth']} true objects that count are missed" in page
+    for item in why["reasons"]:
+        assert f"<td class=n>{item['count']} of {len(why['missed'])}</td>" in page
+        assert f"<td>{item['reason']}</td><td class=soft>{MISS_REASONS[item['reason']]}</td>" in page
+    for missed in why["missed"]:
+        assert f"<span>missed: {missed['reason']}</span>" in page
+        assert f"<p class=why>{missed['text']}</p>" in page
+        if missed["best_frame"] is not None:
+            assert f"<figcaption>frame {missed['best_frame']}</figcaption>" in page
+    for false in why["false"]:
+        assert f"<b>object #{false['map_id']}</b><span>{false['origin']}</span>" in page
+        assert f"<p class=why>{false['text']}</p>" in page
+
+
 def test_an_older_journal_gives_the_same_reasons(
     short_map: Path, older: Path, demo_truth: Path, explain: Explain
 ) -> None:
@@ -237,6 +258,16 @@ def test_an_older_journal_gives_the_same_reasons(
     reasons = [{m["truth_id"]: m["reason"] for m in why["missed"]} for why in (now, then)]
     assert reasons[0] == reasons[1]
     assert now["origins"] == then["origins"]
+
+
+def test_a_configuration_of_another_version_is_no_hindrance(short_map: Path, tmp_path: Path, explain: Explain) -> None:
+    copy = tmp_path / "map"
+    shutil.copytree(short_map, copy)
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["config"]["mapping"]["lifecycle"]["colour_of_the_moon"] = 3
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    point = "--point=0.5,0.5,0.5"
+    assert explain.json(copy, point) == explain.json(short_map, point)
 
 
 def test_a_run_that_was_killed_is_explained_as_far_as_it_came(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from hickory_stream.config import MapperConfig, RunConfig, from_dict, read_config, to_toml
+from hickory_stream.config import MapperConfig, RunConfig, as_far_as_known, from_dict, read_config, to_toml
 from hickory_stream.errors import ConfigError
 from hickory_stream.ranges import ranges_of
 from hickory_stream.settings import Settings
@@ -213,3 +213,16 @@ def test_the_python_api_takes_the_mappers_sections_alone(file: Path) -> None:
 def test_a_configuration_is_read_again_as_a_manifest_has_it() -> None:
     config = MapperConfig()
     assert from_dict(MapperConfig, json.loads(json.dumps(dataclasses.asdict(config)))) == config
+
+
+def test_what_another_version_wrote_is_read_as_far_as_it_is_known() -> None:
+    data = json.loads(json.dumps(dataclasses.asdict(MapperConfig())))
+    data["mapping"]["lifecycle"]["confirm_sightings"] = 7
+    data["mapping"]["lifecycle"]["colour_of_the_moon"] = 3
+    data["mapping"]["space_voxel_m"] = "coarse"
+    data["run"]["workers"] = -5
+    del data["perception"]
+    found = as_far_as_known(MapperConfig, data)
+    assert found.mapping.lifecycle.confirm_sightings == 7
+    assert found.mapping.space_voxel_m == MapperConfig().mapping.space_voxel_m
+    assert (found.run, found.perception) == (RunConfig(), MapperConfig().perception)

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.config import MapperConfig, as_far_as_known
 from hickory_stream.engine.history import Replay
 from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.resume import recorded_config
+from hickory_stream.engine.manifest import read_manifest
 from hickory_stream.engine.session import open_map
 from hickory_stream.engine.step import StepKind, Told
 from hickory_stream.events import FrameObserved
@@ -69,7 +70,7 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
     """
     places = {submap.id: submap.world_from_submap for submap in final.submaps}
     with Journal(path) as journal:
-        for entry, told in _told(journal, recorded_config(path).mapping):
+        for entry, told in _told(journal, told_config(path).mapping):
             observed = next((event for event in entry.events if isinstance(event, FrameObserved)), None)
             keyframe: RecordedKeyframe | None = None
             if observed is not None and entry.step.kind is StepKind.KEYFRAME:
@@ -80,6 +81,17 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
                     map_from_odometry=places.get(told.submap_id, np.eye(4)),
                 )
             yield RecordedStep(keyframe=keyframe, decisions=told.decisions)
+
+
+def told_config(path: Path) -> MapperConfig:
+    """Return the configuration that a map was made with, as far as this version knows it.
+
+    What is told needs little of it, unlike what is to be continued or repeated: `recorded_config` refuses.
+
+    Raises:
+        MapFolderError: there is no map.
+    """
+    return as_far_as_known(MapperConfig, read_manifest(path).config)
 
 
 def final_snapshot(path: Path) -> MapSnapshot:
@@ -94,7 +106,7 @@ def final_snapshot(path: Path) -> MapSnapshot:
     with Journal(path) as journal:
         if len(journal) == 0:
             return saved.snapshot
-        replay = Replay(journal, recorded_config(path).mapping)
+        replay = Replay(journal, told_config(path).mapping)
         replay.seek(len(journal) - 1)
         return replay.snapshot()
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
+from hickory_stream.evaluation.miss_reasons import MISS_REASONS
+
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
 
-DEFINITIONS = """\
+_FIGURES = """\
 moved        The truth is compared as it is where map and truth are of one world. Where the camera poses of equal stamps
              differ by one rigid transform (odometry that begins at the camera), the truth is moved by it, and that is
              said. Drift is no such transform: it stays, and costs what it costs.
@@ -34,6 +39,18 @@ ATE          RMSE of the camera positions of the kept views against the true one
              alignment.
 mask purity  Share of a kept view's mask that shows its most frequent true instance (the background is one), averaged
              over the kept views."""
+
+
+def _listed(meanings: Mapping[Any, str]) -> str:
+    return "\n".join(f"             {name}: {meaning}." for name, meaning in meanings.items())
+
+
+DEFINITIONS = f"""\
+{_FIGURES}
+missed       Why a true object that counts has no match, on the page and by `explain`: one of
+{_listed(MISS_REASONS)}
+false        Where an object comes from that has no match, and is not of ignored truth: one of
+{_listed(FALSE_ORIGINS)}"""
 
 
 def as_json(evaluation: Evaluation) -> dict[str, Any]:

@@ -84,13 +84,17 @@ _EXTENT_SLACK_M, _EXTENT_SLACK = 0.03, 0.1
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Missed:
-    """A true object that has no match; `map_ids` are the objects that the text is about."""
+    """A true object that has no match; `map_ids` are the objects that the text is about.
+
+    `best_frame` is the frame of the keyframe that shows most pixels of it, None where none shows any.
+    """
 
     truth_id: int
     kind: str
     reason: MissReason
     text: str
     map_ids: tuple[int, ...]
+    best_frame: int | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -196,7 +200,16 @@ def _is_own(part: Part) -> bool:
 
 
 def _missed(truth_id: int, reason: MissReason, text: str, map_ids: Sequence[int], evidence: Evidence) -> Missed:
-    return Missed(truth_id=truth_id, kind=evidence.names[truth_id], reason=reason, text=text, map_ids=tuple(map_ids))
+    seen = evidence.sightings.of_object[truth_id]
+    best = max(seen, key=lambda sighting: (sighting.num_px, -sighting.frame), default=None)
+    return Missed(
+        truth_id=truth_id,
+        kind=evidence.names[truth_id],
+        reason=reason,
+        text=text,
+        map_ids=tuple(map_ids),
+        best_frame=None if best is None else best.frame,
+    )
 
 
 def _has_objects(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> Missed:

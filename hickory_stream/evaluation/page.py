@@ -1,10 +1,13 @@
-"""The page of an evaluation: every true object beside what was made of it, worst first; one file, no network."""
+"""The page of an evaluation: every true object beside what was made of it, worst first; one file, no network.
+
+At the top it says why true objects are missed and where false ones come from, by counts; below it says so of each.
+"""
 
 from __future__ import annotations
 
 import base64
 import html
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -14,14 +17,19 @@ from hickory_stream.engine.crops import read_crop
 from hickory_stream.evaluation.close_up import close_up_of, draw
 from hickory_stream.evaluation.evaluate import placed_mesh, true_mesh_world
 from hickory_stream.evaluation.explain import figures, verdict, worst_first
+from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
+from hickory_stream.evaluation.in_the_log import pictures_of
 from hickory_stream.evaluation.match import meshes_of
+from hickory_stream.evaluation.miss_reasons import MISS_REASONS
 from hickory_stream.evaluation.raycast import Surface
 from hickory_stream.evaluation.render_parts import superquadric_surfaces
 from hickory_stream.evaluation.truth import moved_truth
+from hickory_stream.evaluation.why import NoWhy, Why, reasons_of
+from hickory_stream.evaluation.why_text import false_title, missed_title
 from hickory_stream.terminal import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -29,7 +37,10 @@ if TYPE_CHECKING:
     from hickory_stream.engine.session import SavedMap
     from hickory_stream.evaluation.close_up import CloseUp
     from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
+    from hickory_stream.evaluation.false_origins import FalseObject
+    from hickory_stream.evaluation.miss_reasons import Missed
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.evaluation.why import ReasonCount
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.records import TrackedObject
 
@@ -41,9 +52,17 @@ _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--back); margin: 2rem auto;
   max-width: 1180px; padding: 0 1rem; }
 h1 { font-size: 1.5rem; margin: 0 0 .2rem; } h2 { font-size: 1.15rem; margin: 2rem 0 .6rem; }
-p.soft, td.soft, figcaption { color: var(--soft); }
+h3 { font-size: 1rem; margin: 0 0 .4rem; } table + h3 { margin-top: 1.2rem; }
+p.soft, td.soft, span.soft, figcaption { color: var(--soft); }
+p.why { margin: .4rem 0 0; max-width: 125ch; }
+.top { display: flex; gap: 1rem 2.5rem; flex-wrap: wrap; align-items: flex-start; }
+.top > div { flex: 1 1 34rem; }
+.reasons td { vertical-align: baseline; padding-right: .8rem; } .reasons td.soft { font-size: .88rem; }
+.reasons td.n, .reasons td:nth-child(3) { white-space: nowrap; } .reasons td:nth-child(3) { min-width: 11.5rem; }
+.reasons td.n { min-width: 3.5rem; }
+td.bar { min-width: 5rem; } td.bar i { display: block; height: .6rem; border-radius: 3px; background: #c8452f; }
 table { border-collapse: collapse; } td { padding: .12rem 1.2rem .12rem 0; }
-td.n { font-variant-numeric: tabular-nums; }
+td.n { font-variant-numeric: tabular-nums; white-space: nowrap; }
 section { background: var(--card); border: 1px solid var(--line); border-radius: 8px; padding: .8rem 1rem;
   margin: .7rem 0; }
 section header { display: flex; gap: 1rem; align-items: baseline; flex-wrap: wrap; }
@@ -51,7 +70,7 @@ section header b { font-size: 1.05rem; }
 .bad { border-left: 5px solid #c8452f; } .fair { border-left: 5px solid #d9a13a; }
 .good { border-left: 5px solid #4b9a5b; }
 .row { display: flex; gap: .7rem; flex-wrap: wrap; margin-top: .6rem; }
-figure { margin: 0; } figure img { width: 200px; height: 200px; object-fit: contain; border-radius: 6px;
+figure { margin: 0; } figure img { width: 172px; height: 172px; object-fit: contain; border-radius: 6px;
   background: #eceef2; display: block; } figcaption { font-size: .82rem; text-align: center; }
 """
 
@@ -65,27 +84,59 @@ def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation
     """
     by_id = {tracked.id: tracked for tracked in saved.snapshot.objects}
     meshes = meshes_of(saved)
+    why = reasons_of(saved, truth)
     if evaluation.placement is not None:
         truth = moved_truth(truth, np.array(evaluation.placement.map_from_world))
     true = {item.id: true_mesh_world(truth, item) for item in truth.objects}
-    cards = [_card(row, saved, by_id, meshes, true[row.truth_id]) for row in worst_first(evaluation)]
-    strays = [_stray(by_id[i], saved, meshes) for i in evaluation.stray_ids]
+    missed = {item.truth_id: item for item in why.missed} if isinstance(why, Why) else {}
+    ranked = worst_first(evaluation)
+    frames = {i: item.best_frame for i, item in missed.items() if item.best_frame is not None}
+    in_the_log = pictures_of(saved.folder, truth, frames) if frames else {}
+    cards = [
+        _card(row, saved, by_id, meshes, true[row.truth_id], missed.get(row.truth_id), in_the_log.get(row.truth_id))
+        for row in ranked
+    ]
+    origins = {item.map_id: item for item in why.false} if isinstance(why, Why) else {}
+    false_ids = sorted(origins) if isinstance(why, Why) else evaluation.stray_ids
+    false = [_false(by_id[i], saved, meshes, origins.get(i)) for i in false_ids]
     table = "".join(
         f"<tr><td class=soft>{html.escape(name)}</td><td class=n>{html.escape(text)}</td></tr>"
         for name, text in figures(evaluation)
     )
     body = (
         f"<h1>{html.escape(saved.folder.name)} against {html.escape(truth.folder.name)}</h1>"
-        f"<p class=soft>What the figures mean: <code>hickory-stream evaluate --explain</code></p><table>{table}</table>"
+        "<p class=soft>What figures and reasons mean: <code>hickory-stream evaluate --explain</code>; one object "
+        "keyframe by keyframe: <code>hickory-stream explain MAP --truth DIR --object ID</code></p>"
+        f"<div class=top><table>{table}</table>{_reasons(why)}</div>"
         f"<h2>True objects, worst first</h2>{''.join(cards)}"
     )
-    if strays:
-        body += f"<h2>Objects on no true object</h2>{''.join(strays)}"
+    if false:
+        body += f"<h2>{'False objects' if isinstance(why, Why) else 'Objects on no true object'}</h2>{''.join(false)}"
     page = (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{html.escape(saved.folder.name)}: evaluation</title><style>{_STYLE}</style>{body}</html>"
     )
     write_output(path, visible(page).encode())
+
+
+def _reasons(why: Why | NoWhy) -> str:
+    """Return the tables of reasons and origins, each with how many of how many."""
+    if isinstance(why, NoWhy):
+        return f"<div><p class=soft>Why objects are missed cannot be told: {html.escape(why.reason)}</p></div>"
+    return (
+        f"<div>{_counted(missed_title(why), why.reasons, len(why.missed), MISS_REASONS)}"
+        f"{_counted(false_title(why), why.origins, len(why.false), FALSE_ORIGINS)}</div>"
+    )
+
+
+def _counted(title: str, counts: Sequence[ReasonCount], total: int, meanings: Mapping[Any, str]) -> str:
+    rows = "".join(
+        f"<tr><td class=n>{item.count} of {total}</td>"
+        f"<td class=bar><i style='width:{100 * item.count / total:.0f}%'></i></td>"
+        f"<td>{html.escape(item.reason)}</td><td class=soft>{html.escape(meanings[item.reason])}</td></tr>"
+        for item in counts
+    )
+    return f"<h3>{html.escape(title)}</h3>" + (f"<table class=reasons>{rows}</table>" if rows else "")
 
 
 def _card(
@@ -94,6 +145,8 @@ def _card(
     by_id: Mapping[int, TrackedObject],
     meshes: Mapping[int, Mesh],
     true: Mesh,
+    missed: Missed | None,
+    in_the_log: NDArray[np.uint8] | None,
 ) -> str:
     tracked = by_id[row.map_id] if row.map_id is not None else None
     pieces = [by_id[i] for i in row.track_ids if i != row.map_id]
@@ -102,6 +155,8 @@ def _card(
     pictures = [_figure("true mesh", draw([_surface(true)], view))]
     if shown is not None:
         pictures = [*_view_figure(shown, saved), *pictures, *_layers(shown, meshes, view)]
+    if missed is not None and in_the_log is not None:
+        pictures = [_figure(f"frame {missed.best_frame}", in_the_log), *pictures]
     state = "good" if row.f1_5pct >= 0.9 else "fair" if row.f1_5pct >= 0.7 else "bad"
     numbers = [f"seen {row.seen_fraction:.0%}", f"d {row.diameter_m:.2f} m"]
     if row.map_id is not None:
@@ -110,22 +165,29 @@ def _card(
         numbers.append(f"ADD-S {row.add_s_m / row.diameter_m:.3f} d")
     if row.contained is not None:
         numbers.append(f"contained {row.contained:.2%}")
+    said = verdict(row) if missed is None else f"missed: {missed.reason}"
     return (
-        f"<section class={state}><header><b>{row.truth_id} {html.escape(row.kind)}</b><span>{verdict(row)}</span>"
-        f"<span class=soft>{' · '.join(numbers)}</span></header><div class=row>{''.join(pictures)}</div></section>"
+        f"<section class={state}><header><b>{row.truth_id} {html.escape(row.kind)}</b><span>{said}</span>"
+        f"<span class=soft>{' · '.join(numbers)}</span></header>{_why('' if missed is None else missed.text)}"
+        f"<div class=row>{''.join(pictures)}</div></section>"
     )
 
 
-def _stray(tracked: TrackedObject, saved: SavedMap, meshes: Mapping[int, Mesh]) -> str:
+def _why(text: str) -> str:
+    return f"<p class=why>{html.escape(text)}</p>" if text else ""
+
+
+def _false(tracked: TrackedObject, saved: SavedMap, meshes: Mapping[int, Mesh], origin: FalseObject | None) -> str:
     mesh = placed_mesh(tracked, meshes)
     vertices = mesh.vertices if mesh is not None else tracked.points_world
     view = close_up_of(vertices, _azimuth(tracked, None))
     pictures = [*_view_figure(tracked, saved), *_layers(tracked, meshes, view)]
     size = " x ".join(f"{side:.2f}" for side in 2 * tracked.box.half_extents_m)
     return (
-        f"<section class=bad><header><b>object #{tracked.id}</b><span>on no true object</span>"
-        f"<span>{size} m, seen in {tracked.sightings} keyframes</span></header>"
-        f"<div class=row>{''.join(pictures)}</div></section>"
+        f"<section class=bad><header><b>object #{tracked.id}</b>"
+        f"<span>{'on no true object' if origin is None else origin.origin}</span>"
+        f"<span class=soft>{size} m · seen in {tracked.sightings} keyframes</span></header>"
+        f"{_why('' if origin is None else origin.text)}<div class=row>{''.join(pictures)}</div></section>"
     )
 
 

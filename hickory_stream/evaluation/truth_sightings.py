@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.engine.fates import FateBook
-from hickory_stream.engine.recorded import recorded_steps
-from hickory_stream.engine.resume import recorded_config
+from hickory_stream.engine.recorded import recorded_steps, told_config
 from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.evaluation.seen_as import (
     LEAST_CODE,
@@ -107,7 +106,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
         MapFolderError: there is no journal, or it is damaged or of another version.
         RecordingError: an image of the truth cannot be read.
     """
-    config = recorded_config(path)
+    config = told_config(path)
     reach, voxel_m = range_of(config), config.mapping.space_voxel_m
     stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
     middles = {item.id: _middle(truth, i) for i, item in enumerate(truth.objects)}

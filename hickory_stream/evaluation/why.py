@@ -6,9 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.recorded import final_snapshot
-from hickory_stream.engine.resume import recorded_config
-from hickory_stream.errors import InputError
+from hickory_stream.engine.recorded import final_snapshot, told_config
+from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.evaluation.false_origins import FalseObject, origin_of
 from hickory_stream.evaluation.match import best_box, meshes_of, score_map
 from hickory_stream.evaluation.miss_reasons import Evidence, Missed, state_of, why_missed
@@ -91,9 +90,29 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
         sightings=sightings_of_truth(saved.folder, saved.snapshot, placed),
         overlap=Overlap(saved.snapshot, placed),
         boxes={o.id: best_box(o, meshes) for o in saved.snapshot.objects if o.phase is not Phase.TENTATIVE},
-        confirm_sightings=recorded_config(saved.folder).mapping.lifecycle.confirm_sightings,
+        confirm_sightings=told_config(saved.folder).mapping.lifecycle.confirm_sightings,
     )
     return Investigation(score=score_map(saved.snapshot, meshes, placed), evidence=evidence)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoWhy:
+    """A map whose history cannot be told, and why not."""
+
+    reason: str
+
+
+def reasons_of(saved: SavedMap, truth: Truth) -> Why | NoWhy:
+    """Return the reasons and origins of a map, or why its journal cannot give them: a merged map has none.
+
+    Raises:
+        RecordingError: the truth is not of this map's log, or cannot be read.
+        InputError: Open3D is not installed.
+    """
+    try:
+        return why_of(investigate(saved, truth))
+    except MapFolderError as error:
+        return NoWhy(reason=str(error))
 
 
 def why_of(found: Investigation) -> Why:

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.engine.fates import FateBook
-from hickory_stream.engine.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps
-from hickory_stream.engine.resume import recorded_config
+from hickory_stream.engine.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps, told_config
 from hickory_stream.errors import InputError
 from hickory_stream.evaluation.seen_as import (
     NO_DEPTH,
@@ -126,7 +125,7 @@ def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel
     Raises:
         MapFolderError: there is no map or no journal, or it is damaged or of another version.
     """
-    final, config = final_snapshot(path), recorded_config(path)
+    final, config = final_snapshot(path), told_config(path)
     book, sightings, num_keyframes = FateBook(), [], 0
     for step in recorded_steps(path, final):
         keyframe = step.keyframe
@@ -333,7 +332,7 @@ def _map_from_odometry(path: Path, frame: int) -> NDArray[np.float64]:
 def _story_of_keyframe_pixel(
     path: Path, frame: int, pixel: tuple[float, float], depth_of: Callable[[int], NDArray[np.float32]] | None
 ) -> PlaceStory:
-    final, config = final_snapshot(path), recorded_config(path)
+    final, config = final_snapshot(path), told_config(path)
     book = FateBook()
     # A frame that was played again is told as it was the last time.
     keyframe: RecordedKeyframe | None = None
