@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,14 +15,20 @@ from hickory_stream.cli import main
 from hickory_stream.engine.journal import Journal, JournalWriter
 from hickory_stream.engine.recorded import frame_indices, recorded_steps
 from hickory_stream.engine.session import open_map
+from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
+from hickory_stream.evaluation.page import write_page
+from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.evaluation.why import Why, reasons_of
+from hickory_stream.evaluation.why_text import why_text
 from hickory_stream.events import FrameObserved
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.engine.recorded import RecordedStep
+    from hickory_stream.evaluation.evaluate import Evaluation
     from hickory_stream.records import Observation
 
 pytestmark = pytest.mark.timeout(180)
@@ -40,6 +46,18 @@ def older(short_map: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             writer.append(replace(entry, events=events, told=None))
         writer.close()
     return copy
+
+
+@pytest.fixture(scope="module")
+def found(short_map: Path, demo_truth: Path) -> Evaluation:
+    return evaluate(open_map(short_map), load_truth(demo_truth))
+
+
+@pytest.fixture(scope="module")
+def why(short_map: Path, demo_truth: Path) -> Why:
+    told = reasons_of(open_map(short_map), load_truth(demo_truth))
+    assert isinstance(told, Why)
+    return told
 
 
 class Explain:
@@ -133,7 +151,7 @@ def test_a_pixel_of_a_mask_goes_to_the_track_that_its_mask_went_to(
     step = keyframes(short_map)[-1]
     assert step.keyframe is not None
     observed = step.keyframe.observed
-    for observation in observed.observations[:2]:
+    for observation in observed.observations[: 1 if is_older else 2]:
         u, v = middle_of(observation)
         told = explain.json(older if is_older else short_map, "--at-pixel", f"{observed.frame_index},{u},{v}")
         track_id = next(d.object_id for d in step.decisions if d.observation_index == observation.index)
@@ -194,70 +212,68 @@ def test_a_map_without_a_journal_says_so(short_map: Path, tmp_path: Path, explai
 
 
 def test_every_missed_object_has_a_reason_and_every_false_one_an_origin(
-    short_map: Path, demo_truth: Path, explain: Explain
+    short_map: Path, found: Evaluation, why: Why
 ) -> None:
-    why = explain.json(short_map, "--truth", demo_truth)
-    assert main(["evaluate", str(short_map), "--truth", str(demo_truth), "--json"]) == 0
-    found = json.loads(explain._capsys.readouterr().out)
-    assert {m["truth_id"] for m in why["missed"]} == {o["truth_id"] for o in found["objects"] if o["map_id"] is None}
-    assert why["num_truth"] == found["num_truth"]
-    assert len(why["missed"]) > 3
-    matched = {o["map_id"] for o in found["objects"]}
+    assert {missed.truth_id for missed in why.missed} == {row.truth_id for row in found.objects if row.map_id is None}
+    assert why.num_truth == found.num_truth
+    assert len(why.missed) > 3
+    matched = {row.map_id for row in found.objects}
     objects = {o.id for o in open_map(short_map).snapshot.objects if o.phase != "tentative"}
-    assert {f["map_id"] for f in why["false"]} == objects - matched - set(found["ignored_ids"])
-    assert {m["reason"] for m in why["missed"]} <= set(MISS_REASONS)
-    assert {f["origin"] for f in why["false"]} <= set(FALSE_ORIGINS)
-    assert sum(item["count"] for item in why["reasons"]) == len(why["missed"])
-    text = explain.text(short_map, "--truth", demo_truth)
-    assert f"{len(why['missed'])} of {why['num_truth']} true objects that count are missed" in text
-    assert all(f"of {len(why['missed'])}  {item['reason']}" in text for item in why["reasons"])
+    assert {false.map_id for false in why.false} == objects - matched - set(found.ignored_ids)
+    assert {missed.reason for missed in why.missed} <= set(MISS_REASONS)
+    assert {false.origin for false in why.false} <= set(FALSE_ORIGINS)
+    assert sum(item.count for item in why.reasons) == len(why.missed)
+
+
+def test_the_command_prints_what_was_found_as_json_and_as_text(
+    short_map: Path, demo_truth: Path, why: Why, explain: Explain
+) -> None:
+    told = explain.json(short_map, "--truth", demo_truth)
+    assert {key: told[key] for key in told.keys() - {"output", "version"}} == json.loads(json.dumps(asdict(why)))
+    text = why_text(why)
+    assert f"{len(why.missed)} of {why.num_truth} true objects that count are missed" in text
+    assert all(f"of {len(why.missed)}  {item.reason}" in text for item in why.reasons)
+    assert all(f"{missed.kind}: {missed.reason}" in text for missed in why.missed)
 
 
 def test_what_no_keyframe_shows_is_missed_for_that_and_what_is_found_is_said_to_be(
-    short_map: Path, demo_truth: Path, explain: Explain
+    short_map: Path, demo_truth: Path, found: Evaluation, why: Why, explain: Explain
 ) -> None:
-    why = explain.json(short_map, "--truth", demo_truth)
-    unseen = next(m for m in why["missed"] if m["reason"] == "on no keyframe")
-    story = explain.json(short_map, "--truth", demo_truth, "--object", unseen["truth_id"])
+    unseen = next(missed for missed in why.missed if missed.reason == "on no keyframe")
+    story = explain.json(short_map, "--truth", demo_truth, "--object", unseen.truth_id)
     assert story["sightings"] == []
-    assert story["missed"]["text"] == f"none of {why['num_keyframes']} keyframes shows it"
-    assert main(["evaluate", str(short_map), "--truth", str(demo_truth), "--json"]) == 0
-    rows = json.loads(explain._capsys.readouterr().out)["objects"]
-    good = max(rows, key=lambda row: row["iou"])
-    told = explain.text(short_map, "--truth", demo_truth, "--object", good["truth_id"])
-    assert f"found: it is #{good['map_id']}, box IoU {good['iou']:.2f}" in told
-    assert f"in a mask of its own, which went to #{good['map_id']}" in told
+    assert story["missed"]["text"] == f"none of {why.num_keyframes} keyframes shows it"
+    good = max(found.objects, key=lambda row: row.iou)
+    told = explain.text(short_map, "--truth", demo_truth, "--object", good.truth_id)
+    assert f"found: it is #{good.map_id}, box IoU {good.iou:.2f}" in told
+    assert f"in a mask of its own, which went to #{good.map_id}" in told
     assert "expected the id of a true object" in explain.refusal(short_map, "--truth", demo_truth, "--object", 999)
 
 
 def test_the_page_of_an_evaluation_says_why_of_every_missed_and_every_false_object(
-    short_map: Path, demo_truth: Path, tmp_path: Path, explain: Explain
+    short_map: Path, demo_truth: Path, tmp_path: Path, found: Evaluation, why: Why
 ) -> None:
-    why = explain.json(short_map, "--truth", demo_truth)
-    assert main(["evaluate", str(short_map), "--truth", str(demo_truth), "--html", str(tmp_path / "page.html")]) == 0
+    write_page(tmp_path / "page.html", open_map(short_map), load_truth(demo_truth), found)
     page = html.unescape((tmp_path / "page.html").read_text())
-    assert f"<h3>{len(why['missed'])} of {why['num_truth']} true objects that count are missed" in page
-    for item in why["reasons"]:
-        assert f"<td class=n>{item['count']} of {len(why['missed'])}</td>" in page
-        assert f"<td>{item['reason']}</td><td class=soft>{MISS_REASONS[item['reason']]}</td>" in page
-    for missed in why["missed"]:
-        assert f"<span>missed: {missed['reason']}</span>" in page
-        assert f"<p class=why>{missed['text']}</p>" in page
-        if missed["best_frame"] is not None:
-            assert f"<figcaption>frame {missed['best_frame']}</figcaption>" in page
-    for false in why["false"]:
-        assert f"<b>object #{false['map_id']}</b><span>{false['origin']}</span>" in page
-        assert f"<p class=why>{false['text']}</p>" in page
+    assert f"<h3>{len(why.missed)} of {why.num_truth} true objects that count are missed" in page
+    for item in why.reasons:
+        assert f"<td class=n>{item.count} of {len(why.missed)}</td>" in page
+        assert f"<td>{item.reason}</td>" in page
+    for missed in why.missed:
+        assert f"<span>missed: {missed.reason}</span>" in page
+        assert f"<p class=why>{missed.text}</p>" in page
+        assert missed.best_frame is None or f"<figcaption>frame {missed.best_frame}</figcaption>" in page
+    for false in why.false:
+        assert f"<b>object #{false.map_id}</b><span>{false.origin}</span>" in page
+        assert f"<p class=why>{false.text}</p>" in page
 
 
-def test_an_older_journal_gives_the_same_reasons(
-    short_map: Path, older: Path, demo_truth: Path, explain: Explain
-) -> None:
-    now, then = (explain.json(path, "--truth", demo_truth) for path in (short_map, older))
-    assert (now["has_coarse_depth"], then["has_coarse_depth"]) == (True, False)
-    reasons = [{m["truth_id"]: m["reason"] for m in why["missed"]} for why in (now, then)]
-    assert reasons[0] == reasons[1]
-    assert now["origins"] == then["origins"]
+def test_an_older_journal_gives_the_same_reasons(older: Path, demo_truth: Path, why: Why) -> None:
+    then = reasons_of(open_map(older), load_truth(demo_truth))
+    assert isinstance(then, Why)
+    assert (why.has_coarse_depth, then.has_coarse_depth) == (True, False)
+    assert [(m.truth_id, m.reason) for m in then.missed] == [(m.truth_id, m.reason) for m in why.missed]
+    assert then.origins == why.origins
 
 
 def test_a_configuration_of_another_version_is_no_hindrance(short_map: Path, tmp_path: Path, explain: Explain) -> None:
@@ -271,7 +287,7 @@ def test_a_configuration_of_another_version_is_no_hindrance(short_map: Path, tmp
 
 
 def test_a_run_that_was_killed_is_explained_as_far_as_it_came(
-    short_map: Path, demo_truth: Path, tmp_path: Path, explain: Explain
+    short_map: Path, demo_truth: Path, tmp_path: Path, why: Why, explain: Explain
 ) -> None:
     killed = tmp_path / "map"
     shutil.copytree(short_map, killed)
@@ -284,6 +300,6 @@ def test_a_run_that_was_killed_is_explained_as_far_as_it_came(
         for i in range(num_keyframes):
             writer.append(journal.entry(i))
         writer.abandon()
-    why = explain.json(killed, "--truth", demo_truth)
-    assert why["num_keyframes"] == num_keyframes
-    assert len(why["missed"]) >= len(explain.json(short_map, "--truth", demo_truth)["missed"])
+    told = explain.json(killed, "--truth", demo_truth)
+    assert told["num_keyframes"] == num_keyframes
+    assert len(told["missed"]) >= len(why.missed)

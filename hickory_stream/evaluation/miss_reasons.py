@@ -48,7 +48,7 @@ MISS_REASONS: dict[MissReason, str] = {
     "taken for structure": "most keyframes take it for floor, wall or ceiling",
     "in no mask": "most keyframes have depth of it, which is neither structure nor in any mask",
     "mask rejected": "most keyframes reject its mask",
-    "one mask with another": "most keyframes that show it have it in a mask that is mostly something else",
+    "one mask with another": "its masks are mostly something else: those of the object that has it, or most of all",
     "merged with another": "it has masks of its own, but their track went into another object, or gave its points away",
     "in pieces": "the map has several objects on it, or most keyframes several masks",
     "too few sightings": "fewer keyframes show it than a track needs, or its masks went to several tracks",
