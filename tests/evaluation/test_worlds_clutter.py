@@ -17,18 +17,18 @@ from hickory_stream.evaluation.worlds.clearance import clearance_among
 from hickory_stream.evaluation.worlds.clutter.cloths import curtain, hung_cloth, tablecloth
 from hickory_stream.evaluation.worlds.clutter.contents import CONTENTS
 from hickory_stream.evaluation.worlds.clutter.families import FAMILIES, TABLE, Recipes
-from hickory_stream.evaluation.worlds.clutter.floorplan import OUTLINES
 from hickory_stream.evaluation.worlds.clutter.frames import Frame, frames_of
 from hickory_stream.evaluation.worlds.clutter.groups import GROUPS
 from hickory_stream.evaluation.worlds.clutter.heaps import heap
 from hickory_stream.evaluation.worlds.clutter.kit import SHAPES, any_material
 from hickory_stream.evaluation.worlds.clutter.materials import MATERIALS
+from hickory_stream.evaluation.worlds.clutter.outlines import OUTLINES
 from hickory_stream.evaluation.worlds.clutter.recordings import clutter_recording
 from hickory_stream.evaluation.worlds.clutter.room import clutter_room
 from hickory_stream.evaluation.worlds.clutter.walk import wander
 from hickory_stream.evaluation.worlds.color_camera import ColorCameraConfig, photographed
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
-from hickory_stream.evaluation.worlds.drift import DriftConfig
+from hickory_stream.evaluation.worlds.drift import DriftConfig, drifted
 from hickory_stream.evaluation.worlds.parts import model_triangles
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.evaluation.worlds.scene import part_boxes
@@ -136,7 +136,7 @@ def test_an_unknown_family_is_refused_with_the_known_ones() -> None:
 
 
 def test_a_log_of_a_random_room_shows_what_its_truth_says(tmp_path: Path) -> None:
-    config = clutter_recording(2, "training", seconds=1.0, rate_hz=2.0, width=96, height=72)
+    config = clutter_recording(7, "training", seconds=1.0, rate_hz=2.0, width=96, height=72)
     log, truth = cached_recording(config, tmp_path)
     assert log.is_file()
     assert cached_recording(config, tmp_path)[0] == log
@@ -155,6 +155,30 @@ def test_a_walk_keeps_its_distance_from_everything() -> None:
     boxes = [box for item in room.world.objects for box in part_boxes(item.model, item.world_from_object)]
     clearance = clearance_among(boxes, room.plan.bounds_m, room.plan.outline_m)
     assert clearance.at(walk.world_from_camera[::30, :2, 3]).min() > 0.1
+
+
+def test_heights_fields_of_view_and_sizes_of_logs_are_drawn_within_their_ranges() -> None:
+    configs = [clutter_recording(seed, "tuning", width=None) for seed in range(30)]
+    heights = [config.walk.eye_height_m for config in configs]
+    fields_deg = [config.horizontal_fov_deg for config in configs]
+    assert min(heights) >= 0.3
+    assert max(heights) <= 1.8
+    assert max(heights) - min(heights) > 1.0
+    assert min(fields_deg) >= 49.9
+    assert max(fields_deg) <= 100.1
+    assert len({(config.width, config.height) for config in configs}) > 3
+    assert {config.drift is None for config in configs} == {True, False}
+    assert clutter_recording(3, "tuning") == clutter_recording(3, "tuning")
+
+
+def test_odometry_that_shakes_stays_about_the_true_poses() -> None:
+    poses = np.tile(np.eye(4), (200, 1, 1))
+    walk = Trajectory(times_s=np.arange(200.0), world_from_camera=poses)
+    config = DriftConfig(scale=0.0, yaw_deg_per_m=0.0, jitter_m=0.002, jitter_deg=0.1)
+    told = drifted(walk, config, np.random.default_rng(0)).world_from_camera
+    assert np.array_equal(told[0], np.eye(4))
+    assert told[1:, :3, 3].std() == pytest.approx(0.002, rel=0.15)
+    assert np.allclose(told[:, :3, :3] @ told[:, :3, :3].transpose(0, 2, 1), np.eye(3), atol=1e-12)
 
 
 def test_names_of_recordings_from_before_there_were_families_stay() -> None:

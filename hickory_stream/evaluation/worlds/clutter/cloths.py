@@ -78,3 +78,20 @@ def rail(rng: np.random.Generator, length_m: float, height_m: float, texture: Te
         parts.append(cylinder(thick, height_m, texture, at=(0, s * length_m / 2, 0), segments=12))
         parts.append(block((0.45, 0.04, 0.03), texture, at=(0, s * length_m / 2, 0.015)))
     return tuple(parts)
+
+
+def crumpled(rng: np.random.Generator, size: tuple[float, float], height: float, texture: Texture) -> Part:
+    """Return a wavy sheet that is flat at its irregular border and up to `height` high within it."""
+    grid = 26
+    s, t = np.meshgrid(np.linspace(-1, 1, grid), np.linspace(-1, 1, grid), indexing="ij")
+    # A square that is pressed towards a disc, its border frayed.
+    angle = np.arctan2(t, s)
+    fray = 1.0 + 0.12 * np.sin(3 * angle + rng.uniform(0, 6.3)) + 0.08 * np.sin(5 * angle + rng.uniform(0, 6.3))
+    waves = np.zeros_like(s)
+    for _ in range(7):
+        k = rng.normal(0, 4.0, size=2)
+        waves += np.abs(np.sin(k[0] * s + k[1] * t + rng.uniform(0, 6.3)))
+    window = np.clip((1 - s**4) * (1 - t**4), 0.0, 1.0) ** 0.5
+    z = height * window * (0.25 + 0.75 * waves / waves.max())
+    points = np.stack([s * fray * size[0] / 2, t * fray * size[1] / 2, z + 0.003], axis=-1)
+    return sheet(points, 0.003, texture)

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.evaluation.worlds.clutter.cloths import crumpled
 from hickory_stream.evaluation.worlds.clutter.draws import about_x, about_y, chance, count, one_of, uniform
 from hickory_stream.evaluation.worlds.clutter.footprints import Taken, corners_of
 from hickory_stream.evaluation.worlds.clutter.heaps import heap as heaped
 from hickory_stream.evaluation.worlds.clutter.kit import SHAPES, fitted
-from hickory_stream.evaluation.worlds.clutter.small_shapes import crumpled
 from hickory_stream.evaluation.worlds.clutter.solids import grounded
 from hickory_stream.evaluation.worlds.placing import REST_M
 from hickory_stream.evaluation.worlds.scene import at_place

@@ -7,12 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.evaluation.worlds.clutter.bodies import BODIES
 from hickory_stream.evaluation.worlds.clutter.draws import chance, one_of
 from hickory_stream.evaluation.worlds.clutter.families import recipes_of
-from hickory_stream.evaluation.worlds.clutter.large_shapes import LARGE_SHAPES
 from hickory_stream.evaluation.worlds.clutter.materials import CALM, MATERIALS
-from hickory_stream.evaluation.worlds.clutter.small_shapes import SMALL_SHAPES
+from hickory_stream.evaluation.worlds.clutter.seats import SEATS
+from hickory_stream.evaluation.worlds.clutter.small_frames import SMALL_FRAMES
+from hickory_stream.evaluation.worlds.clutter.small_soft import SMALL_SOFT
+from hickory_stream.evaluation.worlds.clutter.small_solids import SMALL_SOLIDS
 from hickory_stream.evaluation.worlds.clutter.solids import stretched
+from hickory_stream.evaluation.worlds.clutter.supports import SUPPORTS
+from hickory_stream.evaluation.worlds.clutter.units import UNITS
 from hickory_stream.evaluation.worlds.clutter.usual_kinds import USUAL_LARGE, USUAL_SMALL
 
 if TYPE_CHECKING:
@@ -24,8 +29,13 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.worlds.textures import Texture
 
 SHAPES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    **SMALL_SHAPES,
-    **LARGE_SHAPES,
+    **SMALL_SOLIDS,
+    **SMALL_FRAMES,
+    **SMALL_SOFT,
+    **SUPPORTS,
+    **SEATS,
+    **UNITS,
+    **BODIES,
     **USUAL_SMALL,
     **USUAL_LARGE,
 }

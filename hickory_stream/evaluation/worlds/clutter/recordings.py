@@ -12,20 +12,30 @@ from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.evaluation.worlds.scenes import CLUTTER
 from hickory_stream.evaluation.worlds.trajectory import WalkConfig
 
+_SIZES = ((320, 240), (424, 240), (640, 360), (640, 480), (848, 480))
+
 
 def clutter_recording(
-    seed: int, family: str, *, seconds: float = 12.0, rate_hz: float = 5.0, width: int = 320, height: int = 240
+    seed: int,
+    family: str,
+    *,
+    seconds: float = 12.0,
+    rate_hz: float = 5.0,
+    width: int | None = 320,
+    height: int = 240,
 ) -> RecordingConfig:
     """Return the config of a log of a random room, for `cached_recording`: what records it is drawn from the seed, too.
 
-    Camera heights are 0.3 to 1.8 m, fields of view 50 to 100 degrees; every other odometry is exact, others drift or
-    shake by millimetres.
+    `width` None draws both sides of the image, of the usual ones. Camera heights are 0.3 to 1.8 m, fields of view 50
+    to 100 degrees; every other odometry is exact, the others shake by millimetres and drift.
 
     Raises:
         ConfigError: there is no such family.
     """
     recipes_of(family)
     rng = np.random.default_rng([seed, 23, FAMILIES.index(family)])
+    drawn = _SIZES[int(np.random.default_rng([seed, 24]).integers(len(_SIZES)))]
+    width, height = drawn if width is None else (width, height)
     camera = random_camera(rng, width, height)
     eye = uniform(rng, 0.3, 1.8)
     # What is held high looks down, what drives low ahead.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.evaluation.worlds.parts import Model, Part, lathe, rounded_box
+from hickory_stream.evaluation.worlds.parts import Model, Part, Surface, lathe, rounded_box
 from hickory_stream.evaluation.worlds.textures import Texture
 
 if TYPE_CHECKING:
@@ -196,3 +196,24 @@ def grounded(kind: str, parts: Sequence[Part]) -> Model:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     by = (-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2])
     return Model(kind=kind, parts=tuple(part.moved(by) for part in parts))
+
+
+def open_box(kind: str, size: tuple[float, float, float], wall: float, texture: Texture, lean: float = 0.0) -> Model:
+    """Return a floor with four walls, which lean outwards; the floor inside is a surface."""
+    x, y, z = size
+    parts = [block((x, y, wall), texture, at=(0, 0, wall / 2), radius_m=0.001)]
+    for sign in (-1, 1):
+        parts.append(block((wall, y, z), texture, at=(sign * (x - wall) / 2, 0, z / 2), radius_m=0.001))
+        parts.append(block((x, wall, z), texture, at=(0, sign * (y - wall) / 2, z / 2), radius_m=0.001))
+
+    def leaning(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(vertices * (1, 1, 1) + vertices * (1, 1, 0) * lean * vertices[:, 2:] / z)
+
+    floor = Surface(center_m=(0.0, 0.0, wall), half_m=(x / 2 - wall - 0.005, y / 2 - wall - 0.005), headroom_m=3 * z)
+    return Model(kind=kind, parts=tuple(warped(part, leaning) for part in parts), surfaces=(floor,))
+
+
+def regular(corners: int, radius: float) -> NDArray[np.float64]:
+    """Return a regular (K, 2) outline, counter-clockwise."""
+    turn = 2 * np.pi * (np.arange(corners) + 0.5) / corners
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
