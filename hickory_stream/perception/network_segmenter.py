@@ -55,10 +55,10 @@ class AffinityConfig(Ranged):
     join: Literal["network", "trees", "both"] = "both"
     least_odds: float = number(0.0, -8, 8, "log-odds")
     far_weight: float = number(0.25, 0, 10, "pairs")
-    trees_weight: float = number(0.65, 0, 10, "weight")
-    near_weight: float = number(0.35, 0, 10, "weight")
-    far_odds_weight: float = number(0.35, 0, 10, "weight")
-    odds_shift: float = number(0.7, -8, 8, "log-odds")
+    trees_weight: float = number(0.6, 0, 10, "weight")
+    near_weight: float = number(0.4, 0, 10, "weight")
+    far_odds_weight: float = number(0.45, 0, 10, "weight")
+    odds_shift: float = number(1.6, -8, 8, "log-odds")
     structure_odds: float = number(8.0, 0, 8, "log-odds")
     thing_odds: float = number(8.0, 0, 8, "log-odds")
 

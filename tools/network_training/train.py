@@ -37,11 +37,11 @@ class Schedule:
     """How long, how fast and from how many lessons at a time; `precision` of the products in training."""
 
     seed: int = 0
-    steps: int = 3000
+    steps: int = 1400
     batch: int = 4
     rate: float = 2e-3
     rising: int = 100
-    falling_share: float = 0.25
+    falling_share: float = 1 / 7
     weight_decay: float = 1e-2
     precision: str = "bfloat16"
     told_every: int = 50
@@ -63,14 +63,14 @@ def train(
     torch.manual_seed(schedule.seed)
     net = AffinityNet().to(memory_format=torch.channels_last)
     optimizer = torch.optim.AdamW(net.parameters(), lr=schedule.rate, weight_decay=schedule.weight_decay)
-    first = 0
+    first, before_s = 0, 0.0
     if checkpoint.is_file():
         kept = torch.load(checkpoint, weights_only=True)
         net.load_state_dict(kept["net"])
         optimizer.load_state_dict(kept["optimizer"])
-        first = kept["step"]
+        first, before_s = kept["step"], kept["processor_s"]
     net.train()
-    started, told = time.monotonic(), [0.0, 0]
+    started, started_cpu_s, told = time.monotonic(), time.process_time(), [0.0, 0]
     for step in range(first, schedule.steps):
         rng = np.random.default_rng([schedule.seed, step])
         lessons = [lesson_of(frame_of(step, rng), rng) for _ in range(schedule.batch)]
@@ -96,7 +96,9 @@ def train(
             told = [0.0, 0]
         if done % schedule.kept_every == 0 or done == schedule.steps:
             unfinished = checkpoint.with_suffix(".unfinished")
-            torch.save({"net": net.state_dict(), "optimizer": optimizer.state_dict(), "step": done}, unfinished)
+            spent_s = before_s + time.process_time() - started_cpu_s
+            state = {"net": net.state_dict(), "optimizer": optimizer.state_dict(), "step": done, "processor_s": spent_s}
+            torch.save(state, unfinished)
             unfinished.replace(checkpoint)
     return net.eval()
 
