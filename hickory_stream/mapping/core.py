@@ -35,8 +35,9 @@ from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
 from hickory_stream.mapping.carried import is_inner_part
 from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
+from hickory_stream.mapping.existence import Existence, ExistenceConfig, doubted, no_evidence, sighted
 from hickory_stream.mapping.floating import FloatConfig, stem_of
-from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
+from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, is_sure, next_phase
 from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge, why_one
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import (
@@ -104,6 +105,7 @@ class MappingConfig(Ranged):
 
     track: TrackConfig = field(default_factory=TrackConfig)
     associate: AssociateConfig = field(default_factory=AssociateConfig)
+    existence: ExistenceConfig = field(default_factory=ExistenceConfig)
     lifecycle: LifecycleConfig = field(default_factory=LifecycleConfig)
     merge: MergeConfig = field(default_factory=MergeConfig)
     parts: PartConfig = field(default_factory=PartConfig)
@@ -387,7 +389,8 @@ class MapperCore:
         if match.track_id is None:
             track_id = self._next_id
             self._next_id += 1
-            self._tracks[track_id] = self._new_track(track_id, event.stamp_ns, seen, 1)
+            found = self._sighted(no_evidence(), event, observation)
+            self._tracks[track_id] = self._new_track(track_id, event.stamp_ns, seen, 1, found)
             text = f"mask {observation.box_px}: new; candidates by IoU: {others}"
             self._decide("create", track_id, text, observation_index=observation.index)
             return track_id, []
@@ -407,10 +410,15 @@ class MapperCore:
         )
         if foreign.mean() < 0.9:
             track = grown(track, without(seen, foreign), track.sightings + (not match.is_part), self._config.track)
+            if not match.is_part:
+                track = replace(track, existence=self._sighted(track.existence, event, observation))
         self._tracks[track.id] = track
         return track.id, covered
 
-    def _new_track(self, track_id: int, stamp_ns: int, cloud: Cloud, sightings: int) -> Track:
+    def _sighted(self, known: Existence, event: FrameObserved, observation: Observation) -> Existence:
+        return sighted(known, observation, event.world_from_camera[:3, 3], self._config.existence)
+
+    def _new_track(self, track_id: int, stamp_ns: int, cloud: Cloud, sightings: int, existence: Existence) -> Track:
         return Track(
             id=track_id,
             phase=Phase.TENTATIVE,
@@ -424,6 +432,7 @@ class MapperCore:
             bounds=bounds_of(cloud.points),
             submap_id=self._submaps.open_id,
             seen_in=self._submaps.open_id,
+            existence=existence,
         )
 
     def _note_parts(
@@ -478,7 +487,9 @@ class MapperCore:
         if len(rest.keys) < self._config.parts.min_voxels:
             return None
         cloud = solid_part(part.cloud, len(part.frames))
-        new = self._new_track(self._next_id, event.stamp_ns, cloud, len(part.frames))
+        # It was seen apart often enough to be one: so it was sure before it was a track.
+        known = Existence(evidence=float(len(part.frames)), places=event.world_from_camera[None, :3, 3])
+        new = self._new_track(self._next_id, event.stamp_ns, cloud, len(part.frames), known)
         size = np.sort(2 * new.box.half_extents_m)
         if size[0] < self._config.parts.min_size_m or size[1] < 2 * self._config.parts.min_size_m:
             return None
@@ -572,7 +583,7 @@ class MapperCore:
                 effects += self._drop_track(track, "in structure", "a piece of what was found to be structure")
                 continue
             if is_judged and track.seen_clock_ns != self._clock_ns and self._is_seen_through(track, event):
-                track = replace(track, seen_through=track.seen_through + 1)
+                track = replace(track, seen_through=track.seen_through + 1, existence=doubted(track.existence))
             phase = next_phase(track, self._clock_ns, self._config.lifecycle)
             if phase is None:
                 effects += self._drop_track(track, "looked through" if track.seen_through else "never confirmed")
@@ -614,7 +625,7 @@ class MapperCore:
 
     def _is_more_wall(self, track: Track) -> bool:
         """Return whether a track is flush with structure, or an edge of it; asked where it settles or rests."""
-        is_settling = track.phase is Phase.TENTATIVE and track.sightings >= self._config.lifecycle.confirm_sightings
+        is_settling = track.phase is Phase.TENTATIVE and is_sure(track, self._config.lifecycle)
         is_resting = track.phase is Phase.ACTIVE and self._clock_ns - track.seen_clock_ns > 1e9
         if not (is_settling or is_resting):
             return False

@@ -3,7 +3,7 @@
     | from      | to        | when                                                                      |
     |-----------|-----------|---------------------------------------------------------------------------|
     | (new)     | tentative | an observation is no known track                                           |
-    | tentative | active    | seen in `confirm_sightings` keyframes                                      |
+    | tentative | active    | its evidence is that of `confirm_sightings` sightings (`existence.py`)     |
     | tentative | (dropped) | not seen for `tentative_s`                                                 |
     | active    | dormant   | not seen for `dormant_s`                                                   |
     | dormant   | archived  | not seen for `archive_s`                                                   |
@@ -31,11 +31,17 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
 
 
+_ROUNDING = 1e-6
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LifecycleConfig(Ranged):
     """The numbers of the table.
 
     Attributes:
+        confirm_sightings: what a thing takes, in units of `existence`: two good sightings from apart, or so many that
+            say nearly the same.
+        tentative_s: what is not sure yet is remembered for so long, in which a walk comes back to its place.
         wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab that begins at most this high above
             the floor, ends at least that high, is at least so tall and thinner, is a piece of a wall; so is one longer
             than `structure_m`, wherever it begins.
@@ -48,7 +54,7 @@ class LifecycleConfig(Ranged):
     """
 
     confirm_sightings: int = number(4, 1, 1_000_000, "sightings")
-    tentative_s: float = number(8.0, 0, 1e9, "s")
+    tentative_s: float = number(60.0, 0, 1e9, "s")
     dormant_s: float = number(4.0, 0, 1e9, "s")
     archive_s: float = number(60.0, 0, 1e9, "s")
     phantom_frames: int = number(4, 1, 1_000_000, "keyframes")
@@ -73,7 +79,7 @@ def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | 
     if track.seen_through >= config.phantom_frames:
         return None
     if track.phase is Phase.TENTATIVE:
-        if track.sightings >= config.confirm_sightings:
+        if is_sure(track, config):
             return Phase.ACTIVE
         return None if unseen_s > config.tentative_s else Phase.TENTATIVE
     if unseen_s > config.archive_s:
@@ -81,12 +87,17 @@ def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | 
     return Phase.DORMANT if unseen_s > config.dormant_s else Phase.ACTIVE
 
 
+def is_sure(track: Track, config: LifecycleConfig) -> bool:
+    """Return whether there is enough evidence that a track is a thing."""
+    return track.existence.evidence >= config.confirm_sightings - _ROUNDING
+
+
 def is_structure(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
     """Return whether a track has grown into something that is no object: too large, or a piece of a wall."""
     size = 2 * track.box.half_extents_m
     if np.sort(size)[1] > config.structure_m or track.box.volume_m3 > config.structure_m3:
         return True
-    return track.sightings >= config.confirm_sightings and _is_piece_of_wall(track, floor_z_m, config)
+    return is_sure(track, config) and _is_piece_of_wall(track, floor_z_m, config)
 
 
 def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:

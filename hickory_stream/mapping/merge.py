@@ -15,6 +15,7 @@ from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, stands_in
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
+from hickory_stream.mapping.existence import united
 from hickory_stream.mapping.track import Track, TrackConfig, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 from hickory_stream.ranges import Ranged, number
@@ -150,6 +151,7 @@ def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: View
         shape=kept.shape or gone.shape,
         merged_ids=tuple(sorted({*kept.merged_ids, *gone.merged_ids, gone.id})),
         seen_through=min(kept.seen_through, gone.seen_through),
+        existence=united(kept.existence, gone.existence),
         seen_in=max(kept.seen_in, gone.seen_in),
     )
 

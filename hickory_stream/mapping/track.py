@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.voxels import in_company
 from hickory_stream.mapping.cloud import Cloud, fuse, solid_part
+from hickory_stream.mapping.existence import Existence, no_evidence
 from hickory_stream.mapping.views import better
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase, TrackedObject, View
@@ -68,6 +69,7 @@ class Track:
     from. `seen_through` counts keyframes that looked through the place where the object should be, `doubts` those in
     a row that saw it and more beside it as one. `is_promoted`: it was a part of another track, and is known to be none.
     `submap_id` is the submap it was born in; `seen_in` the one in which it was last seen.
+    `existence` is how sure it is that there is a thing.
     `sketch` is a superquadric from `sketched_points` points, None while it is tentative and once it has a shape.
     """
 
@@ -93,6 +95,7 @@ class Track:
     seen_in: int = 0
     sketch: Superquadrics | None = None
     sketched_points: int = 0
+    existence: Existence = field(default_factory=no_evidence)
 
     @property
     def views(self) -> tuple[View, ...]:

@@ -24,6 +24,7 @@ from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotatio
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.existence import Existence
 from hickory_stream.mapping.track import Track, bounds_of
 from hickory_stream.records import Containment, MaskFeature, ObjectShape, Observation, Phase, SpaceObservation, View
 
@@ -81,6 +82,7 @@ def track(track_id: int, points: NDArray[np.float32], *, sightings: int = 3, pha
         solid=cloud,
         box=gravity_aligned_box(points, VOXEL_M),
         bounds=bounds_of(points),
+        existence=Existence(evidence=float(sightings), places=np.zeros((1, 3))),
     )
 
 

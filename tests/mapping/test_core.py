@@ -27,6 +27,7 @@ from hickory_stream.events import (
 from hickory_stream.geometry.superquadric import radial_distance_m, volumes_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.merge import MergeConfig
 from hickory_stream.mapping.requests import RequestConfig
@@ -49,6 +50,7 @@ from tests.strategies import unit_share
 
 CONFIG = MappingConfig(
     track=TrackConfig(voxel_m=VOXEL_M),
+    existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),  # each sighting counts as one
     lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=4),
     merge=MergeConfig(min_votes=3),
     requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5, kilopoint_s=0.0),

@@ -24,6 +24,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.merge import MergeConfig
 from hickory_stream.mapping.requests import RequestConfig
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 MAX_IN_FLIGHT = 2
 CONFIG = MappingConfig(
     track=TrackConfig(voxel_m=VOXEL_M),
+    existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),  # each sighting counts as one
     lifecycle=LifecycleConfig(confirm_sightings=2, tentative_s=3.0, dormant_s=2.0, archive_s=6.0, phantom_frames=2),
     merge=MergeConfig(min_votes=2),
     requests=RequestConfig(

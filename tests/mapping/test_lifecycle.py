@@ -19,7 +19,8 @@ TRACK = track(1, box_surface((0, 0, 0.1)))
 
 
 def after(phase: Phase, sightings: int, unseen_s: float, seen_through: int = 0) -> Phase | None:
-    then = replace(TRACK, phase=phase, sightings=sightings, seen_clock_ns=7 * SECOND_NS, seen_through=seen_through)
+    known = replace(TRACK.existence, evidence=float(sightings))
+    then = replace(TRACK, phase=phase, seen_clock_ns=7 * SECOND_NS, seen_through=seen_through, existence=known)
     return next_phase(then, round((7 + unseen_s) * SECOND_NS), CONFIG)
 
 

@@ -17,6 +17,7 @@ from hickory_stream.events import FrameObserved, PoseJumped, PosesCorrected, Pub
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.observed_space import add, as_record
 from hickory_stream.mapping.requests import RequestConfig
@@ -45,6 +46,7 @@ from tests.mapping.mapping_fixtures import (
 
 CONFIG = MappingConfig(
     track=TrackConfig(voxel_m=VOXEL_M),
+    existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),  # each sighting counts as one
     lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=2),
     requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5),
     submaps=SubmapConfig(travel_m=1.5),
