@@ -151,17 +151,22 @@ class Segmentation:
     """What a segmenter says of a frame.
 
     `instances` (H, W) int32, 0 = no object, 1..n = the n instances; `structure` (H, W) bool: floor, walls, ceiling.
+    `structure_shown` (H, W) bool: what of it this frame shows by itself, without what the map knew; None: all of it.
+    Only this is evidence for the map: what it knew, and had told the segmenter, proves nothing again.
     `floor_z_m` is the height of the floor where this frame shows it.
     """
 
     instances: NDArray[np.int32]
     structure: NDArray[np.bool_]
+    structure_shown: NDArray[np.bool_] | None = None
     floor_z_m: float | None = None
     rejected: tuple[RejectedMask, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "instances", np.int32, (None, None))
         freeze(self, "structure", np.bool_, self.instances.shape)
+        if self.structure_shown is not None:
+            freeze(self, "structure_shown", np.bool_, self.instances.shape)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -193,15 +198,20 @@ class Observation:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceObservation:
-    """What one keyframe says of space: sorted voxel keys seen free and on structure; the floor's height if it shows."""
+    """What one keyframe by itself says of space, as sorted voxel keys; the floor's height if it shows.
+
+    `free_keys`: rays passed; `structure_keys`: on structure; `surface_keys`: on something, and on no structure.
+    """
 
     free_keys: NDArray[np.int64]
     structure_keys: NDArray[np.int64]
     floor_z_m: float | None
+    surface_keys: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         freeze(self, "free_keys", np.int64, (None,))
         freeze(self, "structure_keys", np.int64, (None,))
+        freeze(self, "surface_keys", np.int64, (None,))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

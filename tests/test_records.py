@@ -51,8 +51,17 @@ VALID: dict[type, dict[str, Any]] = {
         "after_from_before": _POSE,
     },
     records.RejectedMask: {"box_px": (2, 3, 6, 5), "reason": "too small", "mask": np.ones((2, 4), bool)},
+    records.CoarseFrame: {
+        "stride_px": 4,
+        "depth_mm": np.ones((3, 4), np.uint16),
+        "structure": np.zeros((3, 4), bool),
+    },
     records.SemanticImage: {"classes": np.zeros((3, 4), np.int32), "labels": ("wall",)},
-    records.Segmentation: {"instances": np.zeros((3, 4), np.int32), "structure": np.zeros((3, 4), bool)},
+    records.Segmentation: {
+        "instances": np.zeros((3, 4), np.int32),
+        "structure": np.zeros((3, 4), bool),
+        "structure_shown": np.zeros((3, 4), bool),
+    },
     records.Observation: {
         "index": 0,
         "box_px": (2, 3, 6, 5),
@@ -63,7 +72,12 @@ VALID: dict[type, dict[str, Any]] = {
         "r_depth": 0.9,
         "is_cut": False,
     },
-    records.SpaceObservation: {"free_keys": _KEYS, "structure_keys": _KEYS, "floor_z_m": None},
+    records.SpaceObservation: {
+        "free_keys": _KEYS,
+        "structure_keys": _KEYS,
+        "surface_keys": _KEYS,
+        "floor_z_m": None,
+    },
     records.MaskFeature: {"observation_index": 0, "variance": 0.1, "pooled": np.ones(4, np.float32)},
     records.View: {
         "object_id": 1,
@@ -166,6 +180,7 @@ FREE_LENGTH = {
     (mesh.Mesh, "faces"),
     (records.SpaceObservation, "free_keys"),
     (records.SpaceObservation, "structure_keys"),
+    (records.SpaceObservation, "surface_keys"),
     (records.SemanticImage, "classes"),
     (records.FrameReport, "patches"),
     (records.MaskFeature, "pooled"),

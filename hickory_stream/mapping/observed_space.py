@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 _SURE_HITS = 2
 # 255 where a track was that is structure; one less for each keyframe that saw through it, down to none.
 _NO_OBJECT, _DISPROVED = 255, 251
-_MOST_HITS = _DISPROVED
+# Where one count gets there, both are halved: what is believed can still be unlearned.
+_MOST_VOTES = 240
 # As far as cells are numbered.
 _FAR = 1 << 20
 
@@ -64,22 +65,35 @@ class FlushConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceState:
-    """`free` and `structure` sorted keys; `hits` counts the keyframes per structure voxel, over 251 for a track.
+    """Every voxel in which a surface was seen, and every free one, as sorted keys.
 
-    What was seen as structure twice is not in `free`.
+    `hits` counts the keyframes that by themselves showed a voxel of `surface` as structure (over 251: a track was
+    there that is structure), `misses` those that showed something else there. Structure is what at least two keyframes
+    showed, and more than showed otherwise; it is not in `free`, but in `hidden_free` where rays had passed as well.
     """
 
     voxel_m: float
     free: NDArray[np.int64]
-    structure: NDArray[np.int64]
+    hidden_free: NDArray[np.int64]
+    surface: NDArray[np.int64]
     hits: NDArray[np.uint8]
+    misses: NDArray[np.uint8]
     floor_z_m: float | None = None
+
+    @property
+    def is_structure(self) -> NDArray[np.bool_]:
+        """Which voxels of `surface` are structure."""
+        return _is_structure(self.hits, self.misses)
+
+
+def _is_structure(hits: NDArray[np.uint8], misses: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    return (hits >= _SURE_HITS) & (hits > misses)
 
 
 def empty_space(voxel_m: float) -> SpaceState:
     """Return space of which nothing was seen."""
-    none = np.zeros(0, dtype=np.int64)
-    return SpaceState(voxel_m=voxel_m, free=none, structure=none, hits=np.zeros(0, dtype=np.uint8))
+    none, no_votes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
+    return SpaceState(voxel_m=voxel_m, free=none, hidden_free=none, surface=none, hits=no_votes, misses=no_votes)
 
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
@@ -88,78 +102,98 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     Where a track was taken for structure, and four keyframes see through it, there is none: somebody stood there.
     """
     state = _without_disproved(state, seen.free_keys)
-    at = places(state.structure, seen.structure_keys)
-    known = contains(state.structure, seen.structure_keys)
-    again, at_again = seen.structure_keys[known], at[known]
-    hits = state.hits.copy()
-    before = hits[at_again]
-    hits[at_again] = after = np.maximum(before, np.minimum(before.astype(np.int64) + 1, _MOST_HITS))
-    structure, hits = _with_structure(state.structure, hits, seen.structure_keys[~known], 1)
-    # What has just become sure is free no more, and what is sure is not made free by rays that graze it.
-    sure = again[(before < _SURE_HITS) & (after >= _SURE_HITS)]
-    free = exchanged(state.free, sure, seen.free_keys[_hits_of(structure, hits, seen.free_keys) < _SURE_HITS])
+    voters = sorted_unique(np.concatenate([seen.structure_keys, seen.surface_keys]))
+    state = _with_surface(state, voters)
+    at, is_hit = places(state.surface, voters), contains(seen.structure_keys, voters)
+    before = _is_structure(state.hits[at], state.misses[at])
+    hits, misses = state.hits.copy(), state.misses.copy()
+    hits[at], misses[at] = _voted(hits[at], misses[at], is_hit)
+    now = _is_structure(hits[at], misses[at])
+    gained, lost = voters[now & ~before], voters[before & ~now]
+    state = replace(state, hits=hits, misses=misses, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m))
+    is_hidden = _structure_at(state, seen.free_keys)
+    # What has just become structure is free no more, and what is structure is not made free by rays that graze it.
+    bared = lost[contains(state.hidden_free, lost)]
+    hidden = np.concatenate([gained[contains(state.free, gained)], seen.free_keys[is_hidden]])
+    free = exchanged(state.free, gained, sorted_unique(np.concatenate([seen.free_keys[~is_hidden], bared])))
     # Read-only, so that the records of the map share it: it is the largest thing in a map.
     free.flags.writeable = False
-    return SpaceState(
-        voxel_m=state.voxel_m,
-        free=free,
-        structure=structure,
-        hits=hits,
-        floor_z_m=_floor(state.floor_z_m, seen.floor_z_m),
-    )
+    return replace(state, free=free, hidden_free=exchanged(state.hidden_free, lost, sorted_unique(hidden)))
+
+
+def _voted(
+    hits: NDArray[np.uint8], misses: NDArray[np.uint8], is_hit: NDArray[np.bool_]
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return the votes with one more of each voxel; where a track was that is structure, they say nothing."""
+    counts = hits <= _DISPROVED
+    hits, misses = hits + (counts & is_hit), misses + (counts & ~is_hit)
+    full = counts & (np.maximum(hits, misses) >= _MOST_VOTES)
+    return np.where(full, hits // 2, hits).astype(np.uint8), np.where(full, misses // 2, misses).astype(np.uint8)
 
 
 def _without_disproved(state: SpaceState, free_keys: NDArray[np.int64]) -> SpaceState:
     disproved = state.hits > _DISPROVED
-    disproved[disproved] = contains(free_keys, state.structure[disproved])
+    disproved[disproved] = contains(free_keys, state.surface[disproved])
     if not disproved.any():
         return state
     hits = state.hits - disproved.astype(np.uint8)
     stays = ~disproved | (hits > _DISPROVED)
-    return replace(state, structure=state.structure[stays], hits=hits[stays])
+    return replace(state, surface=state.surface[stays], hits=hits[stays], misses=state.misses[stays])
+
+
+def _with_surface(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
+    """Return the space in which (N,) sorted voxels have a surface; the new ones have no votes yet."""
+    new = keys[~contains(state.surface, keys)]
+    at, none = places(state.surface, new), np.zeros(len(new), dtype=np.uint8)
+    return replace(
+        state,
+        surface=inserted(state.surface, at, new),
+        hits=inserted(state.hits, at, none),
+        misses=inserted(state.misses, at, none),
+    )
 
 
 def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
     """Return the space in which the voxels of (N, 3) points surely are structure: what was an object, and is none."""
     keys = sorted_unique(keys_of_points(points, state.voxel_m))
-    old = ~contains(keys, state.structure)
-    structure, hits = _with_structure(state.structure[old], state.hits[old], keys, _NO_OBJECT)
-    return replace(state, free=difference(state.free, keys), structure=structure, hits=hits)
+    state = _with_surface(state, keys)
+    at, hits, misses = places(state.surface, keys), state.hits.copy(), state.misses.copy()
+    hits[at], misses[at] = _NO_OBJECT, 0
+    hidden = keys[contains(state.free, keys)]
+    return replace(
+        state,
+        free=difference(state.free, keys),
+        hidden_free=exchanged(state.hidden_free, hidden[:0], hidden),
+        hits=hits,
+        misses=misses,
+    )
 
 
 def structure_hits(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return how many keyframes saw each of (N,) voxels as structure."""
-    return _hits_of(state.structure, state.hits, keys)
-
-
-def _hits_of(structure: NDArray[np.int64], hits: NDArray[np.uint8], keys: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return how often each of (N,) voxels was seen as structure."""
-    out: NDArray[np.uint8] = _hits_at(structure, hits, keys)
+    """Return how many keyframes saw each of (N,) voxels as structure; 0 where more saw something else."""
+    out: NDArray[np.uint8] = _hits_at(state.surface, state.hits, state.misses, keys)
     return out
 
 
+def _structure_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which of (N,) voxels are structure."""
+    return structure_hits(state, keys) >= _SURE_HITS
+
+
 @numba.njit(cache=True, nogil=True)
-def _hits_at(structure, hits, keys):  # type: ignore[no-untyped-def] # pragma: no cover
+def _hits_at(surface, hits, misses, keys):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.zeros(len(keys), dtype=np.uint8)
     at = 0
     for i in range(len(keys)):
-        at = first_not_below(structure, keys[i], at)
-        if at < len(structure) and structure[at] == keys[i]:
+        at = first_not_below(surface, keys[i], at)
+        if at < len(surface) and surface[at] == keys[i] and hits[at] > misses[at]:
             out[i] = hits[at]
     return out
 
 
-def _with_structure(
-    structure: NDArray[np.int64], hits: NDArray[np.uint8], new: NDArray[np.int64], new_hits: int
-) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Return the voxels and their hits with (M,) sorted new ones among them."""
-    at = places(structure, new)
-    return inserted(structure, at, new), inserted(hits, at, np.full(len(new), new_hits, dtype=np.uint8))
-
-
 def known_no_object(state: SpaceState) -> NDArray[np.int64]:
     """Return the sorted keys of the voxels that `add_structure` made structure."""
-    return np.asarray(state.structure[state.hits > _DISPROVED])
+    return np.asarray(state.surface[state.hits > _DISPROVED])
 
 
 def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: float) -> float:
@@ -216,7 +250,7 @@ def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> ND
 
     Only what frames saw as structure: a track that was dropped for one reason is no reason to drop its neighbour.
     """
-    sure = state.structure[(state.hits >= _SURE_HITS) & (state.hits <= _DISPROVED)]
+    sure = state.surface[state.is_structure & (state.hits <= _DISPROVED)]
     return centers_of_keys(_near(sure, box, state.voxel_m, reach_m), state.voxel_m)
 
 
@@ -230,11 +264,11 @@ def _near(keys: NDArray[np.int64], box: OrientedBox, voxel_m: float, reach_m: fl
 
 
 def as_record(state: SpaceState) -> ObservedSpace:
-    """Return the public record: structure that was seen twice, and free space that is not structure."""
+    """Return the public record: structure, and free space that is none."""
     return ObservedSpace(
         voxel_m=state.voxel_m,
         free=state.free,
-        structure=state.structure[state.hits >= _SURE_HITS],
+        structure=state.surface[state.is_structure],
         floor_z_m=state.floor_z_m,
     )
 

@@ -130,13 +130,19 @@ def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
         return _alone(submaps, add(submaps.space, seen))
     space = add(submaps.space, seen)
     free, structure = _by_owner(submaps, seen.free_keys), _by_owner(submaps, seen.structure_keys)
+    surface = _by_owner(submaps, seen.surface_keys)
     none = np.empty(0, np.int64)
     changed = {
         i: add(
             submaps.states[i].space,
-            SpaceObservation(free_keys=free.get(i, none), structure_keys=structure.get(i, none), floor_z_m=None),
+            SpaceObservation(
+                free_keys=free.get(i, none),
+                structure_keys=structure.get(i, none),
+                surface_keys=surface.get(i, none),
+                floor_z_m=None,
+            ),
         )
-        for i in sorted(free.keys() | structure.keys())
+        for i in sorted(free.keys() | structure.keys() | surface.keys())
     }
     return _with_spaces(submaps, space, changed)
 
@@ -178,7 +184,7 @@ def record_of(state: SubmapState) -> Submap:
 def _closed(submaps: Submaps) -> Submaps:
     """Return the submaps with everything in the open one its own for good."""
     space = submaps.states[-1].space
-    keys = np.union1d(space.free, space.structure)
+    keys = np.union1d(space.free, space.surface)
     owned = np.concatenate([submaps.owned, keys])
     owners = np.concatenate([submaps.owners, np.full(len(keys), submaps.open_id, dtype=np.int32)])
     order = np.argsort(owned, kind="stable")
@@ -209,7 +215,7 @@ def _with_spaces(submaps: Submaps, space: SpaceState, changed: Mapping[int, Spac
 
 
 def _has_space(space: SpaceState) -> bool:
-    return len(space.free) + len(space.structure) > 0
+    return len(space.free) + len(space.surface) > 0
 
 
 def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:

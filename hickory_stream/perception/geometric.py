@@ -89,6 +89,7 @@ class GeometricSegmenter:
         return Segmentation(
             instances=enlarged(labels, factor, size),
             structure=enlarged_mask(pieces.scenery.structure, factor, size),
+            structure_shown=enlarged_mask(pieces.scenery.shown, factor, size),
             floor_z_m=pieces.scenery.floor_z_m,
             rejected=rejected,
         )

@@ -31,13 +31,14 @@ class Scenery:
     """The room in a frame, at working resolution (h, w).
 
     `areas_m2` (h, w) of the surface in each pixel; `planes`: its level surfaces; `structure` (h, w) bool: floor, walls
-    and ceiling, by this frame or by what the map knows.
+    and ceiling, by this frame or by what the map knows; `shown` (h, w) bool: by this frame alone.
     """
 
     areas_m2: NDArray[np.float32]
     planes: list[HorizontalPlane]
     floor_z_m: float | None
     structure: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
 
 
 def scenery_of(
@@ -48,11 +49,13 @@ def scenery_of(
     planes = horizontal_planes(surface, areas_m2, min_area_m2=support_area_m2)
     known_floor = prior.floor_z_m if prior is not None else None
     floor_z_m = floor_height_m(surface, planes, known_floor, config)
-    structure, planes_near = structure_mask(surface, areas_m2, floor_z_m, config)
+    shown, planes_near = structure_mask(surface, areas_m2, floor_z_m, config)
     # By the map too: its voxels are coarser than what stands off a wall.
-    structure |= _known_structure(surface, prior)
-    structure &= ~relief(planes_near, structure, surface, config.relief)
-    return Scenery(areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, structure=structure)
+    structure = shown | _known_structure(surface, prior)
+    off = relief(planes_near, structure, surface, config.relief)
+    return Scenery(
+        areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, structure=structure & ~off, shown=shown & ~off
+    )
 
 
 def _known_structure(surface: Surface, prior: ObservedSpace | None) -> NDArray[np.bool_]:

@@ -125,11 +125,14 @@ def without_classes(
             instances[place][mask] = 0
     is_structure = np.isin(semantics.classes, sorted(excluded.structure))
     is_dynamic = np.isin(semantics.classes, sorted(excluded.dynamic))
+    is_other = is_dynamic | (instances > 0)
+    shown = segmentation.structure if segmentation.structure_shown is None else segmentation.structure_shown
     labels = np.unique(instances)
     return replace(
         segmentation,
         instances=np.searchsorted(np.union1d(labels, [0]), instances).astype(np.int32),
-        structure=(segmentation.structure | is_structure) & ~is_dynamic & (instances == 0),
+        structure=(segmentation.structure | is_structure) & ~is_other,
+        structure_shown=(shown | is_structure) & ~is_other,
         rejected=tuple(rejected),
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import keys_of_cells, keys_of_points, sorted_unique
+from hickory_stream.geometry.voxels import difference, keys_of_cells, keys_of_points, sorted_unique
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation
 
@@ -45,7 +45,8 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig)
     # The middle of each cell; an image that is smaller than one still has a ray.
     top, left = min(stride // 2, frame.camera.height - 1), min(stride // 2, frame.camera.width - 1)
     depth = frame.depth_m[top::stride, left::stride]
-    structure = segmentation.structure[top::stride, left::stride]
+    shown = segmentation.structure if segmentation.structure_shown is None else segmentation.structure_shown
+    structure = shown[top::stride, left::stride]
     camera = Camera(
         width=depth.shape[1],
         height=depth.shape[0],
@@ -57,9 +58,11 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig)
     valid = np.isfinite(depth) & (depth < config.max_depth_m)
     points = apply(frame.world_from_camera, backproject(depth, camera)[valid]).astype(np.float64)
     origin = frame.world_from_camera[:3, 3].astype(np.float64)
+    on_structure = sorted_unique(keys_of_points(points[structure[valid]], config.voxel_m))
     return SpaceObservation(
         free_keys=_free_keys(origin, points, _dense_returns(frame, config), config.voxel_m),
-        structure_keys=sorted_unique(keys_of_points(points[structure[valid]], config.voxel_m)),
+        structure_keys=on_structure,
+        surface_keys=difference(sorted_unique(keys_of_points(points[~structure[valid]], config.voxel_m)), on_structure),
         floor_z_m=segmentation.floor_z_m,
     )
 

@@ -108,12 +108,16 @@ def camera_at(angle_rad: float, distance_m: float = 3.0) -> NDArray[np.float64]:
 
 
 def space(
-    free: NDArray[np.int64] | None = None, structure: NDArray[np.int64] | None = None, floor_z_m: float | None = None
+    free: NDArray[np.int64] | None = None,
+    structure: NDArray[np.int64] | None = None,
+    floor_z_m: float | None = None,
+    surface: NDArray[np.int64] | None = None,
 ) -> SpaceObservation:
     none = np.zeros(0, dtype=np.int64)
     return SpaceObservation(
         free_keys=none if free is None else np.unique(free),
         structure_keys=none if structure is None else np.unique(structure),
+        surface_keys=none if surface is None else np.unique(surface),
         floor_z_m=floor_z_m,
     )
 

@@ -21,7 +21,13 @@ from hickory_stream.records import SpaceObservation
 from tests.mapping.mapping_fixtures import space
 
 key_sets = st.lists(st.integers(0, 30), max_size=20, unique=True).map(lambda keys: np.array(sorted(keys), np.int64))
-observed = st.builds(space, key_sets, key_sets, st.none())
+
+
+def _observed(free: np.ndarray, structure: np.ndarray, surface: np.ndarray) -> SpaceObservation:
+    return space(free, structure, None, np.setdiff1d(surface, structure))
+
+
+observed = st.builds(_observed, key_sets, key_sets, key_sets)
 
 
 def after(*seen: SpaceObservation) -> SpaceState:
@@ -50,10 +56,11 @@ def test_what_is_surely_structure_is_not_free_however_often_rays_passed() -> Non
 @given(st.lists(observed, max_size=6))
 def test_the_space_is_what_counting_in_sets_gives_in_sorted_order(frames: list[SpaceObservation]) -> None:
     record = as_record(after(*frames))
-    counts = np.zeros(31, dtype=int)
+    hits, misses = np.zeros((2, 31), dtype=int)
     for frame in frames:
-        counts[frame.structure_keys] += 1
-    structure = set(np.flatnonzero(counts >= 2).tolist())
+        hits[frame.structure_keys] += 1
+        misses[frame.surface_keys] += 1
+    structure = set(np.flatnonzero((hits >= 2) & (hits > misses)).tolist())
     free = {int(key) for frame in frames for key in frame.free_keys} - structure
     assert record.structure.tolist() == sorted(structure)
     assert record.free.tolist() == sorted(free)
@@ -66,6 +73,23 @@ def test_the_order_of_the_keyframes_does_not_change_the_space(frames: list[Space
     one, other = as_record(after(*frames)), as_record(after(*shuffled))
     assert np.array_equal(one.free, other.free)
     assert np.array_equal(one.structure, other.structure)
+
+
+def test_what_more_keyframes_show_as_something_else_is_structure_no_more_and_free_where_rays_had_passed() -> None:
+    wall, cupboard = space(structure=keys(2, 3)), space(surface=keys(2))
+    seen = (space(free=keys(2)), wall, wall)
+    assert as_record(after(*seen)).structure.tolist() == [2, 3]
+    assert as_record(after(*seen)).free.tolist() == []
+    record = as_record(after(*seen, cupboard, cupboard))
+    assert (record.structure.tolist(), record.free.tolist()) == ([3], [2])
+    assert as_record(after(*seen, cupboard, cupboard, wall)).structure.tolist() == [2, 3]
+
+
+def test_a_belief_of_long_ago_can_be_unlearned() -> None:
+    state = after(*[space(structure=keys(2))] * 2000)
+    for _ in range(260):
+        state = add(state, space(surface=keys(2)))
+    assert as_record(state).structure.tolist() == []
 
 
 def test_looking_at_the_same_place_for_ever_neither_grows_nor_overflows() -> None:

@@ -132,7 +132,9 @@ def test_every_voxel_is_in_one_submap_and_all_together_are_what_was_seen(
     submaps, place = first_submap(0.05), 0.0
     for kind, free, structure in steps:
         if kind == "seen":
-            submaps = with_seen(submaps, SpaceObservation(free_keys=free, structure_keys=structure, floor_z_m=0.1))
+            surface = np.setdiff1d(free + 1, structure)
+            seen = SpaceObservation(free_keys=free, structure_keys=structure, surface_keys=surface, floor_z_m=0.1)
+            submaps = with_seen(submaps, seen)
         elif kind == "went":
             place += 1.0
             submaps = travelled(submaps, np.array([place, 0.0, 0.0]), SubmapConfig(travel_m=1.5))
@@ -142,7 +144,7 @@ def test_every_voxel_is_in_one_submap_and_all_together_are_what_was_seen(
     for name in ("free", "structure"):
         together = np.concatenate([getattr(part, name) for part in parts])
         assert np.array_equal(np.sort(together), getattr(judge, name))
-    owned = [np.union1d(state.space.free, state.space.structure) for state in submaps.states]
+    owned = [np.union1d(state.space.free, state.space.surface) for state in submaps.states]
     assert len(np.unique(np.concatenate(owned))) == sum(map(len, owned))
 
 

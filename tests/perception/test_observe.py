@@ -107,6 +107,8 @@ def test_free_voxels_hold_no_sampled_return_and_structure_lies_on_the_floor(heig
     assert not contains(space.free_keys, keys_of_points(world, config.voxel_m)).any()
     assert (np.diff(space.free_keys) > 0).all()
     assert (np.diff(space.structure_keys) > 0).all()
+    assert (np.diff(space.surface_keys) > 0).all()
+    assert not contains(space.structure_keys, space.surface_keys).any()
     heights = centers_of_keys(space.structure_keys, config.voxel_m)[:, 2]
     assert len(heights) > 50
     assert np.abs(heights).max() < config.voxel_m

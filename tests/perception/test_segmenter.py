@@ -3,8 +3,11 @@ import pytest
 from perception_scenes import CAMERA, Block, Cylinder, best_iou, floor, looking, render
 
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
-from hickory_stream.records import Frame
+from hickory_stream.perception.space import SpaceConfig, observe_space
+from hickory_stream.records import Frame, ObservedSpace
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 RED, BLUE, GREEN, WOOD, WHITE = (190, 40, 40), (40, 60, 190), (40, 150, 60), (170, 130, 80), (225, 225, 220)
@@ -21,6 +24,22 @@ def test_a_box_on_a_floor_is_one_instance_and_the_floor_is_structure():
     assert result.instances.max() == 1
     assert result.structure[(shown == 0) & (frame.depth_m < 5.5)].mean() > 0.95
     assert result.floor_z_m == pytest.approx(0.0, abs=0.01)
+
+
+def test_what_the_map_takes_for_structure_is_structure_in_the_image_and_no_new_evidence_of_it():
+    frame, shown = render([floor(), Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=RED)], VIEW)
+    pixels = np.argwhere(shown == 1)
+    v, u = pixels.T
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(len(u))], axis=1)
+    points = apply(frame.world_from_camera, rays * frame.depth_m[v, u][:, None].astype(np.float64))
+    keys = np.unique(keys_of_points(points, 0.05))
+    prior = ObservedSpace(voxel_m=0.05, free=keys[:0], structure=keys, floor_z_m=0.0)
+    result = GeometricSegmenter(GeometricConfig()).segment(frame, prior)
+    assert result.structure[shown == 1].mean() > 0.9
+    assert result.structure_shown[shown == 1].mean() < 0.1
+    space = observe_space(frame, result, SpaceConfig())
+    assert contains(space.structure_keys, keys).mean() < 0.3
+    assert contains(space.surface_keys, keys).mean() > 0.2
 
 
 @pytest.mark.parametrize("color", [BLUE, RED], ids=["unlike", "alike"])

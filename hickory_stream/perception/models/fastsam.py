@@ -156,6 +156,7 @@ class FastSamSegmenter:
         size = (frame.camera.width, frame.camera.height)
         scenery = scenery_of(surface, prior, self._structure, _SUPPORT_AREA_M2)
         structure = enlarged_mask(scenery.structure, surface.factor, size)
+        shown = enlarged_mask(scenery.shown, surface.factor, size)
         instances, rejected = compose(found.masks, surface, structure, self._masks)
         if found.num_not_finite:
             whole = (0, 0, *size)
@@ -164,6 +165,7 @@ class FastSamSegmenter:
         return Segmentation(
             instances=instances,
             structure=structure & (instances == 0),
+            structure_shown=shown & (instances == 0),
             floor_z_m=scenery.floor_z_m,
             rejected=rejected,
         )
