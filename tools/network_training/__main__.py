@@ -18,7 +18,7 @@ from hickory_stream.json_text import dumps_exactly
 from hickory_stream.perception import pixel_network
 from hickory_stream.perception.pixel_inputs import CHANNELS
 from tools.network_training.frames import frames_of_scene
-from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, STAGES, drawn_frames, told
+from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, STAGES, drawn_frames, told
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,6 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "broad": told(BROAD),
             "broad_scenes_from_step": STAGES,
             "own_share": OWN_SHARE,
+            "rendered_at": RENDERED_AT,
         },
         "schedule": dataclasses.asdict(schedule),
         "inputs": list(CHANNELS),

@@ -22,6 +22,8 @@ BROAD = tuple(Scene(kind="clutter-training", seed=seed, frames=48) for seed in r
 STAGES = ((0, 0), (700, 4), (800, 10), (1000, 16), (1200, 24))
 """From which step so many of the broad scenes are learnt from: it began while they were still being rendered."""
 OWN_SHARE = 0.2
+RENDERED_AT = "e92539a"
+"""The commit whose generators made the frames of the weights in the package: later ones give other frames."""
 HELD_OUT = (
     *(Scene(kind="apartment", seed=seed, frames=16) for seed in (315, 316)),
     Scene(kind="clutter-tuning", seed=0, frames=48),
