@@ -1,8 +1,10 @@
-"""Grow the trees that join fragments into things, from synthetic recordings and their truth.
+"""Grow the trees that join fragments into things, from synthetic rooms and their truth.
 
-Each keyframe falls into fragments, and their true owners say which pairs are one thing. Trees are grown twice: on pairs
-of fragments and of groups partly joined by the truth, then also on the groups that the first trees come to. Everything
-is drawn from seeds. Needs the optional group `train`.
+Each image falls into fragments, and their true owners say which pairs are one thing. Two forests are grown and their
+log-odds averaged: one on our apartments and table-tops, with all inputs, and one on random rooms as well, which count
+as much as these, with inputs that know no sizes. Each is grown twice: on pairs of fragments and of groups partly joined
+by the truth, then also on the groups that the first trees come to. Everything is drawn from seeds. Needs the optional
+group `train`.
 """
 
 from __future__ import annotations
@@ -18,18 +20,18 @@ import numpy as np
 import sklearn
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from hickory_stream.evaluation.truth import instances_of, load_truth
+from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.worlds.cache import cached_recording
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
-from hickory_stream.perception.join import Groups, JoinConfig, measured, rounds
-from hickory_stream.perception.masks import enlarged_mask
-from hickory_stream.perception.trees import EMBEDDED, Trees
-from hickory_stream.records import Segmentation
+from hickory_stream.perception.join import Groups, JoinConfig, rounds
+from hickory_stream.perception.sizes import is_size
+from hickory_stream.perception.trees import EMBEDDED, Trees, averaged
 from tools.benchmarks.first_layer import play_first_layer
-from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_masks, total
+from tools.benchmarks.mask_scores import MaskScore, score_masks, total
+from tools.segmenter_lessons import lessons_of, lessons_of_rooms, score_groups, true_groups, true_instances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -37,36 +39,28 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.perception.parts import Measures
-    from hickory_stream.records import Frame, ObservedSpace
+    from tools.segmenter_lessons import Lesson
 
 _PACKAGE = Path(__file__).resolve().parents[1] / "hickory_stream" / "perception"
+ROOMS = (0, 1)
+"""Seeds of random rooms of the family `training`, `_IMAGES` of each."""
 TRAINING = (
     *(("apartment", seed, walk) for seed, walk in ((24, 0), (25, 1), (26, 0), (27, 1), (28, 0))),
     *(("apartment", seed, walk) for seed, walk in ((29, 1), (30, 0), (31, 1), (32, 0))),
     *(("tabletop", seed, 0) for seed in (33, 34, 35)),
 )
-HELD_OUT = (("apartment", 38, 0), ("apartment", 39, 1), ("tabletop", 40, 0))
+HELD_OUT = (("apartment", 38, 0), ("tabletop", 40, 0))
 """Scenes, seeds and walks; those of `tools/bench` are others."""
 
+_IMAGES = 300
+_HELD_OUT_IMAGES = 80
 _RATE_HZ = 1.5
 _PURE = 0.6
 _EAGER = 0.4
 _SHARES = (0.4, 0.8)
+_EVERY = 2
 _LEAST_PIXELS = 20.0
 _MIN_SHARE = 0.002
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Lesson:
-    """A keyframe to learn from: its fragments and how many pixels (fragments, owners) of each show which `owners`.
-
-    Owner 0 is what is no thing.
-    """
-
-    measures: Measures
-    shown: NDArray[np.float64]
-    owners: NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -78,60 +72,22 @@ class Samples:
     weight: NDArray[np.float64]
 
 
-class TrueMasks:
-    """A segmenter that knows the truth: the maps of which lessons see the space depend on no trees."""
-
-    def __init__(self, truth: Truth) -> None:
-        self._truth = truth
-        self._stamps = np.array([frame.stamp_ns for frame in truth.frames])
-        self._segmenter = GeometricSegmenter(GeometricConfig(), _NO_TREES)
-        self.lessons: list[Lesson] = []
-
-    def prepare(self, frame: Frame) -> object:
-        """Return the surface of a frame."""
-        return self._segmenter.prepare(frame)
-
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
-        """Return the true instances of a frame where structure is not found; its fragments become a lesson."""
-        pieces = self._segmenter.fragments(frame, prior, prepared)
-        shown = true_instances(self._truth, int(np.argmin(np.abs(self._stamps - frame.stamp_ns))))
-        measures = measured(pieces.surface, pieces.labels, pieces.supports, pieces.scenery, JoinConfig())
-        if measures is not None:
-            self.lessons.append(_lesson(measures, shown, pieces.surface.factor))
-        size = (frame.camera.width, frame.camera.height)
-        structure = enlarged_mask(pieces.scenery.structure, pieces.surface.factor, size)
-        _, instances = np.unique(np.where(structure | (shown <= 0), 0, shown), return_inverse=True)
-        return Segmentation(
-            instances=instances.reshape(shown.shape).astype(np.int32),
-            structure=structure,
-            floor_z_m=pieces.scenery.floor_z_m,
-            rejected=(),
-        )
-
-
-_NO_TREES = Trees(
-    features=(),
-    baseline=0.0,
-    roots=np.zeros(0, np.int32),
-    feature=np.zeros(0, np.int16),
-    threshold=np.zeros(0),
-    left=np.zeros(0, np.int32),
-    right=np.zeros(0, np.int32),
-    nan_left=np.zeros(0, np.bool_),
-    value=np.zeros(0, np.float32),
-)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Return the exit status."""
     parser = argparse.ArgumentParser(prog="tools/train_segmenter", description=__doc__)
     parser.add_argument("--out", type=Path, default=_PACKAGE / Path(EMBEDDED).parent, help="folder of trees and card")
     parser.add_argument("--seed", type=int, default=0, help="draws the partial joins and the growth of the trees")
-    parser.add_argument("--trees", type=int, default=200, help="how many are grown")
+    parser.add_argument("--trees", type=int, default=120, help="how many are grown")
     options = parser.parse_args(arguments)
     started_s = time.monotonic()
-    lessons = [lesson for scene in TRAINING for lesson in lessons_of(*recording(*scene))]
-    trees, num_pairs = train(lessons, seed=options.seed, num_trees=options.trees)
+    rooms = [lessons_of_rooms(seed, "training", _IMAGES) for seed in ROOMS]
+    logs = [lessons_of(*recording(*scene)) for scene in TRAINING]
+    kinds = [[lesson for lessons in kind for lesson in lessons] for kind in (rooms, logs)]
+    of_sizes, size_pairs = train(kinds[1:], seed=options.seed, num_trees=options.trees)
+    of_shapes, shape_pairs = train(
+        [kinds[0], kinds[1][::_EVERY]], seed=options.seed, num_trees=options.trees, with_sizes=False
+    )
+    trees = averaged(of_sizes, of_shapes)
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / Path(EMBEDDED).name
     trees.save(path)
@@ -139,14 +95,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "what": "Boosted trees: the probability that two groups of fragments of an RGB-D frame are one thing.",
         "made_by": f"tools/train_segmenter --seed {options.seed} --trees {options.trees}",
         "scikit_learn": sklearn.__version__,
-        "trained_on": [_name(*scene) for scene in TRAINING],
+        "trained_on": [
+            *(f"random rooms, family training, seed {seed}: {_IMAGES} images" for seed in ROOMS),
+            *(_name(*scene) for scene in TRAINING),
+        ],
         "images_per_second": _RATE_HZ,
-        "keyframes": len(lessons),
-        "pairs": num_pairs,
+        "images": [len(kind) for kind in kinds],
+        "pairs": {"forest_of_sizes": size_pairs, "forest_of_shapes": shape_pairs},
         "trees": len(trees.roots),
         "inputs": len(trees.features),
         "bytes": path.stat().st_size,
-        "held_out": {_name(*scene): _told(score(*recording(*scene), trees)) for scene in HELD_OUT},
+        "held_out": {_name(*scene): _told(score(*recording(*scene), trees)) for scene in HELD_OUT}
+        | _told_of_rooms(trees),
         "minutes": round((time.monotonic() - started_s) / 60, 1),
     }
     text = dumps_exactly(card, indent=2)
@@ -165,22 +125,23 @@ def recording(scene: str, seed: int, walk: int) -> tuple[Path, Truth]:
     return log, load_truth(log.with_suffix(".truth"))
 
 
-def lessons_of(log: Path, truth: Truth, max_keyframes: int | None = None) -> list[Lesson]:
-    """Return the lessons of a log, played with its true masks."""
-    teacher = TrueMasks(truth)
-    for _ in play_first_layer(log, segmenter=teacher, max_keyframes=max_keyframes):
-        pass
-    return teacher.lessons
-
-
-def train(lessons: Sequence[Lesson], *, seed: int = 0, num_trees: int = 200) -> tuple[Trees, int]:
-    """Return trees grown on lessons, and on how many pairs."""
+def train(
+    kinds: Sequence[Sequence[Lesson]], *, seed: int = 0, num_trees: int = 120, with_sizes: bool = True
+) -> tuple[Trees, int]:
+    """Return trees grown on the lessons of kinds of rooms, all of which count alike, and on how many pairs."""
     random = np.random.default_rng(seed)
-    samples = [_samples_of_truth(lesson, share, random) for lesson in lessons for share in (0.0, *_SHARES)]
-    names = tuple(_features_of(lessons[0], np.arange(len(lessons[0].shown)))[1])
-    first = _grown(samples, names, seed, num_trees)
-    samples += [sample for lesson in lessons for sample in _samples_of_rounds(lesson, first.probabilities)]
-    return _grown(samples, names, seed, num_trees), sum(len(sample.is_one) for sample in samples)
+    some = next(lesson for kind in kinds for lesson in kind)
+    _, features = _features_of(some, np.arange(len(some.shown)))
+    names = tuple(name for name in features if with_sizes or not is_size(name))
+    samples = [
+        [_samples_of_truth(lesson, share, names, random) for lesson in kind for share in (0.0, *_SHARES)]
+        for kind in kinds
+    ]
+    first = _grown(samples, names, seed, max(1, num_trees // 2))
+    for own, kind in zip(samples, kinds, strict=True):
+        for lesson in kind[::_EVERY]:
+            own += _samples_of_rounds(lesson, names, first.probabilities)
+    return _grown(samples, names, seed, num_trees), sum(len(sample.is_one) for own in samples for sample in own)
 
 
 def score(log: Path, truth: Truth, trees: Trees) -> MaskScore:
@@ -193,31 +154,13 @@ def score(log: Path, truth: Truth, trees: Trees) -> MaskScore:
     return total(scores)
 
 
-def true_instances(truth: Truth, index: int) -> NDArray[np.int32]:
-    """Return what each pixel of a true frame shows: an object, 0 for structure, `UNKNOWN` for a passer-by."""
-    shown = instances_of(truth, truth.frames[index]).astype(np.int32)
-    things = [item.id for item in truth.objects]
-    return np.where(np.isin(shown, things) | (shown == 0), shown, UNKNOWN).astype(np.int32)
-
-
-def _lesson(measures: Measures, shown: NDArray[np.int32], factor: int) -> Lesson:
-    labels = measures.labels
-    height, width = labels.shape
-    owners, place = np.unique(shown[::factor, ::factor][:height, :width], return_inverse=True)
-    count = len(measures.parts.pixels)
-    key = labels.ravel().astype(np.int64) * len(owners) + place.ravel()
-    pixels = np.bincount(key, minlength=count * len(owners)).reshape(count, len(owners)).astype(np.float64)
-    pixels[0] = 0.0
-    return Lesson(measures=measures, shown=pixels, owners=owners.astype(np.int64))
-
-
 def _features_of(
     lesson: Lesson, numbers: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], Mapping[str, NDArray[np.float64]]]:
     return pair_features(lesson.measures, numbers, int(numbers.max()) + 1)
 
 
-def _samples_of_truth(lesson: Lesson, share: float, random: np.random.Generator) -> Samples:
+def _samples_of_truth(lesson: Lesson, share: float, names: tuple[str, ...], random: np.random.Generator) -> Samples:
     """Return the pairs that are left when about this share of the true joins is made."""
     numbers = np.arange(len(lesson.shown))
     pairs, features = _features_of(lesson, numbers)
@@ -228,15 +171,17 @@ def _samples_of_truth(lesson: Lesson, share: float, random: np.random.Generator)
         groups.unite((int(a), int(b)) for a, b in joined)
         numbers = groups.numbers()[0]
         pairs, features = _features_of(lesson, numbers)
-    return _samples(lesson, numbers, pairs, features)
+    return _samples(lesson, numbers, pairs, features, names)
 
 
 def _samples_of_rounds(
-    lesson: Lesson, probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]]
+    lesson: Lesson,
+    names: tuple[str, ...],
+    probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]],
 ) -> Iterable[Samples]:
     """Yield the pairs of each round of joining by given probabilities, more eagerly than a segmenter joins."""
     for step in rounds(lesson.measures, probabilities, JoinConfig(probability=_EAGER)):
-        yield _samples(lesson, step.numbers, step.pairs, step.features)
+        yield _samples(lesson, step.numbers, step.pairs, step.features, names)
 
 
 def _truth_of(
@@ -258,33 +203,41 @@ def _samples(
     numbers: NDArray[np.int64],
     pairs: NDArray[np.int64],
     features: Mapping[str, NDArray[np.float64]],
+    names: tuple[str, ...],
 ) -> Samples:
     is_one, counts, pixels = _truth_of(lesson, numbers, pairs)
-    rows = np.stack(list(features.values()), axis=1)
+    rows = np.stack([features[name] for name in names], axis=1)
     # What is small costs little where it is joined wrongly, but there is much of it.
     weight = np.sqrt(np.maximum(pixels, _LEAST_PIXELS))
     return Samples(features=rows[counts], is_one=is_one[counts], weight=weight[counts])
 
 
-def _grown(samples: Sequence[Samples], names: tuple[str, ...], seed: int, num_trees: int) -> Trees:
-    rows = np.concatenate([sample.features for sample in samples])
-    weight = np.concatenate([sample.weight for sample in samples])
+def _grown(kinds: Sequence[Sequence[Samples]], names: tuple[str, ...], seed: int, num_trees: int) -> Trees:
+    rows = np.concatenate([sample.features for samples in kinds for sample in samples])
+    weight = np.concatenate([_alike(samples) for samples in kinds])
     classifier = HistGradientBoostingClassifier(
         max_iter=num_trees,
-        learning_rate=0.08,
+        learning_rate=0.1,
         max_leaf_nodes=15,
-        min_samples_leaf=30,
-        l2_regularization=1.0,
+        min_samples_leaf=60,
+        l2_regularization=5.0,
         early_stopping=False,
         random_state=seed,
     )
-    classifier.fit(rows, np.concatenate([sample.is_one for sample in samples]), sample_weight=weight / weight.mean())
+    is_one = np.concatenate([sample.is_one for samples in kinds for sample in samples])
+    classifier.fit(rows, is_one, sample_weight=weight / weight.mean())
     trees = exported(classifier, names)
     few = rows[:: max(1, len(rows) // 1000)]
     off = np.abs(trees.probabilities(dict(zip(names, few.T, strict=True))) - classifier.predict_proba(few)[:, 1]).max()
     if off > 1e-5:
         raise RuntimeError(f"exported trees differ from scikit-learn's by {off:.2g}: its nodes mean something else now")
     return trees
+
+
+def _alike(samples: Sequence[Samples]) -> NDArray[np.float64]:
+    """Return the weights of a kind's samples, that together weigh one."""
+    weight = np.concatenate([sample.weight for sample in samples])
+    return np.asarray(weight / weight.sum())
 
 
 def exported(classifier: HistGradientBoostingClassifier, names: tuple[str, ...]) -> Trees:
@@ -309,6 +262,21 @@ def exported(classifier: HistGradientBoostingClassifier, names: tuple[str, ...])
 
 def _name(scene: str, seed: int, walk: int) -> str:
     return f"{scene} {seed}, walk {walk}"
+
+
+def _told_of_rooms(trees: Trees) -> dict[str, dict[str, float]]:
+    """Return the scores of masks in random rooms of the family `tuning`, with our joins and with true ones."""
+    lessons = lessons_of_rooms(0, "tuning", _HELD_OUT_IMAGES)
+    ours = total(score_groups(lesson, joined(lesson, trees)) for lesson in lessons)
+    truth = total(score_groups(lesson, true_groups(lesson)) for lesson in lessons)
+    name = f"random rooms, family tuning, {len(lessons)} images"
+    return {name: _told(ours), f"{name}, true joins": _told(truth)}
+
+
+def joined(lesson: Lesson, trees: Trees) -> NDArray[np.int64]:
+    """Return (fragments,) the groups that the fragments of a lesson are joined to."""
+    *_, last = rounds(lesson.measures, trees.probabilities, JoinConfig())
+    return last.numbers
 
 
 def _told(score: MaskScore) -> dict[str, float]:

@@ -1,7 +1,9 @@
 """How two parts of a frame look beside each other: the numbers from which trees tell whether they are one thing.
 
-Of two parts, "large" is the one with more pixels and "small" the other one. What cannot be measured of a pair (the seam
-of parts that do not touch, heights while no floor is known) is NaN.
+Of two parts, "large" is the one with more pixels and "small" the other one. Sizes are ratios, distances are multiples
+of a size of the pair or of the standard deviation of depth, colours are differences: metres, heights above the floor,
+pixels and colours as such tell which furniture the trees were grown on, and have names of their own (`sizes`). What
+cannot be measured of a pair (the seam of parts that do not touch) is NaN.
 """
 
 from __future__ import annotations
@@ -11,17 +13,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.perception.parts import HEIGHT_BIN_M, grouped_pairs, grouped_parts
+from hickory_stream.perception.bodies import LEAST_M, bodies_of, union_of
+from hickory_stream.perception.parts import grouped_pairs, grouped_parts
+from hickory_stream.perception.sizes import size_features
 from hickory_stream.perception.standing import standing_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.perception.bodies import Bodies
     from hickory_stream.perception.parts import Measures, Pairs, Parts
     from hickory_stream.perception.standing import Standing
-
-_FAR_M = 0.3
-_LEAST_HEIGHT_M = 0.02
 
 
 def pair_features(
@@ -35,61 +37,62 @@ def pair_features(
     standing = standing_of(measures.contacts, np.append(numbers, count), measures.heights_m, measures.level)
     is_turned = parts.pixels[pairs.a] < parts.pixels[pairs.b]
     large, small = np.where(is_turned, pairs.b, pairs.a), np.where(is_turned, pairs.a, pairs.b)
-    low_m, high_m = _heights(parts, measures.bottom_m)
-    axes_m = _axes(parts.pixels, parts.place, parts.place_products)
+    bodies = bodies_of(parts, measures.bottom_m)
     features: dict[str, NDArray[np.float64]] = {}
-    for name, values in {
-        **_sizes(parts, axes_m),
-        **_colors(parts),
-        **_carried(standing),
-        "height": high_m - low_m,
-        "low": low_m - measures.floor_z_m,
-        "high": high_m - measures.floor_z_m,
-    }.items():
+    for name, values in {**_shapes(parts, bodies), **_colors(parts), **_carried(standing)}.items():
         features[f"large_{name}"], features[f"small_{name}"] = values[large], values[small]
-    features |= _relations(parts, axes_m, low_m, high_m, large, small)
+    union = union_of(parts, bodies, large, small)
+    features |= _relations(parts, bodies, union, large, small)
+    features |= _colors_of_pairs(parts, large, small)
     features |= _standing_of_pairs(standing, large, small)
-    features |= _seams(pairs, parts, measures, low_m, high_m, large, small, is_turned)
+    features |= _seams(pairs, parts, measures, bodies, union, large, small, is_turned)
+    features |= size_features(measures, parts, pairs, bodies, union, large, small)
     return np.stack([large, small], axis=1), features
 
 
-def _heights(parts: Parts, bottom_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the 5th and 95th percentile of each part's heights."""
-    below = np.cumsum(parts.heights, axis=1)
-    low, high = ((below < share * parts.pixels[:, None]).sum(axis=1) for share in (0.05, 0.95))
-    return bottom_m + (low + 0.5) * HEIGHT_BIN_M, bottom_m + (high + 0.5) * HEIGHT_BIN_M
-
-
-def _sizes(parts: Parts, axes_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return how large, flat and level each part is, and how much of its outline the image cuts."""
+def _shapes(parts: Parts, bodies: Bodies) -> dict[str, NDArray[np.float64]]:
+    """Return how flat, slim, upright and level each part is, and how much of its outline the image cuts."""
     per = np.maximum(parts.pixels, 1)
-    extent = parts.high - parts.low
+    axes_m = np.maximum(bodies.axes_m, 1e-4)
     return {
-        "pixels": portable.log(per),
-        "area": portable.log(parts.area_m2 + 1e-4),
-        "depth": parts.depth_m / per,
-        "width": portable.hypot(extent[:, 0], extent[:, 1]),
         "in_plane": 1 - parts.planes[:, 0] / per,
         "level": parts.normals[:, 2] / per,
         "flat": np.linalg.norm(parts.normals, axis=1) / per,
-        "thickness": axes_m[:, 0],
-        "breadth": axes_m[:, 1],
-        "length": axes_m[:, 2],
+        "thickness_sigmas": portable.log1p(axes_m[:, 0] / bodies.sigma_m),
+        "thickness_of_breadth": axes_m[:, 0] / axes_m[:, 1],
+        "breadth_of_length": axes_m[:, 1] / axes_m[:, 2],
+        "height_of_width": bodies.height_m / (bodies.height_m + bodies.width_m),
+        "filled": portable.log((parts.area_m2 + 1e-4) / (axes_m[:, 1] * axes_m[:, 2] + 1e-4)),
         "cut": parts.cut / np.maximum(parts.outline, 1),
-        "members": parts.members,
+        "rugged": parts.outline / np.sqrt(per),
     }
 
 
 def _colors(parts: Parts) -> dict[str, NDArray[np.float64]]:
-    """Return the lightness and chroma of each part, and their spread."""
+    """Return how colour varies over each part: as a whole, and from one pixel to the next."""
     per = np.maximum(parts.pixels, 1)[:, None]
     mean = parts.lab / per
     spread = np.sqrt(np.maximum(parts.lab_squares / per - mean * mean, 0))
     return {
-        "light": mean[:, 0],
-        "chroma": portable.hypot(mean[:, 1], mean[:, 2]),
         "light_spread": spread[:, 0],
         "chroma_spread": portable.hypot(spread[:, 1], spread[:, 2]),
+        "grain": parts.grain[:, 0] / np.maximum(parts.grain[:, 1], 1),
+    }
+
+
+def _colors_of_pairs(
+    parts: Parts, large: NDArray[np.int64], small: NDArray[np.int64]
+) -> dict[str, NDArray[np.float64]]:
+    """Return how two parts differ in colour, in CIE Lab and in multiples of how much they vary."""
+    per = np.maximum(parts.pixels, 1)[:, None]
+    mean = parts.lab / per
+    variance = np.maximum(parts.lab_squares / per - mean * mean, 0)
+    shade, spread = np.abs(mean[small] - mean[large]), np.sqrt((variance[large] + variance[small]) / 2 + 1)
+    return {
+        "light_difference": shade[:, 0],
+        "chroma_difference": portable.hypot(shade[:, 1], shade[:, 2]),
+        "light_spreads": shade[:, 0] / spread[:, 0],
+        "chroma_spreads": portable.hypot(shade[:, 1], shade[:, 2]) / portable.hypot(spread[:, 1], spread[:, 2]),
     }
 
 
@@ -116,60 +119,77 @@ def _standing_of_pairs(
 
 
 def _relations(
-    parts: Parts,
-    axes_m: NDArray[np.float64],
-    low_m: NDArray[np.float64],
-    high_m: NDArray[np.float64],
-    large: NDArray[np.int64],
-    small: NDArray[np.int64],
+    parts: Parts, bodies: Bodies, union: Bodies, large: NDArray[np.int64], small: NDArray[np.int64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Return how two parts lie to each other, what their union would be, and how their colours differ."""
+    """Return how two parts lie to each other and what their union would be: ratios, angles, multiples of sigma.
+
+    "Before" is the sine of the angle at which one part's middle lies over the other's plane: positive for both where
+    they make a hollow, negative where they make an edge (the convexity of Stein et al. 2014).
+    """
     per = np.maximum(parts.pixels, 1)[:, None]
-    normal, color, center = parts.normals / per, parts.lab / per, parts.place / per
-    flat = np.linalg.norm(normal, axis=1)
+    normal = parts.normals / np.maximum(np.linalg.norm(parts.normals, axis=1), 1e-9)[:, None]
+    center = parts.place / per
     most = parts.planes.argmax(axis=1)
-    low, high = np.minimum(parts.low[large], parts.low[small]), np.maximum(parts.high[large], parts.high[small])
-    extent = parts.high - parts.low
     overlap = np.minimum(parts.high[large], parts.high[small]) - np.maximum(parts.low[large], parts.low[small])
     inset = np.minimum(parts.low[small] - parts.low[large], parts.high[large] - parts.high[small])
-    joined = _axes(
-        parts.pixels[large] + parts.pixels[small],
-        parts.place[large] + parts.place[small],
-        parts.place_products[large] + parts.place_products[small],
-    )
-    aside, shade = center[small] - center[large], color[small] - color[large]
-    foot = np.clip(overlap[:, :2], 0, None).prod(axis=1) / np.maximum(extent[small, 0] * extent[small, 1], 1e-4)
-    volume = np.prod(extent + 0.01, axis=1)
+    aside = center[small] - center[large]
+    away = np.maximum(np.sqrt((aside * aside).sum(axis=1)), 1e-4)
+    over_large, over_small = (aside * normal[large]).sum(axis=1), -(aside * normal[small]).sum(axis=1)
+    sides = np.maximum(parts.high - parts.low, LEAST_M)
+    foot = np.clip(overlap[:, :2], 0, None).prod(axis=1) / np.maximum(sides[small, 0] * sides[small, 1], 1e-4)
+    volume = np.prod(sides + LEAST_M, axis=1)
+    joined = np.prod(union.box_high_m - union.box_low_m + 2 * LEAST_M, axis=1)
+    axes_m, own_m = np.maximum(union.axes_m, 1e-4), np.maximum(bodies.axes_m, 1e-4)
+    thickness = np.maximum(own_m[large, 0], own_m[small, 0])
+    height_m = union.height_m
     return {
-        "parallel": (normal[large] * normal[small]).sum(axis=1) / np.maximum(flat[large] * flat[small], 1e-3),
+        "pixels_ratio": portable.log(np.maximum(parts.pixels[small], 1) / np.maximum(parts.pixels[large], 1)),
+        "area_ratio": portable.log((parts.area_m2[small] + 1e-4) / (parts.area_m2[large] + 1e-4)),
+        "width_ratio": portable.log(bodies.width_m[small] / bodies.width_m[large]),
+        "height_ratio": portable.log(bodies.height_m[small] / bodies.height_m[large]),
+        "length_ratio": portable.log(own_m[small, 2] / own_m[large, 2]),
+        "parallel": (normal[large] * normal[small]).sum(axis=1),
         "same_plane": ((most[large] == most[small]) & (most[large] > 0)).astype(np.float64),
-        "light_difference": np.abs(shade[:, 0]),
-        "chroma_difference": portable.hypot(shade[:, 1], shade[:, 2]),
-        "aside": portable.hypot(aside[:, 0], aside[:, 1]),
-        "higher": aside[:, 2],
-        "lows": low_m[small] - low_m[large],
-        "highs": high_m[small] - high_m[large],
-        "small_over_large": low_m[small] - high_m[large],
-        "large_over_small": low_m[large] - high_m[small],
-        "overlap_sideways": overlap[:, :2].min(axis=1),
-        "overlap_upright": overlap[:, 2],
+        "before_large": over_large / away,
+        "before_small": over_small / away,
+        "before_large_sigmas": _signed_log(over_large / union.sigma_m),
+        "before_small_sigmas": _signed_log(over_small / union.sigma_m),
+        "aside": portable.hypot(aside[:, 0], aside[:, 1]) / union.width_m,
+        "higher": aside[:, 2] / height_m,
+        "lows": (bodies.low_m[small] - bodies.low_m[large]) / height_m,
+        "highs": (bodies.high_m[small] - bodies.high_m[large]) / height_m,
+        "small_over_large": (bodies.low_m[small] - bodies.high_m[large]) / height_m,
+        "large_over_small": (bodies.low_m[large] - bodies.high_m[small]) / height_m,
+        "lows_sigmas": _signed_log((bodies.low_m[small] - bodies.low_m[large]) / union.sigma_m),
+        "highs_sigmas": _signed_log((bodies.high_m[small] - bodies.high_m[large]) / union.sigma_m),
+        "overlap_sideways": (overlap / sides[small])[:, :2].min(axis=1),
+        "overlap_upright": overlap[:, 2] / sides[small, 2],
         "overlap_foot": np.minimum(foot, 1.5),
-        "inset": inset[:, :2].min(axis=1),
-        "joined_width": portable.hypot(*(high - low)[:, :2].T),
-        "joined_height": np.maximum(high_m[large], high_m[small]) - np.minimum(low_m[large], low_m[small]),
-        "joined_volume": portable.log(np.prod(high - low + 0.01, axis=1) / (volume[large] + volume[small])),
-        "joined_thickness": joined[:, 0],
-        "joined_breadth": joined[:, 1],
-        "thicker": joined[:, 0] - np.maximum(axes_m[large, 0], axes_m[small, 0]),
+        "inset": (inset / sides[large])[:, :2].min(axis=1),
+        "inset_sigmas": _signed_log(inset[:, :2].min(axis=1) / union.sigma_m),
+        "joined_width": portable.log(union.width_m / bodies.width_m[large]),
+        "joined_height": portable.log(height_m / bodies.height_m[large]),
+        "joined_height_of_width": height_m / (height_m + union.width_m),
+        "joined_volume": portable.log(joined / (volume[large] + volume[small])),
+        "joined_thickness_of_breadth": axes_m[:, 0] / axes_m[:, 1],
+        "joined_breadth_of_length": axes_m[:, 1] / axes_m[:, 2],
+        "joined_length": portable.log(axes_m[:, 2] / own_m[large, 2]),
+        "thicker": portable.log(axes_m[:, 0] / thickness),
+        "thicker_sigmas": _signed_log((axes_m[:, 0] - thickness) / union.sigma_m),
     }
+
+
+def _signed_log(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return log(1 + |x|) with the sign of x: what is many sigmas is many, however many."""
+    return np.asarray(np.sign(values) * portable.log1p(np.abs(values)))
 
 
 def _seams(
     pairs: Pairs,
     parts: Parts,
     measures: Measures,
-    low_m: NDArray[np.float64],
-    high_m: NDArray[np.float64],
+    bodies: Bodies,
+    union: Bodies,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
     is_turned: NDArray[np.bool_],
@@ -188,38 +208,33 @@ def _seams(
     spread = np.sqrt(np.maximum(pairs.seam_squares / touch[:, None] - center * center, 0))
     at_m = center[:, 2] + measures.middle[2]
     away = pairs.meet - pairs.touch
-    height = np.maximum(high_m - low_m, _LEAST_HEIGHT_M)
+    grain = parts.grain[:, 0] / np.maximum(parts.grain[:, 1], 1)
+    width_m = np.minimum(bodies.width_m[large], bodies.width_m[small])
+    height_m = np.minimum(bodies.height_m[large], bodies.height_m[small])
+    across = np.sqrt(np.maximum(parts.pixels[small], 1))
+    gap_m = np.where(np.isfinite(pairs.gap_m), pairs.gap_m, np.nan)
     return {
         "meet_of_lesser": pairs.meet / np.maximum(np.minimum(parts.outline[large], parts.outline[small]), 1),
         "meet_of_small": pairs.meet / np.maximum(parts.outline[small], 1),
-        "touch": portable.log1p(pairs.touch),
-        "touch_of_size": pairs.touch / np.sqrt(np.maximum(parts.pixels[small], 1)),
+        "touch_of_size": pairs.touch / across,
         "touch_share": of_meeting(pairs.touch),
         "lean": of_touching(pairs.lean),
         "concave": of_touching(pairs.concave),
         "seam_parallel": of_touching(pairs.parallel),
         "seam_contrast": of_touching(pairs.contrast),
-        "seam_step": of_touching(pairs.step_m),
+        "seam_grains": of_touching(pairs.contrast) / (np.maximum(grain[large], grain[small]) + 1),
+        "seam_step_sigmas": of_touching(touch * pairs.step_m / np.maximum(pairs.sigma_m, 1e-4)),
         "far_contrast": np.where(away > 0, pairs.far_contrast / np.maximum(away, 1), np.nan),
-        "seam_width": of_touching(touch * portable.hypot(spread[:, 0], spread[:, 1])),
-        "seam_height": of_touching(touch * spread[:, 2]),
-        "seam_in_large": of_touching(touch * (at_m - low_m[large]) / height[large]),
-        "seam_in_small": of_touching(touch * (at_m - low_m[small]) / height[small]),
+        "seam_width": of_touching(touch * portable.hypot(spread[:, 0], spread[:, 1]) / width_m),
+        "seam_height": of_touching(touch * spread[:, 2] / height_m),
+        "seam_in_large": of_touching(touch * (at_m - bodies.low_m[large]) / bodies.height_m[large]),
+        "seam_in_small": of_touching(touch * (at_m - bodies.low_m[small]) / bodies.height_m[small]),
         "large_nearer": of_meeting(nearer[:, 0]),
         "small_nearer": of_meeting(nearer[:, 1]),
         "large_above": of_meeting(above[:, 0]),
         "small_above": of_meeting(above[:, 1]),
-        "bridged_level": pairs.bridged[:, 0],
-        "bridged_upright": pairs.bridged[:, 1],
-        "gap": np.minimum(pairs.gap_m, _FAR_M),
+        "bridged_level_share": pairs.bridged[:, 0] / across,
+        "bridged_upright_share": pairs.bridged[:, 1] / across,
+        "gap_sigmas": portable.log1p(gap_m / union.sigma_m),
+        "gap_of_small": gap_m / np.maximum(bodies.axes_m[small, 2], LEAST_M),
     }
-
-
-def _axes(
-    pixels: NDArray[np.float64], place: NDArray[np.float64], products: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return (n, 3) the standard deviations of each part's points along its main axes, the least first."""
-    per = np.maximum(pixels, 1)[:, None]
-    mean, second = place / per, products / per
-    covariance = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]
-    return np.asarray(np.sqrt(np.maximum(portable.eigenvalues(covariance), 0)))

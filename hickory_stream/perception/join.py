@@ -35,14 +35,13 @@ class JoinConfig(Ranged):
     """How fragments are joined; the trees were grown with the defaults of `reach_px`, `gap_m` and `hidden`.
 
     Attributes:
-        probability: two groups are joined from this probability of being one thing; over a half, for a map joins what
-            was in pieces, but hardly divides what was joined.
+        probability: two groups are joined from this probability of being one thing.
         rounds: at most so many.
         reach_px: pixels are neighbours across fewer than this many pixels without a label.
         gap_m: fragments that do not meet are looked at together up to this distance.
     """
 
-    probability: float = number(0.65, 0, 1, "probability")
+    probability: float = number(0.5, 0, 1, "probability")
     rounds: int = number(12, 0, 1000, "rounds")
     reach_px: int = number(3, 1, 100, "px")
     gap_m: float = number(0.2, 0, 10, "m")

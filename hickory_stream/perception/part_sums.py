@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 class PartSums:
     """Measures of n parts, row 0 is nothing; all arrays (n, ...).
 
-    Sums over pixels: `pixels`, `area_m2`, `depth_m`, `lab` (n, 3) and `lab_squares` (n, 3), `place` (n, 3) and
-    `place_products` (n, 6: xx xy xz yy yz zz) from the middle of the frame's surface, `normals` (n, 3), `planes`
+    Sums over pixels: `pixels`, `area_m2`, `depth_m`, `sigma_m`, `lab` (n, 3) and `lab_squares` (n, 3), `place` (n, 3)
+    and `place_products` (n, 6: xx xy xz yy yz zz) from the middle of the frame's surface, `normals` (n, 3), `grain`
+    (n, 2): the differences in colour of neighbours in a row within a part and how many there are, `planes`
     (n, 1 + planes) pixels in no plane and in each supporting plane, `heights` (n, bins) a histogram from the bottom up.
     `low`, `high` (n, 3): the box of its points.
     """
@@ -28,11 +29,13 @@ class PartSums:
     pixels: NDArray[np.float64]
     area_m2: NDArray[np.float64]
     depth_m: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
     lab: NDArray[np.float64]
     lab_squares: NDArray[np.float64]
     place: NDArray[np.float64]
     place_products: NDArray[np.float64]
     normals: NDArray[np.float64]
+    grain: NDArray[np.float64]
     planes: NDArray[np.float64]
     heights: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -61,23 +64,29 @@ def part_sums(
         surface.depth_m.ravel(),
         surface.lab.reshape(-1, 3),
         surface.normals_world.reshape(-1, 3),
+        surface.sigma_m.ravel(),
+        labels.shape[1],
         count,
     )
     bins = int((top_m - bottom_m) / height_bin_m) + 1
     in_plane, heights = _histograms(
         labels.ravel(), supports.ravel(), points, count, planes, bins, bottom_m, height_bin_m
     )
-    widths = np.cumsum([1, 1, 1, 3, 3, 3, 6])
-    pixels, area_m2, depth_m, lab_sums, lab_squares, place, products, normals = np.split(sums, widths, axis=1)
+    widths = np.cumsum([1, 1, 1, 3, 3, 3, 6, 3, 1])
+    pixels, area_m2, depth_m, lab_sums, lab_squares, place, products, normals, sigma_m, grain = np.split(
+        sums, widths, axis=1
+    )
     out = PartSums(
         pixels=pixels[:, 0],
         area_m2=area_m2[:, 0],
         depth_m=depth_m[:, 0],
+        sigma_m=sigma_m[:, 0],
         lab=lab_sums,
         lab_squares=lab_squares,
         place=place,
         place_products=products,
         normals=normals,
+        grain=grain,
         planes=in_plane,
         heights=heights,
         low=low,
@@ -104,12 +113,13 @@ def _labelled(labels, supports, points):  # type: ignore[no-untyped-def] # pragm
 
 
 @numba.njit(cache=True, nogil=True)
-def _sums(labels, places, points, areas, depth, lab, normals, count):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (count, 21) sums and (count, 3) least and greatest coordinates; `places` and `points` of labelled pixels.
+def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (count, 24) sums and (count, 3) least and greatest coordinates; `places` and `points` of labelled pixels.
 
-    Columns: 1, area, depth, lab, squares of lab (in single precision, as they come), place, its products, normals.
+    Columns: 1, area, depth, lab, squares of lab (in single precision, as they come), place, its products, normals,
+    sigma, difference of colour to the right neighbour of the same label, how many there are.
     """
-    sums = np.zeros((count, 21))
+    sums = np.zeros((count, 24))
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     n = 0
     for i in range(len(labels)):
@@ -135,6 +145,12 @@ def _sums(labels, places, points, areas, depth, lab, normals, count):  # type: i
         own[15] += y * y
         own[16] += y * z
         own[17] += z * z
+        own[21] += sigma[i]
+        if (i + 1) % width and labels[i + 1] == name:
+            light = np.float64(lab[i + 1, 0] - lab[i, 0])
+            green, blue = np.float64(lab[i + 1, 1] - lab[i, 1]), np.float64(lab[i + 1, 2] - lab[i, 2])
+            own[22] += np.sqrt(0.25 * light * light + green * green + blue * blue)
+            own[23] += 1.0
         n += 1
     return sums, low, high
 

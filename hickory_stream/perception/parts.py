@@ -43,10 +43,10 @@ class Pairs:
 
     Sums over neighbouring pixels: `meet` all, `touch` those that meet in 3D, and over these `lean` (how far the normals
     lean towards each other, per distance), `concave` (how many do), `parallel` (cosine of the normals), `contrast`
-    (Lab, lightness at half weight), `step_m` (distance), `seam` (3) and `seam_squares` (3), the places of the pixels
-    whose label is lower; `far_contrast` over the others. `nearer` (2): pixels where a, where b is before the other;
-    `above` (2): where a, where b is above the other in the image. `bridged` (2): lines that bridge what hides a level
-    and an upright plane of theirs (`hidden`).
+    (Lab, lightness at half weight), `step_m` (distance), `sigma_m` (of depth), `seam` (3) and `seam_squares` (3), the
+    places of the pixels whose label is lower; `far_contrast` over the others. `nearer` (2): pixels where a, where b is
+    before the other; `above` (2): where a, where b is above the other in the image. `bridged` (2): lines that bridge
+    what hides a level and an upright plane of theirs (`hidden`).
     `gap_m`: the least distance found, infinite beyond reach.
     """
 
@@ -60,6 +60,7 @@ class Pairs:
     contrast: NDArray[np.float64]
     far_contrast: NDArray[np.float64]
     step_m: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
     seam: NDArray[np.float64]
     seam_squares: NDArray[np.float64]
     nearer: NDArray[np.float64]
@@ -206,7 +207,7 @@ def _pairs(
     lean = (across * (normal_a - normal_b)).sum(axis=1) / step_m
     light, green, blue = (lab[at_b] - lab[at_a]).T.astype(np.float64)
     contrast = np.sqrt(0.25 * light * light + green * green + blue * blue)
-    depth = surface.depth_m.ravel()
+    depth, sigma_m = surface.depth_m.ravel(), surface.sigma_m.ravel().astype(np.float64)
     behind, limit = depth[at_b] - depth[at_a], 0.02 * depth[at_a] + 0.01
     is_below = contacts.is_below[inner]
     seam = (points[at_a] - middle) * touch[:, None]
@@ -225,6 +226,7 @@ def _pairs(
         contrast=total(touch * contrast),
         far_contrast=total((1 - touch) * contrast),
         step_m=total(touch * step_m),
+        sigma_m=total(touch * (sigma_m[at_a] + sigma_m[at_b]) / 2),
         seam=columns(*seam.T),
         seam_squares=columns(*(seam * seam).T),
         nearer=columns((behind > limit).astype(np.float64), (behind < -limit).astype(np.float64)),

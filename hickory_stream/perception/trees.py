@@ -63,6 +63,29 @@ class Trees:
         )
 
 
+def averaged(one: Trees, other: Trees) -> Trees:
+    """Return the trees whose log-odds are the mean of those of two forests; each may ask for inputs of its own."""
+    names = tuple(dict.fromkeys((*one.features, *other.features)))
+    forests, shift = [], 0
+    for trees in (one, other):
+        number = np.array([names.index(name) for name in trees.features], dtype=np.int16)
+        is_leaf = trees.feature < 0
+        forests.append(
+            {
+                "roots": trees.roots + np.int32(shift),
+                "feature": np.where(is_leaf, np.int16(-1), number[trees.feature]),
+                "threshold": trees.threshold,
+                "left": trees.left + np.int32(shift),
+                "right": trees.right + np.int32(shift),
+                "nan_left": trees.nan_left,
+                "value": trees.value / np.float32(2),
+            }
+        )
+        shift += len(trees.feature)
+    joined = {name: np.concatenate([forest[name] for forest in forests]) for name in _ARRAYS}
+    return Trees(features=names, baseline=(one.baseline + other.baseline) / 2, **joined)
+
+
 _ARRAYS = ("roots", "feature", "threshold", "left", "right", "nan_left", "value")
 
 

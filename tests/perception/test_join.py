@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +10,7 @@ from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.join import Groups, JoinConfig, measured, rounds
 from hickory_stream.perception.parts import grouped_pairs, grouped_parts
+from hickory_stream.perception.sizes import is_size
 
 VIEW = looking((0.0, 0.0, 0.4), start=(-1.6, -0.3, 1.4))
 RED, BLUE, WOOD = (190, 40, 40), (40, 60, 190), (170, 130, 80)
@@ -66,14 +69,44 @@ def test_what_large_and_small_are_does_not_depend_on_the_order_of_labels(pieces,
             np.testing.assert_allclose(other[name][order], values[uneven], atol=1e-5, err_msg=name)
 
 
+def test_but_for_sizes_neither_colours_as_such_nor_heights_above_the_floor_tell_what_is_one_thing(pieces, measures):
+    count = len(measures.parts.pixels)
+    surface = pieces.surface
+    elsewhere = replace(
+        surface,
+        lab=surface.lab + np.array([8, -6, 11], np.float32),
+        points_world=surface.points_world + np.array([0, 0, 1], np.float32),
+    )
+    moved = measures_of(replace(pieces, surface=elsewhere), pieces.labels)
+    pairs, before = pair_features(measures, np.arange(count), count)
+    other_pairs, after = pair_features(moved, np.arange(count), count)
+    np.testing.assert_array_equal(other_pairs, pairs)
+    bins = ("lows", "highs", "over_", "height", "seam_in")
+    for name, values in before.items():
+        if not is_size(name) and not any(word in name for word in bins):  # heights are counted in bins of a centimetre
+            np.testing.assert_allclose(after[name], values, atol=0.06, err_msg=name)
+
+
+def test_a_darker_neighbour_is_as_many_grains_away_as_its_surface_is_rough(pieces, measures):
+    count = len(measures.parts.pixels)
+    rng = np.random.default_rng(0)
+    noisy = pieces.surface.lab + rng.normal(0, 8, pieces.surface.lab.shape).astype(np.float32)
+    rough = measures_of(replace(pieces, surface=replace(pieces.surface, lab=noisy)), pieces.labels)
+    _, smooth_seams = pair_features(measures, np.arange(count), count)
+    _, rough_seams = pair_features(rough, np.arange(count), count)
+    sharp = smooth_seams["seam_contrast"] > 20
+    assert sharp.sum() >= 3
+    assert (rough_seams["seam_grains"][sharp] < 0.3 * smooth_seams["seam_grains"][sharp]).all()
+
+
 def test_each_round_joins_what_is_likeliest_for_both_sides(measures):
-    steps = list(rounds(measures, lambda features: np.ones(len(features["gap"])), JoinConfig(rounds=50)))
+    steps = list(rounds(measures, lambda features: np.ones(len(features["aside"])), JoinConfig(rounds=50)))
     assert (np.diff([step.numbers.max() for step in steps]) < 0).all()
     assert len(steps[-1].pairs) == 0 or steps[-1].numbers.max() == 1
 
 
 def test_nothing_is_joined_that_is_not_likely(measures):
-    steps = list(rounds(measures, lambda features: np.full(len(features["gap"]), 0.3), JoinConfig(probability=0.31)))
+    steps = list(rounds(measures, lambda features: np.full(len(features["aside"]), 0.3), JoinConfig(probability=0.31)))
     assert len(steps) == 1
     np.testing.assert_array_equal(steps[0].numbers, np.arange(len(measures.parts.pixels)))
 

@@ -45,6 +45,11 @@ def test_the_sums_are_those_over_the_pixels_of_each_part(seed, count):
         if not own.any():
             continue
         assert np.allclose([sums.area_m2[i], sums.depth_m[i]], [areas[own].sum(), depth[own].sum()], rtol=1e-5)
+        assert np.isclose(sums.sigma_m[i], depth[own].sum(), rtol=1e-5)
+        beside = own[:, 1:] & own[:, :-1]
+        light, green, blue = (lab[:, 1:] - lab[:, :-1])[beside].T.astype(np.float64)
+        grain = np.sqrt(0.25 * light**2 + green**2 + blue**2).sum()
+        assert np.allclose(sums.grain[i], [grain, beside.sum()], rtol=1e-5)
         assert np.allclose(sums.lab[i], lab[own].sum(axis=0), atol=1e-4)
         assert np.allclose(sums.lab_squares[i], (lab[own] ** 2).sum(axis=0), rtol=1e-5)
         assert np.allclose(sums.place[i], place[own].sum(axis=0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import ModelError
-from hickory_stream.perception.trees import Trees, embedded_trees, load_trees
+from hickory_stream.perception.trees import Trees, averaged, embedded_trees, load_trees
 
 # One tree: width <= 2 (or unknown) gives -1; else gap <= 0.1 gives 2, else 0.5. Another is a single leaf of 0.25.
 TREES = Trees(
@@ -32,6 +32,20 @@ def test_leaves_add_up_to_log_odds_and_unknown_inputs_go_where_the_node_says():
 
 def test_no_pairs_have_no_probabilities():
     assert TREES.probabilities({name: values[:0] for name, values in INPUTS.items()}).shape == (0,)
+
+
+def test_averaged_forests_have_the_mean_of_their_log_odds_each_by_its_own_inputs(tmp_path):
+    other = dataclasses.replace(TREES, features=("width", "depth"), baseline=-1.0)
+    inputs = {**INPUTS, "depth": np.array([1.0, 5.0, np.nan, 0.0, 2.5, 3.0])}
+    both = averaged(TREES, other)
+    both.save(tmp_path / "trees.npz")
+    assert set(both.features) == {"gap", "width", "depth"}
+
+    def odds(trees):
+        shares = trees.probabilities(inputs)
+        return np.log(shares / (1 - shares))
+
+    assert odds(load_trees(tmp_path / "trees.npz")) == pytest.approx((odds(TREES) + odds(other)) / 2)
 
 
 def test_saved_trees_are_loaded_as_they_were(tmp_path):

@@ -7,7 +7,9 @@ pytest.importorskip("sklearn")
 
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.perception.join import JoinConfig, rounds
-from tools.segmenter_training import lessons_of, train
+from hickory_stream.perception.sizes import is_size
+from tools.segmenter_lessons import lessons_of
+from tools.segmenter_training import train
 
 
 def right_share(lesson, numbers):
@@ -21,12 +23,12 @@ def right_share(lesson, numbers):
 @pytest.fixture(scope="module")
 def lessons(request):
     log = request.config.rootpath / "recordings" / "demo.mcap"
-    return lessons_of(log, load_truth(log.with_suffix(".truth")), max_keyframes=12)
+    return lessons_of(log, load_truth(log.with_suffix(".truth")), max_keyframes=8)
 
 
 def test_trees_grown_on_some_images_join_the_fragments_of_others(lessons):
-    trees, num_pairs = train(lessons[::2], num_trees=20)
-    assert num_pairs > 500
+    trees, num_pairs = train([lessons[::2]], num_trees=8)
+    assert num_pairs > 300
     before, after = [], []
     for lesson in lessons[1::2]:
         first, *_, last = rounds(lesson.measures, trees.probabilities, JoinConfig())
@@ -37,6 +39,13 @@ def test_trees_grown_on_some_images_join_the_fragments_of_others(lessons):
 
 
 def test_the_same_seed_grows_the_same_trees(lessons):
-    one, other = (train(lessons[:2], seed=3, num_trees=5)[0] for _ in range(2))
+    one, other = (train([lessons[:1]], seed=3, num_trees=3)[0] for _ in range(2))
     np.testing.assert_array_equal(one.value, other.value)
     np.testing.assert_array_equal(one.threshold, other.threshold)
+
+
+def test_a_forest_of_shapes_asks_for_no_sizes_and_joins_too(lessons):
+    trees, _ = train([lessons[::2]], num_trees=8, with_sizes=False)
+    assert not any(is_size(name) for name in trees.features)
+    first, *_, last = rounds(lessons[1].measures, trees.probabilities, JoinConfig())
+    assert right_share(lessons[1], last.numbers) > right_share(lessons[1], first.numbers)

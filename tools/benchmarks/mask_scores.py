@@ -8,7 +8,7 @@ mostly on such pixels is left out, and so is, as in COCO, a wrong mask that is i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -61,12 +61,22 @@ def score_masks(masks: NDArray[np.int32], truth: NDArray[np.int32], min_pixels: 
     Things of fewer than `min_pixels` are too small to count.
     """
     ids, place, pixels = np.unique(truth, return_inverse=True, return_counts=True)
-    counts = (ids > 0) & (pixels >= min_pixels)
-    ignored = (ids == UNKNOWN) | ((ids > 0) & ~counts)
     num_masks = int(masks.max(initial=0))
     shared = np.bincount(
         masks.ravel().astype(np.int64) * len(ids) + place.ravel(), minlength=(num_masks + 1) * len(ids)
     ).reshape(num_masks + 1, len(ids))[1:]
+    return score_overlaps(shared, ids, pixels, min_pixels, truth.size)
+
+
+def score_overlaps(
+    shared: NDArray[np.int64], ids: NDArray[Any], pixels: NDArray[np.int64], min_pixels: int, size: int
+) -> MaskScore:
+    """Return the score of masks of which `shared` (masks, T) pixels show each of `ids` (T,), as in `score_masks`.
+
+    `pixels` (T,) of the image, which has `size` in all, show each.
+    """
+    counts = (ids > 0) & (pixels >= min_pixels)
+    ignored = (ids == UNKNOWN) | ((ids > 0) & ~counts)
     aside = shared[:, ignored].sum(axis=1)
     area = shared.sum(axis=1) - aside
     union = area[:, None] + pixels[counts][None] - shared[:, counts]
@@ -74,7 +84,7 @@ def score_masks(masks: NDArray[np.int32], truth: NDArray[np.int32], min_pixels: 
     is_right = iou.max(axis=1, initial=0.0) > RIGHT_IOU
     stays = is_right | ((area >= aside) & (area >= min_pixels))
     best = iou.max(axis=0, initial=0.0)
-    large = pixels[counts] > LARGE_SHARE * truth.size
+    large = pixels[counts] > LARGE_SHARE * size
     return MaskScore(
         num_things=int(counts.sum()),
         num_masks=int(stays.sum()),
