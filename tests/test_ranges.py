@@ -37,7 +37,9 @@ FILES = (Part, Posture, Robot, Profile, DepthSensor, Intrinsics, JumpLimits, Sou
 OTHERS = {Part: {"low_m": 0.0, "high_m": 1.0}, Intrinsics: {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}}
 OTHERS |= {Posture: {"name": "upright", "parts": ()}, Robot: {"name": "any", "postures": ()}}
 
-KINDS = sorted(set().union(*(kinds_below(kind) for kind in ROOTS)), key=lambda kind: kind.__qualname__)
+KINDS = sorted(
+    set().union(*(kinds_below(kind) for kind in ROOTS)), key=lambda kind: (kind.__module__, kind.__qualname__)
+)
 NUMBERS = [(kind, name, told) for kind in [*KINDS, *FILES] for name, told in ranges_of(kind).items()]
 IDS = [f"{kind.__name__}.{name}" for kind, name, _ in NUMBERS]
 

@@ -36,7 +36,7 @@ _SURE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AffinityConfig(Ranged):
+class NetworkJoinConfig(Ranged):
     """How the network's odds are used; log-odds are natural, the network's lie between -8 and 8.
 
     Attributes:
@@ -78,7 +78,7 @@ class NetworkSegmenter:
     """
 
     def __init__(
-        self, network: PixelNetwork, config: AffinityConfig, geometric: GeometricConfig, trees: Trees | None = None
+        self, network: PixelNetwork, config: NetworkJoinConfig, geometric: GeometricConfig, trees: Trees | None = None
     ) -> None:
         self._network = network
         self._config = config
@@ -124,7 +124,7 @@ class NetworkSegmenter:
 
 
 def combined(
-    by_trees: NDArray[np.float64], features: Mapping[str, NDArray[np.float64]], config: AffinityConfig
+    by_trees: NDArray[np.float64], features: Mapping[str, NDArray[np.float64]], config: NetworkJoinConfig
 ) -> NDArray[np.float64]:
     """Return (K,) the probability that each pair is one thing, by the trees and by the network's odds together.
 
@@ -138,7 +138,7 @@ def combined(
     return np.where(says, 1 / (1 + portable.exp(-odds)), by_trees)
 
 
-def corrected_structure(structure: NDArray[np.bool_], found: Prepared, config: AffinityConfig) -> NDArray[np.bool_]:
+def corrected_structure(structure: NDArray[np.bool_], found: Prepared, config: NetworkJoinConfig) -> NDArray[np.bool_]:
     """Return (H, W) what is structure where the network is sure, and elsewhere what was taken for it."""
     height, width = structure.shape
     odds = cv2.blur(found.odds.odds[THING], (3, 3))

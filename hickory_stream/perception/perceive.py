@@ -17,7 +17,7 @@ from hickory_stream.perception.models.dinov2 import DinoConfig
 from hickory_stream.perception.models.fastsam import FastSamConfig
 from hickory_stream.perception.models.network import NetworkConfig
 from hickory_stream.perception.models.semantic_graph import SemanticConfig
-from hickory_stream.perception.network_segmenter import AffinityConfig
+from hickory_stream.perception.network_segmenter import NetworkJoinConfig
 from hickory_stream.perception.observe import ObserveConfig, observe
 from hickory_stream.perception.space import SpaceConfig, observe_space
 
@@ -54,7 +54,7 @@ class PerceptionConfig:
     extractor: Literal["color_texture", "dinov2"] = "color_texture"
     semantics: Literal["none", "oneformer", "graph"] = "none"
     geometric: GeometricConfig = field(default_factory=GeometricConfig)
-    affinities: AffinityConfig = field(default_factory=AffinityConfig)
+    affinities: NetworkJoinConfig = field(default_factory=NetworkJoinConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     fastsam: FastSamConfig = field(default_factory=FastSamConfig)
     dinov2: DinoConfig = field(default_factory=DinoConfig)

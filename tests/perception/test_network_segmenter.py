@@ -8,7 +8,7 @@ from hickory_stream.engine.processor import processor_of_run
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.network_segmenter import (
-    AffinityConfig,
+    NetworkJoinConfig,
     NetworkSegmenter,
     Prepared,
     combined,
@@ -44,7 +44,7 @@ def two_boxes():
 @pytest.mark.parametrize("join", ["network", "both", "trees"])
 def test_two_boxes_apart_are_two_instances_however_fragments_are_joined(two_boxes, join):
     frame, shown = two_boxes
-    segmenter = make_segmenter(PerceptionConfig(segmenter="network", affinities=AffinityConfig(join=join)))
+    segmenter = make_segmenter(PerceptionConfig(segmenter="network", affinities=NetworkJoinConfig(join=join)))
     result = segmenter.segment(frame, None, segmenter.prepare(frame))
     (iou_left, label_left), (iou_right, label_right) = (best_iou(result.instances, shown == i) for i in (1, 2))
     assert min(iou_left, iou_right) > 0.8
@@ -54,7 +54,7 @@ def test_two_boxes_apart_are_two_instances_however_fragments_are_joined(two_boxe
 
 def test_with_even_odds_and_the_weight_of_the_trees_alone_both_decide_as_the_trees_do(two_boxes):
     frame, _ = two_boxes
-    config = AffinityConfig(join="both", trees_weight=1.0, odds_shift=0.0)
+    config = NetworkJoinConfig(join="both", trees_weight=1.0, odds_shift=0.0)
     ours = NetworkSegmenter(Said(even()), config, GeometricConfig()).segment(frame)
     trees = GeometricSegmenter(GeometricConfig()).segment(frame)
     np.testing.assert_array_equal(ours.instances, trees.instances)
@@ -65,12 +65,14 @@ def test_the_network_alone_joins_whatever_it_is_sure_of(two_boxes):
     frame, shown = two_boxes
     odds = even()
     odds[: len(OFFSETS)] = ODDS_ZERO + 6 * ODDS_UNIT
-    instances = NetworkSegmenter(Said(odds), AffinityConfig(join="network"), GeometricConfig()).segment(frame).instances
+    instances = (
+        NetworkSegmenter(Said(odds), NetworkJoinConfig(join="network"), GeometricConfig()).segment(frame).instances
+    )
     assert best_iou(instances, (shown == 1) | (shown == 2))[0] > 0.8
 
 
 def test_the_odds_of_the_network_move_those_of_the_trees_by_their_weights():
-    config = AffinityConfig(trees_weight=0.5, near_weight=0.5, far_odds_weight=0.25, odds_shift=0.5)
+    config = NetworkJoinConfig(trees_weight=0.5, near_weight=0.5, far_odds_weight=0.25, odds_shift=0.5)
     features = {"odds_near": np.array([2.0, np.nan, -2.0]), "odds_far": np.array([4.0, np.nan, np.nan])}
     found = combined(np.array([0.5, 0.8, 0.5]), features, config)
     assert found == pytest.approx([1 / (1 + np.exp(-2.5)), 0.8, 1 / (1 + np.exp(0.5))])
@@ -84,12 +86,12 @@ def test_structure_is_corrected_both_ways_and_only_where_the_network_is_sure(two
     structure = np.zeros((240, 320), bool)
     structure[100:] = True
     found = Prepared(surface=surface, odds=PixelOdds(odds=odds))
-    corrected = corrected_structure(structure, found, AffinityConfig(structure_odds=2.0, thing_odds=2.0))
+    corrected = corrected_structure(structure, found, NetworkJoinConfig(structure_odds=2.0, thing_odds=2.0))
     seen = np.isfinite(surface.depth_m)
     assert not corrected[:, :98].any()
     assert corrected[:, 222:][seen[:, 222:]].all()
     np.testing.assert_array_equal(corrected[:, 102:218], structure[:, 102:218])
-    np.testing.assert_array_equal(corrected_structure(structure, found, AffinityConfig()), structure)
+    np.testing.assert_array_equal(corrected_structure(structure, found, NetworkJoinConfig()), structure)
 
 
 def test_a_map_made_with_it_depends_on_no_processor():

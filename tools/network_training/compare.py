@@ -22,7 +22,7 @@ from hickory_stream.evaluation.ladder import TrueImages, truly_joined
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
-from hickory_stream.perception.network_segmenter import AffinityConfig, NetworkSegmenter
+from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
 from hickory_stream.perception.pixel_network import PixelNetwork
 from hickory_stream.records import Frame
 from tools.benchmarks.first_layer import play_first_layer
@@ -97,7 +97,7 @@ def ways_of(network: PixelNetwork) -> dict[str, Callable[[Shown], NDArray[np.int
     trees = GeometricSegmenter(config)
 
     def joined_by(way: str) -> Callable[[Shown], NDArray[np.int32]]:
-        segmenter = NetworkSegmenter(network, AffinityConfig(join="network" if way == "network" else "both"), config)
+        segmenter = NetworkSegmenter(network, NetworkJoinConfig(join="network" if way == "network" else "both"), config)
         return lambda shown: segmenter.segment(shown.frame, shown.prior).instances
 
     def by_truth(shown: Shown) -> NDArray[np.int32]:
