@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from tools.segmenter_lessons import Lesson
 
 _PACKAGE = Path(__file__).resolve().parents[1] / "hickory_stream" / "perception"
+_FILE = _PACKAGE / EMBEDDED["mixed"]
 ROOMS = (0, 1)
 """Seeds of random rooms of the family `training`, `_IMAGES` of each."""
 TRAINING = (
@@ -75,7 +76,7 @@ class Samples:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Return the exit status."""
     parser = argparse.ArgumentParser(prog="tools/train_segmenter", description=__doc__)
-    parser.add_argument("--out", type=Path, default=_PACKAGE / Path(EMBEDDED).parent, help="folder of trees and card")
+    parser.add_argument("--out", type=Path, default=_FILE.parent, help="folder of trees and card")
     parser.add_argument("--seed", type=int, default=0, help="draws the partial joins and the growth of the trees")
     parser.add_argument("--trees", type=int, default=120, help="how many are grown")
     options = parser.parse_args(arguments)
@@ -89,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     trees = averaged(of_sizes, of_shapes)
     options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / Path(EMBEDDED).name
+    path = options.out / _FILE.name
     trees.save(path)
     card = {
         "what": "Boosted trees: the probability that two groups of fragments of an RGB-D frame are one thing.",

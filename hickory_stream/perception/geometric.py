@@ -69,7 +69,7 @@ class GeometricSegmenter:
 
     def __init__(self, config: GeometricConfig, trees: Trees | None = None) -> None:
         self._config = config
-        self._trees = trees or embedded_trees()
+        self._trees = trees or embedded_trees(config.join.forest)
 
     def prepare(self, frame: Frame) -> Surface:
         """Return the surface of a frame: what takes longest of it, and needs no map."""

@@ -84,7 +84,7 @@ class NetworkSegmenter:
         self._config = config
         self._join = geometric.join
         self._geometric = GeometricSegmenter(geometric, trees)
-        self._trees = trees or embedded_trees()
+        self._trees = trees or embedded_trees(geometric.join.forest)
 
     def prepare(self, frame: Frame) -> Prepared:
         """Return the surface of a frame and the network's odds; raises `ModelError`."""

@@ -9,7 +9,7 @@ import zipfile
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-EMBEDDED = "weights/join.npz"
+Forest = Literal["sizes", "mixed"]
+"""`sizes` knows metres, heights and colours as such; `mixed` is its average with one of ratios, sigmas and angles."""
+EMBEDDED: dict[Forest, str] = {"sizes": "weights/join.npz", "mixed": "weights/join_mixed.npz"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -90,9 +92,9 @@ _ARRAYS = ("roots", "feature", "threshold", "left", "right", "nan_left", "value"
 
 
 @cache
-def embedded_trees() -> Trees:
-    """Return the trees that come with the package."""
-    with resources.as_file(resources.files("hickory_stream.perception").joinpath(EMBEDDED)) as path:
+def embedded_trees(forest: Forest = "sizes") -> Trees:
+    """Return trees that come with the package."""
+    with resources.as_file(resources.files("hickory_stream.perception").joinpath(EMBEDDED[forest])) as path:
         return load_trees(path)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import ModelError
-from hickory_stream.perception.trees import Trees, averaged, embedded_trees, load_trees
+from hickory_stream.perception.trees import EMBEDDED, Trees, averaged, embedded_trees, load_trees
 
 # One tree: width <= 2 (or unknown) gives -1; else gap <= 0.1 gives 2, else 0.5. Another is a single leaf of 0.25.
 TREES = Trees(
@@ -56,10 +56,11 @@ def test_saved_trees_are_loaded_as_they_were(tmp_path):
     np.testing.assert_array_equal(loaded.probabilities(INPUTS), TREES.probabilities(INPUTS))
 
 
-def test_the_trees_of_the_package_are_whole_and_small(request):
-    trees = embedded_trees()
+@pytest.mark.parametrize(("forest", "file"), EMBEDDED.items())
+def test_the_trees_of_the_package_are_whole_and_small(request, forest, file):
+    trees = embedded_trees(forest)
     assert len(trees.roots) >= 50
-    path = request.config.rootpath / "hickory_stream" / "perception" / "weights" / "join.npz"
+    path = request.config.rootpath / "hickory_stream" / "perception" / file
     assert path.stat().st_size < 8e6
 
 
