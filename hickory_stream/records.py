@@ -168,6 +168,11 @@ class Segmentation:
         if self.structure_shown is not None:
             freeze(self, "structure_shown", np.bool_, self.instances.shape)
 
+    @property
+    def own_structure(self) -> NDArray[np.bool_]:
+        """The structure (H, W) that this frame shows by itself."""
+        return self.structure if self.structure_shown is None else self.structure_shown
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observation:

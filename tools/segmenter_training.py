@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 _PACKAGE = Path(__file__).resolve().parents[1] / "hickory_stream" / "perception"
 _FILE = _PACKAGE / EMBEDDED["mixed"]
+_JOIN = JoinConfig(forest="mixed", probability=0.5)
+"""How fragments are joined by what is grown here; the default probability is for the forest of sizes."""
 ROOMS = (0, 1)
 """Seeds of random rooms of the family `training`, `_IMAGES` of each."""
 TRAINING = (
@@ -149,7 +151,7 @@ def score(log: Path, truth: Truth, trees: Trees) -> MaskScore:
     """Return the score of the masks of a log, each keyframe seen with the map as it is after the one before."""
     stamps = np.array([frame.stamp_ns for frame in truth.frames])
     scores = []
-    for seen in play_first_layer(log, segmenter=GeometricSegmenter(GeometricConfig(), trees)):
+    for seen in play_first_layer(log, segmenter=GeometricSegmenter(GeometricConfig(join=_JOIN), trees)):
         shown = true_instances(truth, int(np.argmin(np.abs(stamps - seen.frame.stamp_ns))))
         scores.append(score_masks(seen.perceived.segmentation.instances, shown, int(_MIN_SHARE * shown.size)))
     return total(scores)
@@ -276,7 +278,7 @@ def _told_of_rooms(trees: Trees) -> dict[str, dict[str, float]]:
 
 def joined(lesson: Lesson, trees: Trees) -> NDArray[np.int64]:
     """Return (fragments,) the groups that the fragments of a lesson are joined to."""
-    *_, last = rounds(lesson.measures, trees.probabilities, JoinConfig())
+    *_, last = rounds(lesson.measures, trees.probabilities, _JOIN)
     return last.numbers
 
 

@@ -126,13 +126,12 @@ def without_classes(
     is_structure = np.isin(semantics.classes, sorted(excluded.structure))
     is_dynamic = np.isin(semantics.classes, sorted(excluded.dynamic))
     is_other = is_dynamic | (instances > 0)
-    shown = segmentation.structure if segmentation.structure_shown is None else segmentation.structure_shown
     labels = np.unique(instances)
     return replace(
         segmentation,
         instances=np.searchsorted(np.union1d(labels, [0]), instances).astype(np.int32),
         structure=(segmentation.structure | is_structure) & ~is_other,
-        structure_shown=(shown | is_structure) & ~is_other,
+        structure_shown=(segmentation.own_structure | is_structure) & ~is_other,
         rejected=tuple(rejected),
     )
 

@@ -45,8 +45,7 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig)
     # The middle of each cell; an image that is smaller than one still has a ray.
     top, left = min(stride // 2, frame.camera.height - 1), min(stride // 2, frame.camera.width - 1)
     depth = frame.depth_m[top::stride, left::stride]
-    shown = segmentation.structure if segmentation.structure_shown is None else segmentation.structure_shown
-    structure = shown[top::stride, left::stride]
+    structure = segmentation.own_structure[top::stride, left::stride]
     camera = Camera(
         width=depth.shape[1],
         height=depth.shape[0],
