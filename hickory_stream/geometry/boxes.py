@@ -15,8 +15,8 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.portable_kernels import cos, sin
-from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
+from hickory_stream.geometry.portable_kernels import arctan2, cos, sin
+from hickory_stream.geometry.rigid import apply
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -65,31 +65,15 @@ class OrientedBox:
 
     def contains(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the box grown by `margin_m`."""
-        near = self._near(points_world, margin_m)
-        return self._holds(points_world, near, points_world.take(near, axis=0), margin_m)
+        return self._holds(points_world, margin_m, is_column=False)
 
     def is_over_or_under(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the column of an upright box grown by `margin_m`."""
-        near = self._near(points_world, margin_m, is_column=True)
-        level = points_world.take(near, axis=0)
-        level[:, 2] = self.center[2]
-        return self._holds(points_world, near, level, margin_m)
+        return self._holds(points_world, margin_m, is_column=True)
 
-    def _near(self, points_world: NDArray[Any], margin_m: float, *, is_column: bool = False) -> NDArray[np.int64]:
-        """Return the numbers of the points in the upright, unturned box around this one, or in its column."""
-        reach_m = portable.matmul(np.abs(self.world_from_box[:3, :3]), self.half_extents_m + margin_m) + _SLACK_M
-        if is_column:
-            reach_m[2] = np.inf
-        near: NDArray[np.int64] = _within(np.ascontiguousarray(points_world), self.center, reach_m)
-        return near
-
-    def _holds(
-        self, points_world: NDArray[Any], near: NDArray[np.int64], candidates: NDArray[Any], margin_m: float
-    ) -> NDArray[np.bool_]:
-        local = np.abs(portable.matmul(candidates - self.center, self.world_from_box[:3, :3]))
-        inside = local <= self.half_extents_m + margin_m
-        held = np.zeros(len(points_world), dtype=bool)
-        held[near] = inside[:, 0] & inside[:, 1] & inside[:, 2]
+    def _holds(self, points_world: NDArray[Any], margin_m: float, *, is_column: bool) -> NDArray[np.bool_]:
+        limits = self.half_extents_m + margin_m
+        held: NDArray[np.bool_] = _held(np.ascontiguousarray(points_world), self.world_from_box, limits, is_column)
         return held
 
     def grown(self, margin_m: float) -> OrientedBox:
@@ -103,11 +87,8 @@ def gravity_aligned_box(points_world: NDArray[Any], min_half_extent_m: float) ->
     The footprint is found by rotating calipers: a minimal rectangle shares a side with the convex hull.
     """
     points = np.asarray(points_world, dtype=np.float64)
-    hull = _hull_2d(points[:, :2])
-    angles = _side_angles(hull)
-    sizes, _ = _rectangles(hull, angles)
-    best = int(np.argmin(sizes[0] * sizes[1] + 1e-9 * sizes.sum(axis=0)))
-    return _upright_box(points, hull, float(angles[best]), min_half_extent_m)
+    pose, half_extents_m = _smallest_upright(points, _hull_2d(points), float(min_half_extent_m))
+    return OrientedBox(world_from_box=pose, half_extents_m=half_extents_m)
 
 
 def faced_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedBox:
@@ -118,7 +99,7 @@ def faced_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedB
     closest to the points (the closeness criterion of Zhang et al., Efficient L-Shape Fitting, 2017).
     """
     points = np.asarray(points_world, dtype=np.float64)
-    hull = _hull_2d(points[:, :2])
+    hull = _hull_2d(points)
     angles = np.unique(np.concatenate([_side_angles(hull), np.deg2rad(np.arange(0, 90, _FACE_STEP_DEG))]))
     sizes, lows = _rectangles(hull, angles)
     areas = sizes[0] * sizes[1] + 1e-9 * sizes.sum(axis=0)
@@ -130,37 +111,9 @@ def faced_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedB
         along, across = some[:, 0] * c + some[:, 1] * s - lows[0, i], some[:, 1] * c - some[:, 0] * s - lows[1, i]
         away = np.minimum(np.minimum(along, sizes[0, i] - along), np.minimum(across, sizes[1, i] - across))
         scores[n] = (1.0 / np.maximum(away, 2 * min_half_extent_m)).sum()
-    return _upright_box(points, hull, float(angles[near[int(np.argmax(scores))]]), min_half_extent_m)
-
-
-def _side_angles(hull: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the directions of a hull's sides, within a quarter of a turn."""
-    edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
-    return np.unique(np.mod(portable.arctan2(edges[:, 1], edges[:, 0]), np.pi / 2))
-
-
-def _rectangles(
-    hull: NDArray[np.float64], angles: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the (2, A) sizes along and across each of A directions, and where they begin."""
-    c, s = portable.cos(angles), portable.sin(angles)
-    along, across = portable.matmul(hull, np.stack([c, s])), portable.matmul(hull, np.stack([-s, c]))
-    sizes = np.stack([np.ptp(along, axis=0), np.ptp(across, axis=0)])
-    return sizes, np.stack([along.min(axis=0), across.min(axis=0)])
-
-
-def _upright_box(
-    points: NDArray[np.float64], hull: NDArray[np.float64], angle: float, min_half_extent_m: float
-) -> OrientedBox:
-    sizes, lows = _rectangles(hull, np.array([angle]))
-    rotation = yaw_rotation(angle)
-    z_low, z_high = _ends(points[:, 2])
-    middle = portable.matmul(rotation, np.array([*(lows[:, 0] + sizes[:, 0] / 2), (z_low + z_high) / 2]))
-    half = np.array([*sizes[:, 0], z_high - z_low]) / 2
-    return OrientedBox(
-        world_from_box=from_rotation_translation(rotation, middle),
-        half_extents_m=np.maximum(half, min_half_extent_m),
-    )
+    angle = float(angles[near[int(np.argmax(scores))]])
+    pose, half_extents_m = _upright(points, hull, angle, float(min_half_extent_m))
+    return OrientedBox(world_from_box=pose, half_extents_m=half_extents_m)
 
 
 def box_iou(a: OrientedBox, b: OrientedBox) -> float:
@@ -174,9 +127,7 @@ def intersection_volume_m3(a: OrientedBox, b: OrientedBox, margin_m: float = 0.0
     half_a, half_b = a.half_extents_m + margin_m, b.half_extents_m + margin_m
     if _are_apart(a.world_from_box, half_a, b.world_from_box, half_b):
         return 0.0
-    rotation_ab = portable.matmul(a.world_from_box[:3, :3].T, b.world_from_box[:3, :3])
-    offset_ab = portable.matmul(a.world_from_box[:3, :3].T, b.center - a.center)
-    shared = _intersection_volume(half_a, half_b, rotation_ab, offset_ab)
+    shared = _shared_volume(a.world_from_box, half_a, b.world_from_box, half_b)
     return float(min(max(shared, 0.0), _volume_m3(half_a), _volume_m3(half_b)))
 
 
@@ -186,27 +137,89 @@ def _volume_m3(half_extents_m: NDArray[np.float64]) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _ends(values):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the least and the greatest of at least one value; along a column NumPy takes several times as long."""
-    low = high = values[0]
-    for i in range(1, len(values)):
-        low, high = min(low, values[i]), max(high, values[i])
-    return low, high
+def _held(points, world_from_box, limits, is_column):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return which of (N, 3) points lie within `limits` (3,) of a box's centre along its axes, or in that column."""
+    r = world_from_box
+    x0, y0, z0 = r[0, 3], r[1, 3], r[2, 3]
+    # A first look at the upright, unturned box around it.
+    reach = np.empty(3)
+    for k in range(3):
+        total = 0.0
+        for axis in range(3):
+            total += abs(r[k, axis]) * limits[axis]
+        reach[k] = total + _SLACK_M
+    level = np.empty(1, dtype=points.dtype)
+    level[0] = z0
+    out = np.zeros(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        z = level[0] if is_column else points[i, 2]
+        x, y, z = points[i, 0] - x0, points[i, 1] - y0, z - z0
+        if abs(x) <= reach[0] and abs(y) <= reach[1] and (is_column or abs(z) <= reach[2]):
+            along = abs(x * r[0, 0] + y * r[1, 0] + z * r[2, 0])
+            across = abs(x * r[0, 1] + y * r[1, 1] + z * r[2, 1])
+            up = abs(x * r[0, 2] + y * r[1, 2] + z * r[2, 2])
+            out[i] = (along <= limits[0]) & (across <= limits[1]) & (up <= limits[2])
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _within(points, center, reach):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the numbers of the points within a reach (3,) of a centre along each axis."""
-    out = np.empty(len(points), dtype=np.int64)
-    count = 0
-    for i in range(len(points)):
-        out[count] = i
-        count += (
-            (abs(points[i, 0] - center[0]) <= reach[0])
-            & (abs(points[i, 1] - center[1]) <= reach[1])
-            & (abs(points[i, 2] - center[2]) <= reach[2])
-        )
-    return out[:count]
+def _smallest_upright(points, hull, min_half_extent):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return pose (4, 4) and half extents (3,) of the upright box of least footprint around points with that hull."""
+    angles = _side_angles(hull)
+    sizes, _ = _rectangles(hull, angles)
+    best = 0
+    least = np.inf
+    for i in range(len(angles)):
+        area = sizes[0, i] * sizes[1, i] + 1e-9 * (sizes[0, i] + sizes[1, i])
+        if area < least:
+            best, least = i, area
+    return _upright(points, hull, angles[best], min_half_extent)
+
+
+@numba.njit(cache=True, nogil=True)
+def _upright(points, hull, angle, min_half_extent):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return pose (4, 4) and half extents (3,) of the upright box around points, with a side at an angle."""
+    sizes, lows = _rectangles(hull, np.full(1, angle))
+    z_low, z_high = points[0, 2], points[0, 2]
+    for i in range(1, len(points)):
+        z_low, z_high = min(z_low, points[i, 2]), max(z_high, points[i, 2])
+    along, across, up = lows[0, 0] + sizes[0, 0] / 2, lows[1, 0] + sizes[1, 0] / 2, (z_low + z_high) / 2
+    c, s = cos(angle), sin(angle)
+    pose = np.zeros((4, 4))
+    pose[0, 0], pose[0, 1], pose[1, 0], pose[1, 1], pose[2, 2], pose[3, 3] = c, -s, s, c, 1.0, 1.0
+    for k in range(3):
+        pose[k, 3] = 0.0 + pose[k, 0] * along + pose[k, 1] * across + pose[k, 2] * up
+    half = np.empty(3)
+    half[0], half[1], half[2] = sizes[0, 0] / 2, sizes[1, 0] / 2, (z_high - z_low) / 2
+    return pose, np.maximum(half, min_half_extent)
+
+
+@numba.njit(cache=True, nogil=True)
+def _side_angles(hull):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the directions of a hull's sides, within a quarter of a turn, ascending."""
+    angles = np.empty(len(hull))
+    for i in range(len(hull)):
+        p, q = hull[i], hull[(i + 1) % len(hull)]
+        angles[i] = abs(arctan2(q[1] - p[1], q[0] - p[0]) % (np.pi / 2))  # no zero with a sign
+    return np.sort(angles)
+
+
+@numba.njit(cache=True, nogil=True)
+def _rectangles(hull, angles):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the (2, A) sizes along and across each of A directions, and where they begin."""
+    sizes, lows = np.empty((2, len(angles))), np.empty((2, len(angles)))
+    for n in range(len(angles)):
+        c, s = cos(angles[n]), sin(angles[n])
+        low = np.full(2, np.inf)
+        high = np.full(2, -np.inf)
+        for i in range(len(hull)):
+            along = 0.0 + hull[i, 0] * c + hull[i, 1] * s
+            across = 0.0 + hull[i, 0] * -s + hull[i, 1] * c
+            low[0], high[0] = min(low[0], along), max(high[0], along)
+            low[1], high[1] = min(low[1], across), max(high[1], across)
+        for k in range(2):
+            sizes[k, n], lows[k, n] = high[k] - low[k], low[k]
+    return sizes, lows
 
 
 @numba.njit(cache=True, nogil=True)
@@ -222,21 +235,37 @@ def _are_apart(world_from_a, half_a, world_from_b, half_b):  # type: ignore[no-u
 
 def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the hull's corners in order, counter-clockwise; of collinear points the ends, of one the same twice."""
-    outer = points[_may_be_corner(points)]
-    corners = _monotone_chain(outer[np.lexsort((outer[:, 1], outer[:, 0]))])
+    outer = _outer(points)
+    corners: NDArray[np.float64] = _monotone_chain(outer[np.lexsort((outer[:, 1], outer[:, 0]))])
     return corners if len(corners) > 1 else np.repeat(corners, 2, axis=0)
 
 
-def _may_be_corner(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which points are not strictly inside the octagon of extreme points (Akl, Toussaint)."""
-    corners = points[_extreme_in_eight(points)]
-    edges = np.roll(corners, -1, axis=0) - corners
-    edges, starts = edges[(edges != 0).any(axis=1)], corners[(edges != 0).any(axis=1)]
-    if len(edges) == 0:
-        return np.ones(len(points), dtype=bool)
-    # Left of an edge: edge x (point - start) > 0, which is linear in the point.
-    offsets = edges[:, 0] * starts[:, 1] - edges[:, 1] * starts[:, 0]
-    return np.asarray(~_left_of_all(points, edges, offsets))
+@numba.njit(cache=True, nogil=True)
+def _outer(points):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (M, 2) the points, seen from above, that are not inside the octagon of extreme ones (Akl, Toussaint)."""
+    extreme = _extreme_in_eight(points)
+    edges, offsets = np.empty((8, 2)), np.empty(8)
+    count = 0
+    for k in range(8):
+        p, q = points[extreme[k]], points[extreme[(k + 1) % 8]]
+        x, y = q[0] - p[0], q[1] - p[1]
+        if x != 0.0 or y != 0.0:
+            # Left of an edge: edge x (point - start) > 0, which is linear in the point.
+            edges[count, 0], edges[count, 1], offsets[count] = x, y, x * p[1] - y * p[0]
+            count += 1
+    out = np.empty((len(points), 2))
+    kept = 0
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        is_inside = count > 0
+        for k in range(count):
+            if edges[k, 0] * y - edges[k, 1] * x <= offsets[k]:
+                is_inside = False
+                break
+        if not is_inside:
+            out[kept, 0], out[kept, 1] = x, y
+            kept += 1
+    return out[:kept]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -251,17 +280,6 @@ def _extreme_in_eight(points):  # type: ignore[no-untyped-def] # pragma: no cove
             if value > best[k]:
                 best[k], out[k] = value, i
     return out
-
-
-@numba.njit(cache=True, nogil=True)
-def _left_of_all(points, edges, offsets):  # type: ignore[no-untyped-def] # pragma: no cover
-    inside = np.ones(len(points), dtype=np.bool_)
-    for i in range(len(points)):
-        for k in range(len(edges)):
-            if edges[k, 0] * points[i, 1] - edges[k, 1] * points[i, 0] <= offsets[k]:
-                inside[i] = False
-                break
-    return inside
 
 
 @numba.njit(cache=True, nogil=True)
@@ -362,3 +380,15 @@ def _intersection_volume(half_a, half_b, rotation, offset):  # type: ignore[no-u
     return _cones(identity, origin, half_a, rotation, offset, half_b, tolerance) + _cones(
         rotation, offset, half_b, identity, origin, half_a, -tolerance
     )
+
+
+@numba.njit(cache=True, nogil=True)
+def _shared_volume(world_from_a, half_a, world_from_b, half_b):  # type: ignore[no-untyped-def] # pragma: no cover
+    rotation, offset = np.empty((3, 3)), np.empty(3)
+    a, b = world_from_a, world_from_b
+    x, y, z = b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
+    for i in range(3):
+        for j in range(3):
+            rotation[i, j] = a[0, i] * b[0, j] + a[1, i] * b[1, j] + a[2, i] * b[2, j]
+        offset[i] = 0.0 + a[0, i] * x + a[1, i] * y + a[2, i] * z
+    return _intersection_volume(half_a, half_b, rotation, offset)

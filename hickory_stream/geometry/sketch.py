@@ -8,14 +8,17 @@ along the principal axes, boxes, cylinders, ellipsoids and what lies between.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.canonical import canonical
+from hickory_stream.geometry.portable_kernels import exp, logaddexp
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
+from hickory_stream.geometry.superquadric import Superquadrics, unit_volumes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -71,34 +74,62 @@ def _best(
     offsets = points - center
     lengths = np.linalg.norm(offsets, axis=1)
     logs = portable.log(np.maximum(np.abs(portable.matmul(offsets, axes)) / half, 1e-9))
-    costs, semi_axes_m = [], [portable.matmul(half, order) for order in _ORDERS]
-    for order, own_axes in zip(_ORDERS, semi_axes_m, strict=True):
-        own = portable.matmul(logs, order)
-        size = portable.cbrt(_volumes_m3(own_axes))
-        for i, e2 in enumerate(_EXPONENTS):
-            log_rho = e2 / 2 * portable.logaddexp(2 / e2 * own[:, 0], 2 / e2 * own[:, 1])
-            for j, e1 in enumerate(_EXPONENTS):
-                log_gauge = e1 / 2 * portable.logaddexp(2 / e1 * log_rho, 2 / e1 * own[:, 2])
-                distance = float(np.abs(lengths * (1 - portable.exp(-log_gauge))).mean())
-                costs.append(distance * float(size[i, j]))
+    semi_axes_m = [portable.matmul(half, order) for order in _ORDERS]
+    sizes = np.concatenate([portable.cbrt(_unit_volumes() * own.prod()) for own in semi_axes_m])
+    trials, distances = _distances(logs, lengths, np.array(_EXPONENTS), sizes)
+    costs = distances.mean(axis=1) * sizes[trials]
     best = int(np.argmin(costs))
-    turn, of_e2, of_e1 = np.unravel_index(best, (len(_ORDERS), len(_EXPONENTS), len(_EXPONENTS)))
+    turn, of_e2, of_e1 = np.unravel_index(trials[best], (len(_ORDERS), len(_EXPONENTS), len(_EXPONENTS)))
     return _Trial(
-        cost=costs[best],
+        cost=float(costs[best]),
         exponents=(_EXPONENTS[of_e1], _EXPONENTS[of_e2]),
         semi_axes_m=semi_axes_m[turn],
         pose=from_rotation_translation(portable.matmul(axes, _ORDERS[turn]), center),
     )
 
 
-def _volumes_m3(semi_axes_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the volumes of primitives with these semi-axes (3,), by the number of e2, then of e1."""
-    exponents = np.array([(e1, e2) for e2 in _EXPONENTS for e1 in _EXPONENTS])
-    poses = np.broadcast_to(np.eye(4), (len(exponents), 4, 4))
-    trials = Superquadrics(
-        exponents=exponents, semi_axes_m=np.tile(semi_axes_m, (len(exponents), 1)), world_from_local=poses
-    )
-    return volumes_m3(trials).reshape(len(_EXPONENTS), len(_EXPONENTS))
+@cache
+def _unit_volumes() -> NDArray[np.float64]:
+    """Return the volumes of primitives with semi-axes of 1, by e2, then by e1."""
+    return unit_volumes(np.array([(e1, e2) for e2 in _EXPONENTS for e1 in _EXPONENTS]))
+
+
+@numba.njit(cache=True, nogil=True)
+def _distances(logs, lengths, exponents, sizes):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the numbers of the trials that may be best, ascending, and (M, N) how far each point is from them.
+
+    Trials are numbered by the order of the axes, e2 and e1. `logs` (N, 3) are of the points along the axes, in shares
+    of the half extents. A trial that costs more by some of the points than another one by all of them is given up.
+    """
+    count, kinds = len(lengths), len(exponents)
+    trials = np.empty(3 * kinds * kinds, dtype=np.int64)
+    distances = np.empty((len(trials), count))
+    log_rho = np.empty(count)
+    tried, least = 0, np.inf
+    for shift in range(3):
+        # As the columns of the orders, which are turned by as many.
+        x, y, z = -shift % 3, (1 - shift) % 3, (2 - shift) % 3
+        for j in range(kinds):
+            e2 = exponents[j]
+            for i in range(count):
+                log_rho[i] = e2 / 2 * logaddexp(2 / e2 * logs[i, x], 2 / e2 * logs[i, y])
+            for k in range(kinds):
+                e1 = exponents[k]
+                trial = (shift * kinds + j) * kinds + k
+                # Beyond what the order of summation can make of it.
+                limit = 1.001 * least * count
+                total = 0.0
+                for i in range(count):
+                    log_gauge = e1 / 2 * logaddexp(2 / e1 * log_rho[i], 2 / e1 * logs[i, z])
+                    distances[tried, i] = abs(lengths[i] * (1 - exp(-log_gauge)))
+                    total += distances[tried, i] * sizes[trial]
+                    if total > limit:
+                        break
+                if total <= limit:
+                    trials[tried] = trial
+                    tried += 1
+                    least = min(least, total / count)
+    return trials[:tried], distances[:tried]
 
 
 def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -117,9 +117,13 @@ def radial_distance_m(primitives: Superquadrics, index: int, points_world: NDArr
 
 def volumes_m3(primitives: Superquadrics) -> NDArray[np.float64]:
     """Return the (N,) volumes in closed form: 2 a1 a2 a3 e1 e2 B(e1/2 + 1, e1) B(e2/2, e2/2) (Jaklic et al., 2000)."""
-    e1, e2 = primitives.exponents[:, 0], primitives.exponents[:, 1]
-    shape = 2 * e1 * e2 * beta(e1 / 2 + 1, e1) * beta(e2 / 2, e2 / 2)
-    return np.asarray(shape * primitives.semi_axes_m.prod(axis=1))
+    return np.asarray(unit_volumes(primitives.exponents) * primitives.semi_axes_m.prod(axis=1))
+
+
+def unit_volumes(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N,) volumes of primitives with these exponents (N, 2) and semi-axes of 1."""
+    e1, e2 = exponents[:, 0], exponents[:, 1]
+    return np.asarray(2 * e1 * e2 * beta(e1 / 2 + 1, e1) * beta(e2 / 2, e2 / 2))
 
 
 def second_moments_m5(primitives: Superquadrics) -> NDArray[np.float64]:

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.cloud import share_near
-from hickory_stream.mapping.track import bounds_of, touching
+from hickory_stream.mapping.track import touching
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:

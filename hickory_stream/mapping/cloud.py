@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.voxels import coarse_keys, contains, first_not_below, keys_of_points, sorted_unique
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def solid_part(cloud: Cloud, sightings: int) -> Cloud:
 
 
 def _volume(points: NDArray[np.float32]) -> float:
-    return float(np.prod(np.ptp(points, axis=0)))
+    return float(np.prod(extent_of(points)))
 
 
 def is_near(keys: NDArray[np.int64], cloud: Cloud) -> NDArray[np.bool_]:

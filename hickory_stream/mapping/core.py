@@ -31,6 +31,7 @@ from hickory_stream.events import (
     TimeJumped,
 )
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
 from hickory_stream.mapping.carried import is_inner_part
@@ -77,7 +78,6 @@ from hickory_stream.mapping.track import (
     Track,
     TrackConfig,
     as_object,
-    bounds_of,
     box_of,
     grown,
     sketched,

@@ -21,6 +21,7 @@ from hickory_stream.geometry.voxels import (
     keys_of_points,
     places,
     sorted_unique,
+    union,
 )
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import ObservedSpace
@@ -102,7 +103,7 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     Where a track was taken for structure, and four keyframes see through it, there is none: somebody stood there.
     """
     state = _without_disproved(state, seen.free_keys)
-    voters = sorted_unique(np.concatenate([seen.structure_keys, seen.surface_keys]))
+    voters = union(seen.structure_keys, seen.surface_keys)
     state = _with_surface(state, voters)
     at, is_hit = places(state.surface, voters), contains(seen.structure_keys, voters)
     before = _is_structure(state.hits[at], state.misses[at])
@@ -114,11 +115,11 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     is_hidden = _structure_at(state, seen.free_keys)
     # What has just become structure is free no more, and what is structure is not made free by rays that graze it.
     bared = lost[contains(state.hidden_free, lost)]
-    hidden = np.concatenate([gained[contains(state.free, gained)], seen.free_keys[is_hidden]])
-    free = exchanged(state.free, gained, sorted_unique(np.concatenate([seen.free_keys[~is_hidden], bared])))
+    hidden = union(gained[contains(state.free, gained)], seen.free_keys[is_hidden])
+    free = exchanged(state.free, gained, union(seen.free_keys[~is_hidden], bared))
     # Read-only, so that the records of the map share it: it is the largest thing in a map.
     free.flags.writeable = False
-    return replace(state, free=free, hidden_free=exchanged(state.hidden_free, lost, sorted_unique(hidden)))
+    return replace(state, free=free, hidden_free=exchanged(state.hidden_free, lost, hidden))
 
 
 def _voted(

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.voxels import in_company
@@ -143,23 +143,6 @@ def without_views(track: Track, names: Collection[str]) -> Track:
         for _, view in coverage:
             best = better(best, view) if view.score is not None else best
     return replace(track, coverage=coverage, best_view=best)
-
-
-def bounds_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (2, 3) the least and greatest coordinates of (N, 3) points, N >= 1."""
-    assert len(points) > 0
-    bounds: NDArray[np.float32] = _bounds_of(points)
-    return bounds
-
-
-@numba.njit(cache=True, nogil=True)
-def _bounds_of(points):  # type: ignore[no-untyped-def] # pragma: no cover
-    bounds = np.empty((2, 3), dtype=points.dtype)
-    bounds[:] = points[0]
-    for i in range(1, len(points)):
-        for k in range(3):
-            bounds[0, k], bounds[1, k] = min(bounds[0, k], points[i, k]), max(bounds[1, k], points[i, k])
-    return bounds
 
 
 def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: float = 0.03) -> list[Track]:

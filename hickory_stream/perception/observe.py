@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import find_objects
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.rigid import apply
@@ -130,7 +131,7 @@ def _lift(
     if len(points) < config.min_points:
         return f"{len(points)} points, fewer than {config.min_points}"
     company = points[in_company(points)]
-    size_m = max(float(np.ptp(column)) for column in company.T)
+    size_m = float(extent_of(company).max())
     if size_m > config.max_box_m:
         return f"{size_m:.1f} m long: no object"
     return _Lifted(
@@ -253,12 +254,13 @@ def _with_support(depth, inner, law, sigmas, least):  # type: ignore[no-untyped-
             if not inner[y, x] or not z > 0.0:
                 continue
             gate = sigmas * sigma_at(z, law)
-            count = -1
+            count = -1  # it is within the gate of itself
             for yy in range(max(0, y - 2), min(height, y + 3)):
                 for xx in range(max(0, x - 2), min(width, x + 3)):
-                    if inner[yy, xx] and abs(depth[yy, xx] - z) <= gate:
-                        count += 1
-            out[y, x] = count >= least
+                    count += inner[yy, xx] & (abs(depth[yy, xx] - z) <= gate)
+                if count >= least:  # on a surface the first rows suffice
+                    out[y, x] = True
+                    break
     return out
 
 

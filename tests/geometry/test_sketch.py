@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, rotation_from_quaternion, yaw_rotation
 from hickory_stream.geometry.sketch import sketch
-from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, volumes_m3, world_bounds
+from hickory_stream.geometry.superquadric import (
+    Superquadrics,
+    implicit_value,
+    radial_distance_m,
+    volumes_m3,
+    world_bounds,
+)
 
 
 def sketch_of(points: np.ndarray) -> Superquadrics | None:
@@ -55,6 +61,33 @@ def test_a_sketch_overlaps_the_solid(name: str, column: int, share: float) -> No
     cells = np.random.default_rng(1).uniform(low, high, (4000, 3))
     truth, claimed = is_within(solid, cells), implicit_value(found, 0, cells) <= 1
     assert (truth & claimed).sum() / (truth | claimed).sum() >= LEAST_IOU[name][column]
+
+
+@pytest.mark.parametrize("name", list(SOLIDS))
+def test_no_upright_primitive_costs_less_than_the_sketch(name: str) -> None:
+    solid = placed(SOLIDS[name](), 0.4)
+    points = seen(solid, share=0.7)[::12]
+    box = gravity_aligned_box(points, 0.01)
+    exponents = np.array([(e1, e2) for e1 in (0.1, 0.3, 0.6, 1.0) for e2 in (0.1, 0.3, 0.6, 1.0)])
+    turns = [np.eye(3)[:, list(order)] for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))]
+    trials = [
+        Superquadrics(
+            exponents=own[None],
+            semi_axes_m=(box.half_extents_m @ turn)[None],
+            world_from_local=from_rotation_translation(box.world_from_box[:3, :3] @ turn, box.center)[None],
+        )
+        for own in exponents
+        for turn in turns
+    ]
+    found = sketch_of(points)
+    assert found is not None
+    assert len(points) <= 250, "the sketch looks at all of them"
+    assert cost(found, points) <= min(cost(trial, points) for trial in trials) * (1 + 1e-9)
+
+
+def cost(primitive: Superquadrics, points: np.ndarray) -> float:
+    """Return the mean radial distance to the points times the cube root of the volume."""
+    return float(np.abs(radial_distance_m(primitive, 0, points)).mean() * np.cbrt(volumes_m3(primitive)[0]))
 
 
 def test_a_leaning_rod_is_no_upright_box() -> None:

@@ -19,13 +19,14 @@ from hickory_stream.events import (
     RequestShape,
     ShapeReady,
 )
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.existence import Existence
-from hickory_stream.mapping.track import Track, bounds_of
+from hickory_stream.mapping.track import Track
 from hickory_stream.records import Containment, MaskFeature, ObjectShape, Observation, Phase, SpaceObservation, View
 
 VOXEL_M = 0.02
