@@ -32,7 +32,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
 from hickory_stream.mapping.carried import is_inner_part
 from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
@@ -633,8 +633,7 @@ class MapperCore:
         return is_flush(space, track.box, config) or is_edge(space, track.box, config)
 
     def _is_seen_through(self, track: Track, event: FrameObserved) -> bool:
-        keys = keys_of_points(track.cloud.points[:: max(1, len(track.cloud.points) // 200)], self._config.space_voxel_m)
-        share = float(contains(event.space.free_keys, keys).mean())
+        share = share_in(event.space.free_keys, track.cloud.points, self._config.space_voxel_m)
         return share >= self._config.lifecycle.phantom_share
 
     def _drop_track(self, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:

@@ -149,7 +149,7 @@ def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: floa
     """Return the tracks whose bounds come within `slack_m` of the given ones, in their order."""
     if not tracks:
         return []
-    theirs = np.stack([track.bounds for track in tracks])
+    theirs = np.concatenate([track.bounds for track in tracks]).reshape(-1, 2, 3)
     near = ((bounds[0] <= theirs[:, 1] + slack_m) & (theirs[:, 0] <= bounds[1] + slack_m)).all(axis=1)
     return [track for track, is_near in zip(tracks, near, strict=True) if is_near]
 

@@ -133,18 +133,29 @@ def _extent_m(points, labels, label):  # type: ignore[no-untyped-def] # pragma: 
 
 def hidden_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
     """Return the share of each label's outline where the neighbour is nearer: where something hides the rest of it."""
-    outline, hidden = np.zeros(count), np.zeros(count)
+    outline, hidden = _outlines(depth_m, labels, count)
+    return np.asarray(hidden / np.maximum(outline, 1))
+
+
+@numba.njit(cache=True, nogil=True)
+def _outlines(depth, labels, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (count,) how many neighbours of another label each label has, and how many of them are nearer."""
     height, width = labels.shape
-    for dy, dx in ((0, 1), (1, 0)):
-        a = (slice(0, height - dy), slice(0, width - dx))
-        b = (slice(dy, height), slice(dx, width))
-        for here, there in ((a, b), (b, a)):
-            edge = (labels[here] != labels[there]) & (labels[here] > 0)
-            names = labels[here][edge]
-            outline += np.bincount(names, minlength=count)
-            nearer = depth_m[there][edge] < depth_m[here][edge] * 0.97 - 0.01
-            hidden += np.bincount(names, weights=nearer, minlength=count)
-    return hidden / np.maximum(outline, 1)
+    outline, hidden = np.zeros(count), np.zeros(count)
+    for y in range(height):
+        for x in range(width):
+            for side in range(2):
+                yy, xx = (y, x + 1) if side == 0 else (y + 1, x)
+                if yy >= height or xx >= width or labels[y, x] == labels[yy, xx]:
+                    continue
+                here, there = labels[y, x], labels[yy, xx]
+                if here > 0:
+                    outline[here] += 1.0
+                    hidden[here] += depth[yy, xx] < depth[y, x] * np.float32(0.97) - np.float32(0.01)
+                if there > 0:
+                    outline[there] += 1.0
+                    hidden[there] += depth[y, x] < depth[yy, xx] * np.float32(0.97) - np.float32(0.01)
+    return outline, hidden
 
 
 def enlarged(labels: NDArray[np.int32], factor: int, size: tuple[int, int]) -> NDArray[np.int32]:

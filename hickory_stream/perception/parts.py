@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.geometry import portable
 from hickory_stream.perception.hidden import bridges
 from hickory_stream.perception.part_sums import PartSums, part_sums
 from hickory_stream.perception.seams import contacts_of
@@ -136,11 +135,10 @@ def measure(
 
 def grouped_parts(parts: Parts, numbers: NDArray[np.int64], count: int) -> Parts:
     """Return the measures of `count` groups; `numbers` (n,) names the group of each part."""
-    member = (numbers == np.arange(count)[:, None]).astype(np.float64)
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, numbers, parts.low)
     np.maximum.at(high, numbers, parts.high)
-    return Parts(low=low, high=high, **{name: portable.matmul(member, getattr(parts, name)) for name in _PART_SUMS})
+    return Parts(low=low, high=high, **{name: _summed(getattr(parts, name), numbers, count) for name in _PART_SUMS})
 
 
 def grouped_pairs(pairs: Pairs, numbers: NDArray[np.int64]) -> Pairs:
@@ -152,9 +150,7 @@ def grouped_pairs(pairs: Pairs, numbers: NDArray[np.int64]) -> Pairs:
     keys, place = np.unique((np.minimum(a, b) * count + np.maximum(a, b))[apart], return_inverse=True)
 
     def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        summed = np.zeros((len(keys), *values.shape[1:]))
-        np.add.at(summed, place, values[apart])
-        return summed
+        return _summed(values[apart], place, len(keys))
 
     gap_m = np.full(len(keys), np.inf)
     np.minimum.at(gap_m, place, pairs.gap_m[apart])
@@ -166,6 +162,22 @@ def grouped_pairs(pairs: Pairs, numbers: NDArray[np.int64]) -> Pairs:
         above=total(np.where(turned, pairs.above[:, ::-1], pairs.above)),
         **{name: total(getattr(pairs, name)) for name in _PAIR_SUMS},
     )
+
+
+def _summed(values: NDArray[np.float64], places: NDArray[np.int64], count: int) -> NDArray[np.float64]:
+    """Return (count, ...) the sums of (N, ...) values that have the same place, added as they come."""
+    rows = np.ascontiguousarray(values if values.ndim > 1 else values[:, None])
+    out: NDArray[np.float64] = _sums(rows, places, count)
+    return out if values.ndim > 1 else out[:, 0]
+
+
+@numba.njit(cache=True, nogil=True)
+def _sums(rows, places, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.zeros((count, rows.shape[1]))
+    for i in range(len(places)):
+        for k in range(rows.shape[1]):
+            out[places[i], k] += rows[i, k]
+    return out
 
 
 def _pairs(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.ranges import Ranged, number
 
@@ -81,9 +82,12 @@ def _raised(
     config: ReliefConfig,
 ) -> NDArray[np.bool_]:
     mask = np.zeros(plane.near.shape, dtype=bool)
-    mean, count = _window_mean(plane.distance_m, plane.near, config.window_px)
-    noise = sigma_m / np.sqrt(np.maximum(count, 1.0))
-    high = plane.near & (mean > np.maximum(np.float32(config.least_m), config.sigmas * noise))
+    side = (config.window_px, config.window_px)
+    values, marks = _marked(plane.distance_m, plane.near)
+    total = cv2.blur(values, side, borderType=cv2.BORDER_CONSTANT)
+    share = cv2.blur(marks, side, borderType=cv2.BORDER_CONSTANT)
+    area, least_m, sigmas = (np.float32(x) for x in (config.window_px**2, config.least_m, config.sigmas))
+    high = _is_high(plane.near, total, share, sigma_m, area, least_m, sigmas)
     # A rim of a few pixels along the foot of a thing tells nothing that the thing does not.
     wide = cv2.morphologyEx(high.astype(np.uint8), cv2.MORPH_OPEN, _WIDE)
     if int(wide.sum()) < config.min_area_px:
@@ -111,14 +115,32 @@ def _is_held(patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_floor: b
     return touch >= config.min_touch_px if is_floor else touch > config.min_held * int(outline.sum())
 
 
-def _window_mean(
-    values: NDArray[np.float32], mask: NDArray[np.bool_], side: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return (h, w) the mean over the pixels of a mask in the window around each pixel, and how many they are."""
-    total = cv2.blur(np.where(mask, values, np.float32(0)), (side, side), borderType=cv2.BORDER_CONSTANT)
-    share = cv2.blur(mask.astype(np.float32), (side, side), borderType=cv2.BORDER_CONSTANT)
-    count = share * np.float32(side * side)
-    return np.asarray(total / np.maximum(share, np.float32(1e-6))), np.asarray(count)
+@numba.njit(cache=True, nogil=True)
+def _marked(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (h, w) the values where a mask is, 0 elsewhere, and the mask as numbers."""
+    out, marks = np.zeros(values.shape, dtype=np.float32), np.zeros(values.shape, dtype=np.float32)
+    for y in range(values.shape[0]):
+        for x in range(values.shape[1]):
+            if mask[y, x]:
+                out[y, x], marks[y, x] = values[y, x], np.float32(1.0)
+    return out, marks
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_high(near, total, share, sigma, area, least, sigmas):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (h, w) which pixels of a plane lie in windows whose mean is off it by more than its noise.
+
+    `total` and `share` (h, w) are the means over windows of `area` pixels of the distances from the plane, 0 where a
+    pixel is not near it, and of the pixels that are.
+    """
+    out = np.zeros(near.shape, dtype=np.bool_)
+    for y in range(near.shape[0]):
+        for x in range(near.shape[1]):
+            if near[y, x]:
+                mean = total[y, x] / max(share[y, x], np.float32(1e-6))
+                noise = sigma[y, x] / np.sqrt(max(share[y, x] * area, np.float32(1.0)))
+                out[y, x] = mean > max(least, sigmas * noise)
+    return out
 
 
 def _color_step(patch: NDArray[np.float32], plane: NDArray[np.float32]) -> float:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.ranges import Ranged, number
 
@@ -78,12 +79,10 @@ def _pieces(
 def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ShadeConfig) -> NDArray[np.bool_] | None:
     """Return which pixels of a mask have the one of its two colours, None where it has one."""
     side = (config.window_px, config.window_px)
-    inside = mask.astype(np.float32)
-    share = cv2.blur(inside, side, borderType=cv2.BORDER_CONSTANT)
-    total = cv2.blur(lab * inside[..., None], side, borderType=cv2.BORDER_CONSTANT)
-    colors = total[mask] / share[mask][:, None]
-    centered = (colors - colors.mean(axis=0)).astype(np.float64)
-    variances, axes = portable.eigh(portable.matmul(centered.T, centered) / len(centered))
+    share = cv2.blur(mask.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.blur(_within(lab, mask), side, borderType=cv2.BORDER_CONSTANT)
+    colors, centered, spread = _window_colors(total, share, mask)
+    variances, axes = portable.eigh(spread)
     # Two means that far apart, of the smallest share that counts, already make this variance.
     if variances[2] < 0.02 * config.min_step * config.min_step:
         return None
@@ -96,6 +95,46 @@ def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32], config: Shade
     out = np.zeros(mask.shape, dtype=bool)
     out[mask] = high
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _within(lab, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (h, w, 3) the colours within a mask, 0 elsewhere."""
+    out = np.zeros(lab.shape, dtype=np.float32)
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            if mask[y, x]:
+                for k in range(3):
+                    out[y, x, k] = lab[y, x, k]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _window_colors(total, share, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, 3) the mean colours of windows around a mask's pixels, how far off their mean, and the covariance."""
+    count = 0
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            count += mask[y, x]
+    colors, mean = np.empty((count, 3), dtype=np.float32), np.zeros(3, dtype=np.float32)
+    n = 0
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            if mask[y, x]:
+                for k in range(3):
+                    colors[n, k] = total[y, x, k] / share[y, x]
+                    mean[k] += colors[n, k]
+                n += 1
+    centered, spread = np.empty((count, 3)), np.zeros((3, 3))
+    for k in range(3):
+        mean[k] /= np.float32(count)
+    for i in range(count):
+        for k in range(3):
+            centered[i, k] = colors[i, k] - mean[k]
+        for j in range(3):
+            for k in range(3):
+                spread[j, k] += centered[i, j] * centered[i, k]
+    return colors, centered, spread / count
 
 
 def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:

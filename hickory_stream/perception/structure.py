@@ -16,11 +16,14 @@ from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
 from hickory_stream.perception.relief import NearPlane, ReliefConfig
 from hickory_stream.perception.structure_kernels import (
+    along,
     areas_m2,
+    bins_of_azimuth,
     histogram,
     near_offset,
     on_wall,
     places_of,
+    spread_of,
     surface_of_area,
     taken,
     taken_rows,
@@ -90,13 +93,14 @@ class Wall:
 
     def distance_m(self, surface: Surface) -> NDArray[np.float32]:
         """Return (h, w) how far each pixel lies before the wall."""
-        return np.asarray(portable.matmul(surface.points_world[..., :2], self.normal) - np.float32(self.offset))
+        rows = surface.points_world.reshape(-1, 3)
+        return np.asarray(along(rows, self.normal).reshape(surface.depth_m.shape) - np.float32(self.offset))
 
     def mask(
         self, surface: Surface, distance: NDArray[np.float32], tolerance: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
         """Return (h, w) the pixels that are of the wall, to a tolerance in m per pixel."""
-        facing = portable.matmul(surface.normals_world[..., :2], self.normal)
+        facing = along(surface.normals_world.reshape(-1, 3), self.normal).reshape(distance.shape)
         mask: NDArray[np.bool_] = on_wall(distance, facing, tolerance, self.cells is None)
         if self.cells is not None:
             mask[mask] = np.isin(_stretches(surface.points_world[mask][:, :2], self.normal), self.cells)
@@ -109,8 +113,8 @@ _SEEN_M2 = 0.03
 
 def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.int64]:
     """Return the number of the stretch along a wall in which each of (N, 2) points lies."""
-    along = portable.matmul(at, np.array([-normal[1], normal[0]], dtype=np.float32))
-    return np.floor(along / _STRETCH_M).astype(np.int64)
+    sideways = along(at, np.array([-normal[1], normal[0]], dtype=np.float32))
+    return np.floor(sideways / _STRETCH_M).astype(np.int64)
 
 
 def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
@@ -211,28 +215,29 @@ def _walls(
         return []
     walls: list[Wall] = []
     at, heights, sigma, weight = places_of(pixels, points, surface.sigma_m.reshape(-1), weights)
-    width, azimuths = surface.depth_m.shape[1], _azimuths(direction)
+    width, azimuths = surface.depth_m.shape[1], bins_of_azimuth(direction, _AZIMUTHS)
     total = float(all_weight.sum())
     wide, narrow = 0.05 + 2.0 * sigma, 0.04 + sigma
     left = np.ones(len(at), dtype=bool)
     for _ in range(8):
         normal = _dominant_direction(direction, weight, azimuths, left)
-        along, agreement = portable.matmul(at, normal), portable.matmul(direction, normal)
+        offsets, agreement = along(at, normal), along(direction, normal)
         fits = left & (agreement > 0.97)
         left &= ~(agreement > 0.94)
-        for peak in _peaks(taken(along, fits), taken(weight, fits), config.wall_area_m2):
+        for peak in _peaks(taken(offsets, fits), taken(weight, fits), config.wall_area_m2):
             inward, offset = _refined(at, weight, normal, peak, wide, fits)
-            on_it = near_offset(portable.matmul(at, inward), np.float32(offset), narrow, fits)
+            on_it = near_offset(along(at, inward), np.float32(offset), narrow, fits)
             if not on_it.any():
                 continue
             behind = _behind(all_at, all_weight, all_sigma, inward, offset)
             if behind < config.behind_share * total:
-                if _is_tall(heights[on_it], floor_z_m):
+                if _is_tall(taken(heights, on_it), floor_z_m):
                     walls.append(Wall(normal=inward, offset=offset, cells=None))
-            elif _is_high(heights[on_it], pixels[on_it], width, floor_z_m, config):
-                cells = _seen_cells(at[on_it], weight[on_it], inward)
-                depth = offset - portable.matmul(at[fits], inward)
-                backing = float(weight[fits][(depth > 0.12 + sigma[fits]) & (depth < config.furniture_depth_m)].sum())
+            elif _is_high(taken(heights, on_it), taken(pixels, on_it), width, floor_z_m, config):
+                cells = _seen_cells(taken_rows(at, on_it), taken(weight, on_it), inward)
+                depth = offset - along(at, inward)
+                is_backing = fits & (depth > 0.12 + sigma) & (depth < config.furniture_depth_m)
+                backing = float(taken(weight, is_backing).sum())
                 if len(cells) * _STRETCH_M > config.wall_width_m and backing < config.backing_m2:
                     walls.append(Wall(normal=inward, offset=offset, cells=cells))
         if float(taken(weight, left).sum()) < config.wall_area_m2:
@@ -248,7 +253,7 @@ def _behind(
     offset: float,
 ) -> float:
     """Return the area of the surface behind a plane, beyond the noise."""
-    return float(weight_below(weight, portable.matmul(at, normal), np.float32(offset - 0.12), sigma).sum())
+    return float(weight_below(weight, along(at, normal), np.float32(offset - 0.12), sigma).sum())
 
 
 def _seen_cells(at: NDArray[np.float32], weight: NDArray[np.float64], normal: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -286,12 +291,6 @@ def _is_tall(heights: NDArray[np.float32], floor_z_m: float | None) -> bool:
 _AZIMUTHS = 120
 
 
-def _azimuths(direction: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return in which of the bins of 3 degrees each of (N, 2) unit directions lies."""
-    azimuth = portable.arctan2(direction[:, 1], direction[:, 0])
-    return np.mod(((azimuth + np.pi) / (2 * np.pi) * _AZIMUTHS).astype(np.int64), _AZIMUTHS)
-
-
 def _dominant_direction(
     direction: NDArray[np.float32], weight: NDArray[np.float64], azimuths: NDArray[np.int64], left: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
@@ -300,7 +299,7 @@ def _dominant_direction(
     smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
     direction, weight = taken_rows(direction, left), taken(weight, left)
     center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
-    near = portable.matmul(direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
+    near = along(direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
     weight = taken(weight, near)
     mean = weighted_sum(taken_rows(direction, near), weight) / weight.sum()
     return (mean / portable.norm(mean)).astype(np.float32)
@@ -316,14 +315,12 @@ def _refined(
 ) -> tuple[NDArray[np.float32], float]:
     """Return the line through what lies near a wall's line: least squares, twice; a degree is 9 cm on 5 m of wall."""
     for _ in range(2):
-        near = near_offset(portable.matmul(at, normal), np.float32(offset), tolerance_m, fits)
+        near = near_offset(along(at, normal), np.float32(offset), tolerance_m, fits)
         at_near, share = taken_rows(at, near), taken(weight, near)
         if len(share) < 20:
             break
-        share = share / share.sum()
-        middle = portable.matmul(share, at_near)
-        spread = at_near - middle
-        _, axes = portable.eigh(portable.matmul((spread * share[:, None]).T, spread))
+        middle, spread = spread_of(at_near, share / share.sum())
+        _, axes = portable.eigh(spread)
         across = axes[:, 0] * np.sign(portable.dot(axes[:, 0], normal))
         if portable.dot(across, normal) < 0.98:
             break
@@ -331,12 +328,12 @@ def _refined(
     return normal, offset
 
 
-def _peaks(along: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> list[float]:
+def _peaks(offsets: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> list[float]:
     """Return the offsets of the planes of enough area along their normal, the rearmost first, four at most."""
-    if len(along) == 0:
+    if len(offsets) == 0:
         return []
-    bin_m, low = 0.02, float(along.min()) - 0.04
-    histogram = np.bincount(((along - low) / bin_m).astype(np.int64), weights=weight)
+    bin_m, low = 0.02, float(offsets.min()) - 0.04
+    histogram = np.bincount(((offsets - low) / bin_m).astype(np.int64), weights=weight)
     smooth = np.convolve(histogram, np.ones(3), mode="same")
     peaks: list[float] = []
     first = 0
@@ -346,7 +343,7 @@ def _peaks(along: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2:
             break
         first += int(enough[0])
         peak = first + int(np.argmax(smooth[first : first + 4]))
-        near = np.abs(along - (low + (peak + 0.5) * bin_m)) < 1.5 * bin_m
-        peaks.append(float(np.average(along[near], weights=weight[near])))
+        near = np.abs(offsets - (low + (peak + 0.5) * bin_m)) < 1.5 * bin_m
+        peaks.append(float(np.average(offsets[near], weights=weight[near])))
         first = peak + 6  # the slope of this peak is no other
     return peaks

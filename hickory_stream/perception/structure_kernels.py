@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.portable_kernels import arctan2
 
 
 @numba.njit(cache=True, nogil=True)
@@ -51,6 +52,41 @@ def upright_pixels(normals, areas):  # type: ignore[no-untyped-def] # pragma: no
             pixels[count], direction[count, 0], direction[count, 1] = i, x / length, y / length
             count += 1
     return pixels[:count].copy(), direction[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def along(rows, direction):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) how far (N, 2) or (N, 3) rows go in a level direction (2,), in single precision."""
+    out = np.empty(len(rows), dtype=np.float32)
+    x, y = direction[0], direction[1]
+    for i in range(len(rows)):
+        out[i] = np.float32(0.0) + rows[i, 0] * x + rows[i, 1] * y
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def bins_of_azimuth(directions, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return in which of `count` equal parts of a turn, from -pi on, each of (N, 2) directions lies."""
+    out = np.empty(len(directions), dtype=np.int64)
+    for i in range(len(directions)):
+        azimuth = arctan2(directions[i, 1], directions[i, 0])
+        out[i] = np.int64((azimuth + np.pi) / (2 * np.pi) * count) % count
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def spread_of(at, share):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the mean (2,) of (N, 2) places whose shares add up to 1, and the (2, 2) covariance."""
+    middle, spread = np.zeros(2), np.zeros((2, 2))
+    for i in range(len(at)):
+        for k in range(2):
+            middle[k] += share[i] * at[i, k]
+    for i in range(len(at)):
+        for j in range(2):
+            weighted = (at[i, j] - middle[j]) * share[i]
+            for k in range(2):
+                spread[j, k] += weighted * (at[i, k] - middle[k])
+    return middle, spread
 
 
 @numba.njit(cache=True, nogil=True)

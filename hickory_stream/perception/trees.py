@@ -49,7 +49,7 @@ class Trees:
 
     def probabilities(self, inputs: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
         """Return (K,) the probability that each pair is one thing; `inputs` holds (K,) of every feature by name."""
-        rows = np.stack([inputs[name] for name in self.features], axis=1)
+        rows = np.array([inputs[name] for name in self.features]).T.copy()
         odds = self.baseline + _sums_of_leaves(
             rows, self.roots, self.feature, self.threshold, self.left, self.right, self.nan_left, self.value
         )
@@ -136,8 +136,9 @@ def _check(trees: Trees, path: Path) -> None:
 @numba.njit(cache=True, nogil=True)
 def _sums_of_leaves(rows, roots, feature, threshold, left, right, nan_left, value):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.zeros(len(rows))
-    for i in range(len(rows)):
-        for root in roots:
+    # A tree stays in the cache while all rows go down it; a row's leaves come in the order of the trees all the same.
+    for root in roots:
+        for i in range(len(rows)):
             node = root
             while feature[node] >= 0:
                 x = rows[i, feature[node]]

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
 
-from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged, enlarged_mask
+from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged, enlarged_mask, hidden_shares
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 
 WOOD, WHITE, RED = (170, 130, 80), (225, 225, 220), (190, 40, 40)
@@ -119,3 +119,15 @@ def test_what_is_enlarged_repeats_pixels_and_is_nothing_beyond(factor, more_x, m
     expected[: 4 * factor, : 5 * factor] = labels.repeat(factor, axis=0).repeat(factor, axis=1)
     assert np.array_equal(enlarged(labels, factor, size), expected)
     assert np.array_equal(enlarged_mask(labels == 1, factor, size), expected == 1)
+
+
+def test_a_hidden_share_is_that_of_the_outline_behind_something_nearer():
+    depth = np.full((6, 8), 2.0, dtype=np.float32)
+    labels = np.zeros((6, 8), dtype=np.int32)
+    labels[2:4, 2:5] = 1
+    depth[2:4, 2:5] = 1.5
+    labels[2:4, 5:7] = 2
+    depth[2, 7] = 1.0
+    depth[3, 7] = np.nan
+    # 1: ten neighbours, none nearer; 2: eight, of which two of 1 and the one on its right are.
+    assert hidden_shares(depth, labels, 3).tolist() == [0.0, 0.0, 3 / 8]

@@ -92,3 +92,22 @@ def test_a_weighted_sum_over_the_weights_is_the_average(seed, count):
     rows, weight = numbers(seed, count, 2), np.abs(numbers(seed + 2, count)).astype(np.float64) + 0.1
     mean = kernels.weighted_sum(rows, weight) / weight.sum()
     assert np.array_equal(mean, np.average(rows, axis=0, weights=weight))
+
+
+@given(seeds, st.integers(1, 60), st.sampled_from([2, 3]))
+def test_along_is_an_inner_product_and_azimuths_fall_into_equal_parts(seed, count, columns):
+    rows, angle = numbers(seed, count, columns), seed % 360 / 57.3
+    direction = np.array([np.cos(angle), np.sin(angle)], dtype=np.float32)
+    assert np.allclose(kernels.along(rows, direction), rows[:, :2] @ direction, atol=1e-6)
+    bins = kernels.bins_of_azimuth(rows, 12)
+    middles = (bins + 0.5) / 12 * 2 * np.pi - np.pi
+    towards = rows[:, 0] * np.cos(middles) + rows[:, 1] * np.sin(middles)
+    assert (towards >= np.linalg.norm(rows[:, :2], axis=1) * np.cos(np.pi / 12) - 1e-6).all()
+
+
+@given(seeds, st.integers(2, 60))
+def test_the_spread_is_the_weighted_covariance(seed, count):
+    at, weight = numbers(seed, count, 2), np.abs(numbers(seed + 2, count)).astype(np.float64) + 0.1
+    middle, spread = kernels.spread_of(at, weight / weight.sum())
+    assert np.allclose(middle, np.average(at, axis=0, weights=weight))
+    assert np.allclose(spread, np.cov(at.T, aweights=weight, ddof=0), atol=1e-9)
