@@ -12,6 +12,8 @@ import numpy as np
 
 from hickory_stream.evaluation.truth import instances_of
 from hickory_stream.evaluation.worlds.clutter.frames import frames_of
+from hickory_stream.evaluation.worlds.depth_camera import sensed_depth
+from hickory_stream.perception.fragment_odds import fragment_odds
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.join import JoinConfig, measured
 from hickory_stream.perception.masks import enlarged_mask
@@ -19,6 +21,8 @@ from hickory_stream.perception.trees import Trees
 from hickory_stream.records import Frame, Segmentation
 from tools.benchmarks.first_layer import play_first_layer
 from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_overlaps
+from tools.network_training.frames import frames_of_scene
+from tools.network_training.lessons import drawn_camera
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,9 +30,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.perception.fragment_odds import FragmentOdds
     from hickory_stream.perception.geometric import Fragments
     from hickory_stream.perception.parts import Measures
+    from hickory_stream.perception.pixel_network import PixelNetwork
     from hickory_stream.records import ObservedSpace
+    from tools.network_training.frames import Scene, TrueFrame
 
 _MIN_SHARE = 0.002
 _MIN_PIXELS = 60
@@ -39,12 +46,14 @@ class Lesson:
     """An image to learn from: its fragments, and how many pixels (fragments, owners) of each show which `owners`.
 
     Owner 0 is what is no thing. Row 0 is empty: what belongs to no fragment. `in_image` (owners,): all pixels of each.
+    `odds`: what the network of affinities says of the fragments, where it was asked.
     """
 
     measures: Measures
     shown: NDArray[np.float64]
     owners: NDArray[np.int64]
     in_image: NDArray[np.int64]
+    odds: FragmentOdds | None = None
 
 
 _NO_TREES = Trees(
@@ -63,8 +72,9 @@ _NO_TREES = Trees(
 class TrueMasks:
     """A segmenter that knows the truth: the maps of which lessons see the space depend on no trees."""
 
-    def __init__(self, truth: Truth) -> None:
+    def __init__(self, truth: Truth, network: PixelNetwork | None = None) -> None:
         self._truth = truth
+        self._network = network
         self._stamps = np.array([frame.stamp_ns for frame in truth.frames])
         self._segmenter = GeometricSegmenter(GeometricConfig(), _NO_TREES)
         self.lessons: list[Lesson] = []
@@ -77,7 +87,7 @@ class TrueMasks:
         """Return the true instances of a frame where structure is not found; its fragments become a lesson."""
         pieces = self._segmenter.fragments(frame, prior, prepared)
         shown = true_instances(self._truth, int(np.argmin(np.abs(self._stamps - frame.stamp_ns))))
-        self.lessons += _lesson(pieces, shown)
+        self.lessons += lesson_of_pieces(pieces, shown, self._network)
         size = (frame.camera.width, frame.camera.height)
         structure = enlarged_mask(pieces.scenery.structure, pieces.surface.factor, size)
         _, instances = np.unique(np.where(structure | (shown <= 0), 0, shown), return_inverse=True)
@@ -89,9 +99,11 @@ class TrueMasks:
         )
 
 
-def lessons_of(log: Path, truth: Truth, max_keyframes: int | None = None) -> list[Lesson]:
+def lessons_of(
+    log: Path, truth: Truth, max_keyframes: int | None = None, network: PixelNetwork | None = None
+) -> list[Lesson]:
     """Return the lessons of a log, played with its true masks."""
-    teacher = TrueMasks(truth)
+    teacher = TrueMasks(truth, network)
     for _ in play_first_layer(log, segmenter=teacher, max_keyframes=max_keyframes):
         pass
     return teacher.lessons
@@ -112,8 +124,33 @@ def lessons_of_rooms(seed: int, family: str, count: int) -> list[Lesson]:
         )
         things = seen.instances.astype(np.int32)
         shown = np.where((things == 0) & ~seen.is_structure, UNKNOWN, things).astype(np.int32)
-        lessons += _lesson(segmenter.fragments(frame), shown)
+        lessons += lesson_of_pieces(segmenter.fragments(frame), shown)
     return lessons
+
+
+def lessons_of_scene(scene: Scene, folder: Path, network: PixelNetwork | None) -> list[Lesson]:
+    """Return the lessons of single views of a scene, without a map; rendered if they are not kept in `folder` yet.
+
+    Depth has the defects that the scene's own camera has, or those of cameras drawn from its seed.
+    """
+    segmenter = GeometricSegmenter(GeometricConfig(), _NO_TREES)
+    rng = np.random.default_rng([scene.seed, 5])
+    lessons: list[Lesson] = []
+    for i, true in enumerate(frames_of_scene(scene, folder)):
+        frame = Frame(
+            index=i,
+            stamp_ns=i,
+            rgb=true.rgb,
+            depth_m=_drawn_depth(true, rng) if true.sensed_m is None else true.sensed_m,
+            camera=true.camera,
+            world_from_camera=true.world_from_camera,
+        )
+        lessons += lesson_of_pieces(segmenter.fragments(frame), true.instances, network)
+    return lessons
+
+
+def _drawn_depth(true: TrueFrame, rng: np.random.Generator) -> NDArray[np.float32]:
+    return sensed_depth(true.depth_m, true.cosine, true.camera.fx, drawn_camera(rng), rng)
 
 
 def true_instances(truth: Truth, index: int) -> NDArray[np.int32]:
@@ -141,7 +178,7 @@ def score_groups(lesson: Lesson, numbers: NDArray[np.int64]) -> MaskScore:
     )
 
 
-def _lesson(pieces: Fragments, shown: NDArray[np.int32]) -> list[Lesson]:
+def lesson_of_pieces(pieces: Fragments, shown: NDArray[np.int32], network: PixelNetwork | None = None) -> list[Lesson]:
     """Return the lesson of an image in pieces of which each pixel (H, W) shows what; none where there are no pieces."""
     measures = measured(pieces.surface, pieces.labels, pieces.supports, pieces.scenery, JoinConfig())
     if measures is None:
@@ -154,4 +191,5 @@ def _lesson(pieces: Fragments, shown: NDArray[np.int32]) -> list[Lesson]:
     pixels = np.bincount(key, minlength=count * len(owners)).reshape(count, len(owners)).astype(np.float64)
     in_image = pixels.sum(axis=0).astype(np.int64)
     pixels[0] = 0.0
-    return [Lesson(measures=measures, shown=pixels, owners=owners.astype(np.int64), in_image=in_image)]
+    odds = None if network is None else fragment_odds(labels, network.odds(pieces.surface, None))
+    return [Lesson(measures=measures, shown=pixels, owners=owners.astype(np.int64), in_image=in_image, odds=odds)]

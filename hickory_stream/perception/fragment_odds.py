@@ -1,8 +1,7 @@
 """What the network of affinities says of fragments: of every two with pixels at its distances, and of each alone.
 
 The odds of pixels are bytes, their sums over the pixels of two fragments are integers: those of groups of fragments
-follow from those of their members, exactly and in any order. Joining by the mean affinity between two groups is the
-average linkage of GASP (Bailoni et al. 2019), which they found the most robust; Wolf et al. 2018 is its rival.
+follow from those of their members, exactly and in any order.
 """
 
 from __future__ import annotations
@@ -20,172 +19,135 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.pixel_network import PixelOdds
 
-_NEAR_DISTANCES = 2
+LEVELS = (-2.0, 0.0, 2.0)
+"""Log-odds that part those of pixels into levels, of which the counts stand for their distribution."""
+_NUM_NEAR = 2
 """So many of the distances, the least, are near: across a seam rather than from inside to inside."""
-_NUM_NEAR = _NEAR_DISTANCES * (len(OFFSETS) // len(DISTANCES_PX))
+_NUM_DISTANCES = len(DISTANCES_PX)
+_NUM_LEVELS = len(LEVELS) + 1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FragmentOdds:
-    """Sums over n fragments and K pairs a < b of them; row 0 of the fragments is nothing.
+    """Sums over n fragments and K pairs a < b of them; row 0 of the fragments is nothing. All int64.
 
-    Of a pair: `near` and `far`, the sums of the bytes' distances from even odds over `num_near` and `num_far` pairs of
-    pixels. Of a fragment: `thing` and `num_pixels`. All int64.
+    Odds are those of the bytes, counted from even odds, D distances one by one. Of a pair: `sums` (K, D) over its pairs
+    of pixels, and `levels` (K, D, 4) how many of these are below, between and above `LEVELS`. Of a fragment: `inner`
+    (n, D) and `num_inner` (n, D), over the pairs of pixels within it; `thing` and `num_pixels` (n,).
     """
 
     a: NDArray[np.int64]
     b: NDArray[np.int64]
-    near: NDArray[np.int64]
-    num_near: NDArray[np.int64]
-    far: NDArray[np.int64]
-    num_far: NDArray[np.int64]
+    sums: NDArray[np.int64]
+    levels: NDArray[np.int64]
+    inner: NDArray[np.int64]
+    num_inner: NDArray[np.int64]
     thing: NDArray[np.int64]
     num_pixels: NDArray[np.int64]
 
     def of_groups(self, numbers: NDArray[np.int64], count: int) -> FragmentOdds:
         """Return the sums of `count` groups; `numbers` (n,) names the group of each fragment."""
         a, b = numbers[self.a], numbers[self.b]
+        is_inner = a == b
         key = np.minimum(a, b) * count + np.maximum(a, b)
-        keys, place = np.unique(key[a != b], return_inverse=True)
-        sums = (
-            _summed(values[a != b], place, len(keys)) for values in (self.near, self.num_near, self.far, self.num_far)
-        )
-        near, num_near, far, num_far = sums
+        keys, place = np.unique(key[~is_inner], return_inverse=True)
+        # What was between two members is within their group.
+        both, num_within = np.concatenate([numbers, a[is_inner]]), self.levels[is_inner].sum(axis=2)
         return FragmentOdds(
             a=keys // count,
             b=keys % count,
-            near=near,
-            num_near=num_near,
-            far=far,
-            num_far=num_far,
+            sums=_summed(self.sums[~is_inner], place, len(keys)),
+            levels=_summed(self.levels[~is_inner], place, len(keys)),
+            inner=_summed(np.concatenate([self.inner, self.sums[is_inner]]), both, count),
+            num_inner=_summed(np.concatenate([self.num_inner, num_within]), both, count),
             thing=_summed(self.thing, numbers, count),
             num_pixels=_summed(self.num_pixels, numbers, count),
         )
 
-    def means_of(self, pairs: NDArray[np.int64], count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return (M,) the mean near and far log-odds of (M, 2) pairs of `count` fragments; NaN where there are none."""
-        keys = self.a * count + self.b
+    def of_pairs(self, pairs: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the sums (M, D) and levels (M, D, 4) of (M, 2) pairs of `count` fragments; 0 where there are none."""
         wanted = pairs.min(axis=1) * count + pairs.max(axis=1)
-        place = np.minimum(np.searchsorted(keys, wanted), max(len(keys) - 1, 0))
-        is_there = keys[place] == wanted if len(keys) else np.zeros(len(wanted), dtype=bool)
-        means = []
-        for sums, counts in ((self.near, self.num_near), (self.far, self.num_far)):
-            mean = np.full(len(pairs), np.nan)
-            if len(keys):
-                has = is_there & (counts[place] > 0)
-                mean[has] = sums[place][has] / (ODDS_UNIT * counts[place][has])
-            means.append(mean)
-        return means[0], means[1]
+        sums = np.zeros((len(pairs), _NUM_DISTANCES), dtype=np.int64)
+        levels = np.zeros((len(pairs), _NUM_DISTANCES, _NUM_LEVELS), dtype=np.int64)
+        keys = self.a * count + self.b
+        if len(keys):
+            place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            is_there = keys[place] == wanted
+            sums[is_there], levels[is_there] = self.sums[place[is_there]], self.levels[place[is_there]]
+        return sums, levels
 
-    def thing_means(self) -> NDArray[np.float64]:
-        """Return (n,) the mean log-odds that a fragment is of a thing; 0 where it has no pixel of the network's."""
-        return np.asarray(self.thing / (ODDS_UNIT * np.maximum(self.num_pixels, 1)))
+
+def near_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the sum over the near ones of values by distance (K, D, ...)."""
+    return np.asarray(values[:, :_NUM_NEAR].sum(axis=1))
+
+
+def far_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the sum over the far ones of values by distance (K, D, ...)."""
+    return np.asarray(values[:, _NUM_NEAR:].sum(axis=1))
 
 
 def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
     """Return the sums of the fragments `labels` (H, W), 0 = none, at the surface's size."""
     few = np.ascontiguousarray(labels[::2, ::2])
     count = int(labels.max(initial=0)) + 1
-    pair_sums, sums = _sums(few, odds.odds, np.array(OFFSETS), _NUM_NEAR, count)
-    keys = np.flatnonzero(pair_sums[:, 1] + pair_sums[:, 3])
+    sums, levels, inner, num_inner, things = _sums(
+        few, odds.odds, np.array(OFFSETS), _NUM_DISTANCES, _level_of_byte(), count
+    )
+    keys = np.flatnonzero(levels.any(axis=(1, 2)))
     return FragmentOdds(
         a=keys // count,
         b=keys % count,
-        near=pair_sums[keys, 0],
-        num_near=pair_sums[keys, 1],
-        far=pair_sums[keys, 2],
-        num_far=pair_sums[keys, 3],
-        thing=sums[:, 0],
-        num_pixels=sums[:, 1],
+        sums=sums[keys].astype(np.int64),
+        levels=levels[keys].astype(np.int64),
+        inner=inner,
+        num_inner=num_inner,
+        thing=things[:, 0],
+        num_pixels=things[:, 1],
     )
 
 
-def averaged(odds: FragmentOdds, least: float, far_weight: float) -> NDArray[np.int64]:
-    """Return (n,) the group of each fragment, by average linkage: the two with the greatest mean odds are joined first.
-
-    Until there are none with a mean log-odds of `least`; pairs of pixels that are far apart weigh `far_weight`.
-    Groups are numbered in the order of their first fragments.
-    """
-    count = len(odds.thing)
-    sums, weights = np.zeros((count, count)), np.zeros((count, count))
-    sums[odds.a, odds.b] = (odds.near + far_weight * odds.far) / ODDS_UNIT
-    weights[odds.a, odds.b] = odds.num_near + far_weight * odds.num_far
-    names = _linked(sums + sums.T, weights + weights.T, least)
-    return np.unique(names, return_inverse=True)[1].astype(np.int64)
+def _level_of_byte() -> NDArray[np.int64]:
+    return np.searchsorted(np.array(LEVELS) * ODDS_UNIT + ODDS_ZERO, np.arange(256), side="right")
 
 
 def _summed(values: NDArray[np.int64], place: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    # Sums of whole numbers far below 2^53 are exact in double precision.
-    return np.bincount(place, weights=values.astype(np.float64), minlength=count).astype(np.int64)
+    out = np.zeros((count, *values.shape[1:]), dtype=np.int64)
+    np.add.at(out, place, values)
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _sums(labels, odds, offsets, num_near, count):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return for every two labels, the lesser first, sums and counts of near and of far odds; and those of things."""
+def _sums(labels, odds, offsets, num_distances, level_of, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return for every two labels, the lesser first, sums and levels; of each label the same within it, and things."""
     height, width = labels.shape
-    pairs = np.zeros((count * count, 4), dtype=np.int64)
-    own = np.zeros((count, 2), dtype=np.int64)
+    sums = np.zeros((count * count, num_distances), dtype=np.int32)
+    levels = np.zeros((count * count, num_distances, 4), dtype=np.int32)
+    inner = np.zeros((count, num_distances), dtype=np.int64)
+    num_inner = np.zeros((count, num_distances), dtype=np.int64)
+    things = np.zeros((count, 2), dtype=np.int64)
     last = len(offsets)
     for y in range(height):
         for x in range(width):
             label = labels[y, x]
             if label == 0:
                 continue
-            own[label, 0] += np.int64(odds[last, y, x]) - ODDS_ZERO
-            own[label, 1] += 1
+            things[label, 0] += np.int64(odds[last, y, x]) - ODDS_ZERO
+            things[label, 1] += 1
             for i in range(last):
                 yy, xx = y + offsets[i, 0], x + offsets[i, 1]
                 if yy >= height or xx < 0 or xx >= width:
                     continue
                 other = labels[yy, xx]
-                if other == 0 or other == label:
+                if other == 0:
+                    continue
+                byte = odds[i, y, x]
+                distance = i * num_distances // last
+                if other == label:
+                    inner[label, distance] += np.int64(byte) - ODDS_ZERO
+                    num_inner[label, distance] += 1
                     continue
                 at = min(label, other) * count + max(label, other)
-                side = 0 if i < num_near else 2
-                pairs[at, side] += np.int64(odds[i, y, x]) - ODDS_ZERO
-                pairs[at, side + 1] += 1
-    return pairs, own
-
-
-@numba.njit(cache=True, nogil=True)
-def _linked(sums, weights, least):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the name of each group: its first member; of equal means the pair that comes first is joined first."""
-    count = len(sums)
-    names = np.arange(count)
-    alive = np.ones(count, dtype=np.bool_)
-    best = np.full(count, -np.inf)
-    partner = np.zeros(count, dtype=np.int64)
-    for i in range(count):
-        _choose(sums, weights, alive, i, best, partner)
-    while True:
-        a = -1
-        for i in range(count):
-            if alive[i] and best[i] >= least and (a < 0 or best[i] > best[a]):
-                a = i
-        if a < 0:
-            return names
-        b = partner[a]
-        a, b = min(a, b), max(a, b)
-        alive[b] = False
-        for i in range(count):
-            if names[i] == b:
-                names[i] = a
-            if alive[i] and i != a:
-                sums[a, i] += sums[b, i]
-                weights[a, i] += weights[b, i]
-                sums[i, a], weights[i, a] = sums[a, i], weights[a, i]
-        sums[a, a], weights[a, a] = 0.0, 0.0
-        for i in range(count):
-            if alive[i] and (i == a or weights[i, a] > 0 or partner[i] == a or partner[i] == b):
-                _choose(sums, weights, alive, i, best, partner)
-
-
-@numba.njit(cache=True, nogil=True)
-def _choose(sums, weights, alive, i, best, partner):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Find the living partner of i with the greatest mean."""
-    best[i] = -np.inf
-    for j in range(len(sums)):
-        if j != i and alive[j] and weights[i, j] > 0:
-            mean = sums[i, j] / weights[i, j]
-            if mean > best[i]:
-                best[i], partner[i] = mean, j
+                sums[at, distance] += np.int32(byte) - ODDS_ZERO
+                levels[at, distance, level_of[byte]] += 1
+    return sums, levels, inner, num_inner, things

@@ -15,6 +15,7 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.hidden import HiddenConfig, are_one_behind
+from hickory_stream.perception.odds_features import odds_features
 from hickory_stream.perception.parts import measure
 from hickory_stream.perception.trees import Forest  # noqa: TC001 (read with the configuration)
 from hickory_stream.ranges import Ranged, number
@@ -131,14 +132,13 @@ def rounds(
 ) -> Iterator[Round]:
     """Yield the rounds of joining by the `probabilities` of features, from single fragments to the final groups.
 
-    With the `odds` of a network, what it says of the groups is among the features (`odds_features`).
+    What a network says of the groups, its `odds`, is among the features; None: nothing (`odds_features`).
     """
     groups = Groups(len(measures.parts.pixels))
     for i in range(config.rounds + 1):
         numbers, names = groups.numbers()
         pairs, features = pair_features(measures, numbers, len(names))
-        if odds is not None:
-            features |= odds_features(odds.of_groups(numbers, len(names)), pairs, len(names))
+        features |= odds_features(None if odds is None else odds.of_groups(numbers, len(names)), pairs, len(names))
         yield Round(numbers=numbers, pairs=pairs, features=features)
         # Seen so rarely that trees learn little of it, and certain.
         proven = are_one_behind(
@@ -151,14 +151,6 @@ def rounds(
         if len(chosen) == 0 or i == config.rounds:
             return
         groups.unite((int(names[a]), int(names[b])) for a, b in chosen)
-
-
-def odds_features(odds: FragmentOdds, pairs: NDArray[np.int64], count: int) -> dict[str, NDArray[np.float64]]:
-    """Return by name (K,) what a network says of (K, 2) pairs of `count` groups; NaN where it says nothing."""
-    near, far = odds.means_of(pairs, count)
-    thing = odds.thing_means()
-    large, small = pairs.T
-    return {"odds_near": near, "odds_far": far, "large_thing_odds": thing[large], "small_thing_odds": thing[small]}
 
 
 def _closest(pairs: NDArray[np.int64], probability: NDArray[np.float64], count: int, least: float) -> NDArray[np.int64]:

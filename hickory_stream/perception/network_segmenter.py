@@ -1,7 +1,7 @@
 """The segmenter with a network of its own: fragments by geometry, joined by the network's affinities, or with trees.
 
-By itself the network joins by average linkage; with trees, its affinities shift their log-odds. Its objectness can
-correct what geometry takes for structure, both ways.
+By itself the network joins by average linkage; trees have its odds among their inputs, or are shifted by them. Its
+objectness can correct what geometry takes for structure, both ways.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.perception.fragment_odds import averaged, fragment_odds
+from hickory_stream.perception.average_linkage import averaged
+from hickory_stream.perception.fragment_odds import fragment_odds
 from hickory_stream.perception.geometric import GeometricSegmenter
 from hickory_stream.perception.join import measured, rounds
 from hickory_stream.perception.pixel_network import ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
@@ -40,7 +41,9 @@ class NetworkJoinConfig(Ranged):
     """How the network's odds are used; log-odds are natural, the network's lie between -8 and 8.
 
     Attributes:
-        join: what joins fragments: the `network` alone, the `trees` alone, or `both`.
+        join: what joins fragments: the `network` alone, the `trees` alone, `both` by weights set by hand, or trees that
+            have `learned` what the network's odds are worth, the forest `odds`.
+        learned_probability: those join two groups from this probability of being one thing.
         least_odds: the network alone joins two groups from this mean log-odds.
         far_weight: what a pair of pixels at the network's long distances counts against one at the short ones.
         trees_weight: of the trees' log-odds, where both join.
@@ -52,7 +55,8 @@ class NetworkJoinConfig(Ranged):
         thing_odds: a pixel is none where it is a thing by more than this; 8: never.
     """
 
-    join: Literal["network", "trees", "both"] = "both"
+    join: Literal["network", "trees", "both", "learned"] = "both"
+    learned_probability: float = number(0.3, 0, 1, "probability")
     least_odds: float = number(0.0, -8, 8, "log-odds")
     far_weight: float = number(0.25, 0, 10, "pairs")
     trees_weight: float = number(0.6, 0, 10, "weight")
@@ -74,7 +78,7 @@ class Prepared:
 class NetworkSegmenter:
     """A `Segmenter` with a network: it has no state but its configuration.
 
-    `trees` tell what is one thing where they are asked; None: those of the package.
+    `trees` tell what is one thing where they are asked; None: those of the package, `odds` where they have `learned`.
     """
 
     def __init__(
@@ -83,8 +87,10 @@ class NetworkSegmenter:
         self._network = network
         self._config = config
         self._join = geometric.join
-        self._geometric = GeometricSegmenter(geometric, trees)
-        self._trees = trees or embedded_trees(geometric.join.forest)
+        if config.join == "learned":
+            self._join = replace(geometric.join, forest="odds", probability=config.learned_probability)
+        self._trees = trees or embedded_trees(self._join.forest)
+        self._geometric = GeometricSegmenter(geometric, self._trees)
 
     def prepare(self, frame: Frame) -> Prepared:
         """Return the surface of a frame and the network's odds; raises `ModelError`."""
@@ -113,7 +119,7 @@ class NetworkSegmenter:
 
         def probabilities(features: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
             by_trees = self._trees.probabilities(features)
-            return by_trees if config.join == "trees" else combined(by_trees, features, config)
+            return combined(by_trees, features, config) if config.join == "both" else by_trees
 
         measures = measured(pieces.surface, labels, pieces.supports, pieces.scenery, self._join)
         assert measures is not None, "there are fragments"

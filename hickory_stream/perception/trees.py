@@ -23,9 +23,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-Forest = Literal["sizes", "mixed"]
-"""`sizes` knows metres, heights and colours as such; `mixed` is its average with one of ratios, sigmas and angles."""
-EMBEDDED: dict[Forest, str] = {"sizes": "weights/join.npz", "mixed": "weights/join_mixed.npz"}
+Forest = Literal["sizes", "mixed", "odds"]
+"""`sizes` knows metres, heights and colours as such; `mixed` is its average with one of ratios, sigmas and angles.
+
+`odds` knows what the network of affinities says of a pair, too, or that it says nothing.
+"""
+EMBEDDED: dict[Forest, str] = {
+    "sizes": "weights/join.npz",
+    "mixed": "weights/join_mixed.npz",
+    "odds": "weights/join_odds.npz",
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

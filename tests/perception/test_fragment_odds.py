@@ -1,10 +1,17 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.perception.fragment_odds import FragmentOdds, averaged, fragment_odds
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, OFFSETS, THING, PixelOdds
+from hickory_stream.perception.fragment_odds import far_of, fragment_odds, near_of
+from hickory_stream.perception.pixel_network import (
+    DISTANCES_PX,
+    NUM_OUTPUTS,
+    ODDS_UNIT,
+    ODDS_ZERO,
+    OFFSETS,
+    THING,
+    PixelOdds,
+)
 
 
 def constant_odds(height, width, value):
@@ -17,26 +24,22 @@ def halves():
     return labels
 
 
-def three(near, num_near=(1, 1, 1)):
-    """Return the odds of three fragments: near sums of 1-2, 1-3, 2-3."""
-    none = np.zeros(3, np.int64)
-    return FragmentOdds(
-        a=np.array([1, 1, 2]),
-        b=np.array([2, 3, 3]),
-        near=np.array(near, np.int64),
-        num_near=np.array(num_near, np.int64),
-        far=none,
-        num_far=none,
-        thing=np.zeros(4, np.int64),
-        num_pixels=np.ones(4, np.int64),
-    )
-
-
 def test_the_mean_odds_of_two_halves_are_those_of_their_pixels():
     odds = fragment_odds(halves(), constant_odds(32, 32, 24))
-    near, far = odds.means_of(np.array([[2, 1]]), 3)
-    assert near[0] == far[0] == 24 / ODDS_UNIT
-    assert odds.thing_means()[1:] == pytest.approx(24 / ODDS_UNIT)
+    sums, levels = odds.of_pairs(np.array([[2, 1]]), 3)
+    counts = levels.sum(axis=2)
+    assert (counts > 0).all()
+    np.testing.assert_array_equal(sums, 24 * counts)
+    np.testing.assert_array_equal(odds.inner, 24 * odds.num_inner)
+    np.testing.assert_array_equal(odds.thing, 24 * odds.num_pixels)
+
+
+def test_pairs_of_pixels_are_counted_by_how_sure_the_network_is_of_them():
+    bytes_of_levels = (ODDS_ZERO - 3 * ODDS_UNIT, ODDS_ZERO - 1, ODDS_ZERO, ODDS_ZERO + 2 * ODDS_UNIT)
+    for i, byte in enumerate(bytes_of_levels):
+        levels = fragment_odds(halves(), constant_odds(32, 32, byte - ODDS_ZERO)).levels[0]
+        assert (levels[:, i] > 0).all()
+        assert (np.delete(levels, i, axis=1) == 0).all()
 
 
 def test_every_pair_of_pixels_across_a_seam_counts_once():
@@ -48,7 +51,10 @@ def test_every_pair_of_pixels_across_a_seam_counts_once():
         here = few[: 32 - dy, max(0, -dx) : 32 - max(0, dx)]
         there = few[dy:, max(0, dx) : 32 + min(0, dx)]
         expected += int((here != there).sum())
-    assert odds.num_near[0] + odds.num_far[0] == odds.near[0] + odds.far[0] == expected
+    counts = odds.levels.sum(axis=2)
+    assert near_of(counts)[0] + far_of(counts)[0] == odds.sums.sum() == expected
+    within = sum(int((few[: 32 - d] == few[d:]).sum() + (few[:, : 32 - d] == few[:, d:]).sum()) for d in DISTANCES_PX)
+    assert expected < within < odds.num_inner.sum()
 
 
 def test_fragments_that_no_pair_of_pixels_links_are_not_told_of():
@@ -56,8 +62,9 @@ def test_fragments_that_no_pair_of_pixels_links_are_not_told_of():
     labels[:4, :4], labels[-4:, -4:] = 1, 2
     odds = fragment_odds(labels, constant_odds(200, 200, 5))
     assert len(odds.a) == 0
-    near, far = odds.means_of(np.array([[1, 2]]), 3)
-    assert np.isnan([near[0], far[0]]).all()
+    sums, levels = odds.of_pairs(np.array([[1, 2]]), 3)
+    assert not sums.any()
+    assert not levels.any()
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 5))
@@ -69,44 +76,17 @@ def test_the_sums_of_groups_are_those_of_what_they_are_made_of(seed, num_groups)
     numbers[0] = 0
     grouped = fragment_odds(labels, odds).of_groups(numbers[: labels.max() + 1], num_groups)
     joined = fragment_odds(numbers[labels].astype(np.int32), odds)
-    for name in ("near", "num_near", "far", "num_far"):
-        of_pairs = ({(a, b): v for a, b, v in zip(o.a, o.b, getattr(o, name), strict=True)} for o in (grouped, joined))
-        assert next(of_pairs) == next(of_pairs)
-    np.testing.assert_array_equal(grouped.thing[: len(joined.thing)], joined.thing)
-
-
-def test_average_linkage_joins_the_likeliest_first_and_asks_the_mean_of_what_is_left():
-    # 1 and 2 are joined; their mean odds with 3 are (2 - 6) / 2 < 0, although 1 alone would be joined with it.
-    numbers = averaged(three([5 * ODDS_UNIT, 2 * ODDS_UNIT, -6 * ODDS_UNIT]), 0.0, 1.0)
-    assert numbers.tolist() == [0, 1, 1, 2]
-
-
-def test_many_pairs_of_pixels_outweigh_few():
-    numbers = averaged(three([5 * ODDS_UNIT, 20 * ODDS_UNIT, -6 * ODDS_UNIT], (1, 10, 1)), 0.0, 1.0)
-    assert numbers.tolist() == [0, 1, 1, 1]
-
-
-def test_nothing_is_joined_below_the_least_odds():
-    assert averaged(three([8, 8, 8]), 1.0, 1.0).tolist() == [0, 1, 2, 3]
-
-
-def test_far_odds_count_by_their_weight():
-    odds = three([-ODDS_UNIT, -9 * ODDS_UNIT, -9 * ODDS_UNIT])
-    far = FragmentOdds(
-        a=odds.a,
-        b=odds.b,
-        near=odds.near,
-        num_near=odds.num_near,
-        far=np.array([8 * ODDS_UNIT, 0, 0]),
-        num_far=np.array([4, 0, 0]),
-        thing=odds.thing,
-        num_pixels=odds.num_pixels,
-    )
-    assert averaged(far, 0.0, 0.0).tolist() == [0, 1, 2, 3]
-    assert averaged(far, 0.0, 1.0).tolist() == [0, 1, 1, 2]
+    for name in ("a", "b", "sums", "levels"):
+        np.testing.assert_array_equal(getattr(grouped, name), getattr(joined, name))
+    for name in ("inner", "num_inner", "thing", "num_pixels"):
+        found = getattr(grouped, name)
+        count = len(getattr(joined, name))
+        np.testing.assert_array_equal(found[:count], getattr(joined, name))
+        assert not found[count:].any()
 
 
 def test_the_thing_output_is_told_of_each_fragment():
     odds = constant_odds(32, 32, 0)
     odds.odds[THING, :, 16:] = ODDS_ZERO + 2 * ODDS_UNIT
-    assert fragment_odds(halves(), odds).thing_means()[1:].tolist() == [0.0, 2.0]
+    found = fragment_odds(halves(), odds)
+    assert (found.thing / np.maximum(found.num_pixels, 1)).tolist() == [0.0, 0.0, 2.0 * ODDS_UNIT]

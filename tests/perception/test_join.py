@@ -9,8 +9,10 @@ from perception_scenes import Block, Cylinder, floor, looking, render
 from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.join import Groups, JoinConfig, measured, rounds
+from hickory_stream.perception.odds_features import ODDS_FEATURES
 from hickory_stream.perception.parts import grouped_pairs, grouped_parts
 from hickory_stream.perception.sizes import is_size
+from hickory_stream.perception.trees import EMBEDDED, embedded_trees
 
 VIEW = looking((0.0, 0.0, 0.4), start=(-1.6, -0.3, 1.4))
 RED, BLUE, WOOD = (190, 40, 40), (40, 60, 190), (170, 130, 80)
@@ -103,6 +105,16 @@ def test_each_round_joins_what_is_likeliest_for_both_sides(measures):
     steps = list(rounds(measures, lambda features: np.ones(len(features["aside"])), JoinConfig(rounds=50)))
     assert (np.diff([step.numbers.max() for step in steps]) < 0).all()
     assert len(steps[-1].pairs) == 0 or steps[-1].numbers.max() == 1
+
+
+@pytest.mark.parametrize("forest", EMBEDDED)
+def test_every_forest_of_the_package_asks_only_for_what_a_round_tells(measures, forest):
+    trees = embedded_trees(forest)
+    step = next(rounds(measures, trees.probabilities, JoinConfig(rounds=0)))
+    assert set(trees.features) <= set(step.features)
+    assert (forest == "odds") == (not set(ODDS_FEATURES).isdisjoint(trees.features))
+    found = trees.probabilities(step.features)
+    assert ((found > 0) & (found < 1)).all()
 
 
 def test_nothing_is_joined_that_is_not_likely(measures):

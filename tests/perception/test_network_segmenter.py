@@ -7,6 +7,7 @@ from perception_scenes import Block, best_iou, floor, looking, render
 from hickory_stream.engine.processor import processor_of_run
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.join import JoinConfig
 from hickory_stream.perception.network_segmenter import (
     NetworkJoinConfig,
     NetworkSegmenter,
@@ -14,6 +15,7 @@ from hickory_stream.perception.network_segmenter import (
     combined,
     corrected_structure,
 )
+from hickory_stream.perception.odds_features import ODDS_FEATURES
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, OFFSETS, THING, PixelOdds
 
@@ -32,6 +34,17 @@ class Said:
         return PixelOdds(odds=self._odds)
 
 
+class Asked:
+    """Trees that join nothing and keep what they were asked first."""
+
+    def __init__(self):
+        self.inputs = None
+
+    def probabilities(self, inputs):
+        self.inputs = self.inputs or dict(inputs)
+        return np.zeros(len(inputs["odds_near"]))
+
+
 def even():
     return np.full((NUM_OUTPUTS, 120, 160), ODDS_ZERO, np.uint8)
 
@@ -41,7 +54,7 @@ def two_boxes():
     return render([floor(), LEFT, RIGHT], VIEW)
 
 
-@pytest.mark.parametrize("join", ["network", "both", "trees"])
+@pytest.mark.parametrize("join", ["network", "both", "trees", "learned"])
 def test_two_boxes_apart_are_two_instances_however_fragments_are_joined(two_boxes, join):
     frame, shown = two_boxes
     segmenter = make_segmenter(PerceptionConfig(segmenter="network", affinities=NetworkJoinConfig(join=join)))
@@ -59,6 +72,26 @@ def test_with_even_odds_and_the_weight_of_the_trees_alone_both_decide_as_the_tre
     trees = GeometricSegmenter(GeometricConfig()).segment(frame)
     np.testing.assert_array_equal(ours.instances, trees.instances)
     np.testing.assert_array_equal(ours.structure, trees.structure)
+
+
+def test_trees_that_have_learned_ask_the_network_by_their_own_probability(two_boxes):
+    frame, _ = two_boxes
+    config = NetworkJoinConfig(join="learned", learned_probability=0.4)
+    ours = NetworkSegmenter(Said(even()), config, GeometricConfig()).segment(frame)
+    join = JoinConfig(forest="odds", probability=0.4)
+    same = NetworkSegmenter(Said(even()), NetworkJoinConfig(join="trees"), GeometricConfig(join=join)).segment(frame)
+    np.testing.assert_array_equal(ours.instances, same.instances)
+    asked = Asked()
+    NetworkSegmenter(Said(even()), config, GeometricConfig(), asked).segment(frame)
+    assert set(ODDS_FEATURES) <= set(asked.inputs)
+    assert (asked.inputs["odds_near"][np.isfinite(asked.inputs["odds_near"])] == 0).all()
+
+
+def test_trees_that_have_learned_join_without_a_network_too(two_boxes):
+    frame, shown = two_boxes
+    join = JoinConfig(forest="odds", probability=NetworkJoinConfig().learned_probability)
+    result = GeometricSegmenter(GeometricConfig(join=join)).segment(frame)
+    assert min(best_iou(result.instances, shown == i)[0] for i in (1, 2)) > 0.8
 
 
 def test_the_network_alone_joins_whatever_it_is_sure_of(two_boxes):

@@ -7,9 +7,11 @@ pytest.importorskip("sklearn")
 
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.perception.join import JoinConfig, rounds
+from hickory_stream.perception.odds_features import ODDS_FEATURES
+from hickory_stream.perception.pixel_network import PixelNetwork
 from hickory_stream.perception.sizes import is_size
+from tools.segmenter_growth import Growth, train
 from tools.segmenter_lessons import lessons_of
-from tools.segmenter_training import train
 
 
 def right_share(lesson, numbers):
@@ -23,11 +25,11 @@ def right_share(lesson, numbers):
 @pytest.fixture(scope="module")
 def lessons(request):
     log = request.config.rootpath / "recordings" / "demo.mcap"
-    return lessons_of(log, load_truth(log.with_suffix(".truth")), max_keyframes=8)
+    return lessons_of(log, load_truth(log.with_suffix(".truth")), max_keyframes=8, network=PixelNetwork())
 
 
 def test_trees_grown_on_some_images_join_the_fragments_of_others(lessons):
-    trees, num_pairs = train([lessons[::2]], num_trees=8)
+    trees, num_pairs = train([lessons[::2]], Growth(num_trees=8))
     assert num_pairs > 300
     before, after = [], []
     for lesson in lessons[1::2]:
@@ -39,13 +41,23 @@ def test_trees_grown_on_some_images_join_the_fragments_of_others(lessons):
 
 
 def test_the_same_seed_grows_the_same_trees(lessons):
-    one, other = (train([lessons[:1]], seed=3, num_trees=3)[0] for _ in range(2))
+    one, other = (train([lessons[:1]], Growth(seed=3, num_trees=3))[0] for _ in range(2))
     np.testing.assert_array_equal(one.value, other.value)
     np.testing.assert_array_equal(one.threshold, other.threshold)
 
 
 def test_a_forest_of_shapes_asks_for_no_sizes_and_joins_too(lessons):
-    trees, _ = train([lessons[::2]], num_trees=8, with_sizes=False)
+    trees, _ = train([lessons[::2]], Growth(num_trees=8, with_sizes=False))
     assert not any(is_size(name) for name in trees.features)
     first, *_, last = rounds(lessons[1].measures, trees.probabilities, JoinConfig())
     assert right_share(lessons[1], last.numbers) > right_share(lessons[1], first.numbers)
+
+
+def test_a_forest_of_odds_asks_the_network_and_joins_without_it_too(lessons):
+    trees, _ = train([lessons[::2], lessons[1:4]], Growth(num_trees=12, with_odds=True), shares=[1.0, 0.5])
+    assert set(ODDS_FEATURES) < set(trees.features)
+    asked = {trees.features[i] for i in trees.feature if i >= 0}
+    assert asked & set(ODDS_FEATURES)
+    for odds in (lessons[5].odds, None):
+        first, *_, last = rounds(lessons[5].measures, trees.probabilities, JoinConfig(probability=0.5), odds)
+        assert right_share(lessons[5], last.numbers) > right_share(lessons[5], first.numbers)

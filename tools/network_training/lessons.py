@@ -83,9 +83,10 @@ def _mirrored(
     return np.ascontiguousarray(out), np.ascontiguousarray(named)
 
 
-def _defective_depth(frame: TrueFrame, rng: np.random.Generator) -> NDArray[np.float32]:
+def drawn_camera(rng: np.random.Generator) -> DepthCameraConfig:
+    """Return a stereo camera, good or bad."""
     sigma_px = float(np.exp(rng.uniform(np.log(0.004), np.log(0.06))))
-    config = DepthCameraConfig(
+    return DepthCameraConfig(
         baseline_m=float(rng.uniform(0.05, 0.12)),
         min_depth_m=0.25,
         max_depth_m=float(rng.uniform(4.0, 8.0)),
@@ -98,6 +99,10 @@ def _defective_depth(frame: TrueFrame, rng: np.random.Generator) -> NDArray[np.f
         dropout_share=float(rng.uniform(0.001, 0.08)),
         grazing_cosine=float(rng.uniform(0.02, 0.25)),
     )
+
+
+def _defective_depth(frame: TrueFrame, rng: np.random.Generator) -> NDArray[np.float32]:
+    config = drawn_camera(rng)
     if frame.sensed_m is not None and rng.random() < 0.5:
         depth = frame.sensed_m
     else:

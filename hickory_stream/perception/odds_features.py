@@ -1,0 +1,71 @@
+"""What the network says of two groups of fragments, as numbers from which trees tell whether they are one thing.
+
+Mean log-odds between the two at every distance and how they are spread, the same within each of them (where a network
+is unsure of a thing's inside, a doubt at its seam says little), how far the two are from the best partner of either,
+and whether each is a thing at all. NaN is what the network does not say.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.perception.fragment_odds import far_of, near_of
+from hickory_stream.perception.pixel_network import DISTANCES_PX, ODDS_UNIT
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.fragment_odds import FragmentOdds
+
+_SIDES = ("large", "small")
+ODDS_FEATURES = (
+    *("odds_near", "odds_far"),
+    *(f"odds_at_{distance}" for distance in DISTANCES_PX),
+    *(f"odds_{side}_{level}" for side in ("near", "far") for level in ("apart", "below_even", "one")),
+    *("odds_near_share", "odds_far_share"),
+    *(f"{side}_{name}" for name in ("odds_within", "odds_far_within") for side in _SIDES),
+    *(f"{side}_odds_below_best" for side in _SIDES),
+    *(f"{side}_thing_odds" for side in _SIDES),
+)
+"""The names of `odds_features`, in their order."""
+
+
+def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: int) -> dict[str, NDArray[np.float64]]:
+    """Return by name (K,) what a network says of (K, 2) pairs large and small of `count` groups; None: nothing."""
+    if odds is None:
+        return {name: np.full(len(pairs), np.nan) for name in ODDS_FEATURES}
+    large, small = pairs.T
+    sums, levels = odds.of_pairs(pairs, count)
+    counts = levels.sum(axis=2)
+    found = [_mean(near_of(sums), near_of(counts)), _mean(far_of(sums), far_of(counts))]
+    found += [_mean(sums[:, i], counts[:, i]) for i in range(len(DISTANCES_PX))]
+    for of_level in (near_of(levels), far_of(levels)):
+        all_of = of_level.sum(axis=1)
+        found += [_share(n, all_of) for n in (of_level[:, 0], of_level[:, :2].sum(axis=1), of_level[:, -1])]
+    root = np.sqrt(np.maximum(odds.num_pixels[small], 1))
+    found += [near_of(counts) / root, far_of(counts) / root]
+    for part in (near_of, far_of):
+        within = _mean(part(odds.inner), part(odds.num_inner))
+        found += [within[large], within[small]]
+    all_pairs = np.stack([odds.a, odds.b], axis=1)
+    every = _mean(odds.sums.sum(axis=1), odds.levels.sum(axis=(1, 2)))
+    best = np.full(count, -np.inf)
+    for side in (0, 1):
+        np.maximum.at(best, all_pairs[:, side], every)
+    own = _mean(sums.sum(axis=1), counts.sum(axis=1))
+    known = np.isfinite(own)
+    found += [np.where(known, best[side], np.nan) - own for side in (large, small)]
+    thing = _mean(odds.thing, odds.num_pixels)
+    found += [thing[large], thing[small]]
+    return dict(zip(ODDS_FEATURES, found, strict=True))
+
+
+def _mean(sums: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return mean log-odds; NaN where nothing was counted."""
+    return np.where(counts > 0, sums / (ODDS_UNIT * np.maximum(counts, 1)), np.nan)
+
+
+def _share(some: NDArray[np.int64], all_of: NDArray[np.int64]) -> NDArray[np.float64]:
+    return np.where(all_of > 0, some / np.maximum(all_of, 1), np.nan)
