@@ -40,6 +40,8 @@ def freeze(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None,
 
 def _converted(values: Any, dtype: DTypeLike, name: str) -> NDArray[Any]:
     given = np.asarray(values)
+    if given.dtype == dtype:
+        return given
     if np.can_cast(given.dtype, dtype, "same_kind"):
         return np.asarray(given, dtype=dtype)
     # Lists of Python numbers and foreign integer types are welcome as long as no value changes.

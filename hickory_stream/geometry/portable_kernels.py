@@ -118,23 +118,18 @@ def cos(x):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def arctan2(y, x):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the angle of (x, y) in -pi..pi, 0 for (0, 0)."""
+    """Return the angle of (x, y) in -pi..pi, 0 for (0, 0). Without branches: loops over it are vectorised."""
     y, x = np.float64(y), np.float64(x)
-    if np.isnan(x) or np.isnan(y):
-        return np.nan
-    if y == 0.0:
-        # The sign of zero counts, as in C.
-        across = np.pi if x < 0.0 or (x == 0.0 and np.copysign(1.0, x) < 0.0) else 0.0
-        return np.copysign(across, y)
-    if abs(y) == np.inf and abs(x) == np.inf:
-        angle = 0.25 * np.pi
-    elif abs(x) >= abs(y):
-        angle = _arctan(abs(y) / abs(x))
-    else:
-        angle = _HALF_PI_HIGH - (_arctan(abs(x) / abs(y)) - _HALF_PI_LOW)
-    if x < 0.0:
-        angle = np.pi - (angle - 2.0 * _HALF_PI_LOW)
-    return angle if y > 0.0 else -angle
+    up, along = abs(y), abs(x)
+    is_steep = up > along
+    ratio = (along if is_steep else up) / (up if is_steep else along)
+    ratio = (1.0 if up > 0.0 else 0.0) if up == along else ratio  # where both are zero or infinite, too
+    angle = _arctan(ratio)
+    angle = _HALF_PI_HIGH - (angle - _HALF_PI_LOW) if is_steep else angle
+    # The sign of zero counts, as in C.
+    is_left = (x < 0.0) | ((y == 0.0) & (np.copysign(1.0, x) < 0.0))
+    angle = np.pi - (angle - 2.0 * _HALF_PI_LOW) if is_left else angle
+    return np.copysign(angle, y)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -291,14 +286,12 @@ def _cos_kernel(x, rest):  # type: ignore[no-untyped-def] # pragma: no cover
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _arctan(x):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return arctan x for x in 0..1: as the difference to the arctangent of 0, 1/2 or 1."""
-    if x < 0.4375:
-        high, low = 0.0, 0.0
-    elif x < 0.6875:
-        high, low = 4.63647609000806093515e-01, 2.26987774529616870924e-17
-        x = (2.0 * x - 1.0) / (2.0 + x)
-    else:
-        high, low = 7.85398163397448278999e-01, 3.06161699786838301793e-17
-        x = (x - 1.0) / (x + 1.0)
+    of_one, of_half = x >= 0.6875, x >= 0.4375
+    high = 7.85398163397448278999e-01 if of_one else (4.63647609000806093515e-01 if of_half else 0.0)
+    low = 3.06161699786838301793e-17 if of_one else (2.26987774529616870924e-17 if of_half else 0.0)
+    above = x - 1.0 if of_one else (2.0 * x - 1.0 if of_half else x)
+    below = x + 1.0 if of_one else (2.0 + x if of_half else 1.0)
+    x = above / below
     z = x * x
     w = z * z
     odd = 4.97687799461593236017e-02 + w * 1.62858201153657823623e-02

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,8 @@ class Bodies:
     """What n groups are in space; all arrays (n, ...).
 
     `axes_m` (n, 3): standard deviations along the main axes, the least first; `low_m`, `high_m`: the 5th and 95th
-    percentile of the heights; `box_low_m`, `box_high_m` (n, 3); `sigma_m`: mean standard deviation of depth.
+    percentile of the heights; `box_low_m`, `box_high_m` (n, 3); `sigma_m`: mean standard deviation of depth. From
+    these follow `width_m`, the diagonal of the box seen from above, and `height_m`, between the percentiles.
     """
 
     axes_m: NDArray[np.float64]
@@ -33,17 +34,14 @@ class Bodies:
     box_low_m: NDArray[np.float64]
     box_high_m: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
+    width_m: NDArray[np.float64] = field(init=False)
+    height_m: NDArray[np.float64] = field(init=False)
 
-    @property
-    def width_m(self) -> NDArray[np.float64]:
-        """(n,) the diagonal of the box seen from above."""
+    def __post_init__(self) -> None:
         sides = self.box_high_m - self.box_low_m
-        return np.maximum(portable.hypot(sides[:, 0], sides[:, 1]), LEAST_M)
-
-    @property
-    def height_m(self) -> NDArray[np.float64]:
-        """(n,) from the low to the high percentile."""
-        return np.maximum(self.high_m - self.low_m, LEAST_M)
+        width_m = np.maximum(portable.hypot(sides[:, 0], sides[:, 1]), LEAST_M)
+        object.__setattr__(self, "width_m", width_m)
+        object.__setattr__(self, "height_m", np.maximum(self.high_m - self.low_m, LEAST_M))
 
 
 def bodies_of(parts: Parts, bottom_m: float) -> Bodies:

@@ -86,7 +86,10 @@ class ColorTextureDescriptor:
         small = cv2.resize(padded, (padded.shape[1] // 2, padded.shape[0] // 2), interpolation=cv2.INTER_AREA)
         lab = lab_of(small)
         light = np.ascontiguousarray(lab[..., 0])
-        pooled = _pooled(lab, *gradients(light, 0.35), *gradients(light, 0.7), self.patch_px // 2)
+        # Angles in loops of their own, which are vectorised.
+        hue = _turns(lab[..., 2].ravel(), lab[..., 1].ravel(), 2 * np.pi).reshape(light.shape)
+        fine, coarse = _gradient(light, 0.35), _gradient(light, 0.7)
+        pooled = _pooled(lab, hue, *fine, *coarse, self.patch_px // 2)
         # Square roots make the inner product of two histograms their Bhattacharyya coefficient.
         features = np.sqrt(np.maximum(pooled, 0.0)) + 1e-4
         features /= np.linalg.norm(features, axis=-1, keepdims=True)
@@ -126,34 +129,52 @@ def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):  # type: ignore[n
     return out
 
 
+def _gradient(
+    light: NDArray[np.float32], sigma_px: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """Return (h, w) the gradient along x and y, and its direction in half turns."""
+    x, y = gradients(light, sigma_px)
+    return x, y, _turns(y.ravel(), x.ravel(), np.pi).reshape(light.shape)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _turns(y, x, turn):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the angle of each (x, y) in turns of so many radians."""
+    out = np.empty(len(y))
+    for i in range(len(y)):
+        out[i] = arctan2(np.float64(y[i]), np.float64(x[i])) / turn
+    return out
+
+
 @numba.njit(cache=True, nogil=True)
-def _pooled(lab, fine_x, fine_y, coarse_x, coarse_y, side):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w, 30) soft histograms of patches of `side` pixels: every pixel is shared by the two nearest bins."""
+def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (h, w, 30) soft histograms of patches of `side` pixels: every pixel is shared by the two nearest bins.
+
+    `hue` in turns; of the gradients at two scales x, y and the direction in half turns.
+    """
     rows, columns = lab.shape[0] // side, lab.shape[1] // side
     out = np.zeros((rows, columns, _LIGHT_BINS + _HUE_BINS + 1 + 2 * _ORIENTATIONS), np.float32)
     share = 1.0 / (side * side)
     grey = _LIGHT_BINS + _HUE_BINS
-    for patch in range(rows * columns):
-        bins = out[patch // columns, patch % columns]
-        top, left = patch // columns * side, patch % columns * side
-        for row in range(top, top + side):
-            for column in range(left, left + side):
-                light, a, b = lab[row, column, 0], lab[row, column, 1], lab[row, column, 2]
-                position = min(max(light / 100.0 * (_LIGHT_BINS - 1), 0.0), _LIGHT_BINS - 1.0)
-                low = min(int(position), _LIGHT_BINS - 2)
-                bins[low] += share * (1.0 - (position - low))
-                bins[low + 1] += share * (position - low)
-                chroma = min(np.sqrt(a * a + b * b) / 40.0, 1.0)
-                if chroma > 0.0:
-                    _add(bins, _LIGHT_BINS, _HUE_BINS, arctan2(b, a) / (2 * np.pi), share * 2.0 * chroma)
-                bins[grey] += share * (1.0 - chroma)
-                for scale in range(2):
-                    gx = fine_x[row, column] if scale == 0 else coarse_x[row, column]
-                    gy = fine_y[row, column] if scale == 0 else coarse_y[row, column]
-                    strength = min(np.sqrt(gx * gx + gy * gy) / 40.0, 2.0)
-                    if strength > 0.0:
-                        first = grey + 1 + scale * _ORIENTATIONS
-                        _add(bins, first, _ORIENTATIONS, arctan2(gy, gx) / np.pi, share * 0.5 * strength)
+    for row in range(rows * side):
+        for column in range(columns * side):
+            bins = out[row // side, column // side]
+            light, a, b = lab[row, column, 0], lab[row, column, 1], lab[row, column, 2]
+            position = min(max(light / 100.0 * (_LIGHT_BINS - 1), 0.0), _LIGHT_BINS - 1.0)
+            low = min(int(position), _LIGHT_BINS - 2)
+            bins[low] += share * (1.0 - (position - low))
+            bins[low + 1] += share * (position - low)
+            chroma = min(np.sqrt(a * a + b * b) / 40.0, 1.0)
+            if chroma > 0.0:
+                _add(bins, _LIGHT_BINS, _HUE_BINS, hue[row, column], share * 2.0 * chroma)
+            bins[grey] += share * (1.0 - chroma)
+            for scale in range(2):
+                gx = fine_x[row, column] if scale == 0 else coarse_x[row, column]
+                gy = fine_y[row, column] if scale == 0 else coarse_y[row, column]
+                strength = min(np.sqrt(gx * gx + gy * gy) / 40.0, 2.0)
+                if strength > 0.0:
+                    turns = fine[row, column] if scale == 0 else coarse[row, column]
+                    _add(bins, grey + 1 + scale * _ORIENTATIONS, _ORIENTATIONS, turns, share * 0.5 * strength)
     return out
 
 

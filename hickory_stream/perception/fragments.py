@@ -83,12 +83,13 @@ def _label_level(points, normals, slack, z_m, min_pixels, label, labels):  # typ
                     labels[y, x] = label
 
 
-def concave_creases(surface: Surface, config: FragmentConfig) -> NDArray[np.bool_]:
-    """Return (h, w) the pixels on a concave crease."""
+def concave_creases(surface: Surface, structure: NDArray[np.bool_], config: FragmentConfig) -> NDArray[np.bool_]:
+    """Return (h, w) the pixels on a concave crease, but for those on structure, which is no fragment's."""
     return _creases(
         surface.points_world,
         surface.normals_world,
         surface.sigma_m,
+        structure,
         config.crease_reach_px,
         np.float32(cos(config.crease_rad)),
         np.float32(config.step_m),
@@ -119,12 +120,12 @@ def fragments_of(
 
 
 @numba.njit(cache=True, nogil=True)
-def _creases(points, normals, sigma, reach, cos_crease, step):  # type: ignore[no-untyped-def] # pragma: no cover
+def _creases(points, normals, sigma, structure, reach, cos_crease, step):  # type: ignore[no-untyped-def] # pragma: no cover
     height, width = sigma.shape
     out = np.zeros((height, width), dtype=np.bool_)
     for y in range(height):
         for x in range(width):
-            if np.isnan(sigma[y, x]):
+            if np.isnan(sigma[y, x]) or structure[y, x]:
                 continue
             for direction in range(4):
                 dx = reach if direction == 0 else (0 if direction == 1 else reach)

@@ -108,7 +108,7 @@ class GeometricSegmenter:
         config, floor_z_m = self._config, scenery.floor_z_m
         heights = np.array([p.z_m for p in scenery.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
         supports = support_labels(surface, heights, min_pixels=config.min_area_px)
-        creases = concave_creases(surface, config.fragments)
+        creases = concave_creases(surface, scenery.structure, config.fragments)
         labels = fragments_of(surface, scenery.structure, supports, creases, config.fragments)
         boxes = label_boxes(labels, int(labels.max()) + 1)
         labels = divided_by_color(labels, boxes, surface.lab, config.shades)

@@ -254,14 +254,20 @@ def _with_support(depth, inner, law, sigmas, least):  # type: ignore[no-untyped-
             if not inner[y, x] or not z > 0.0:
                 continue
             gate = sigmas * sigma_at(z, law)
-            count = -1  # it is within the gate of itself
-            for yy in range(max(0, y - 2), min(height, y + 3)):
-                for xx in range(max(0, x - 2), min(width, x + 3)):
-                    count += inner[yy, xx] & (abs(depth[yy, xx] - z) <= gate)
-                if count >= least:  # on a surface the first rows suffice
-                    out[y, x] = True
-                    break
+            out[y, x] = _has_company(depth, inner, y, x, gate, least)
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _has_company(depth, inner, y, x, gate, least):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether so many of the 24 returns around a pixel are within a gate of its depth; the first suffice."""
+    count = -1  # it is within the gate of itself
+    for yy in range(max(0, y - 2), min(depth.shape[0], y + 3)):
+        for xx in range(max(0, x - 2), min(depth.shape[1], x + 3)):
+            count += inner[yy, xx] & (abs(depth[yy, xx] - np.float64(depth[y, x])) <= gate)
+            if count >= least:
+                return True
+    return False
 
 
 def _touches_border(box_px: tuple[int, int, int, int], camera: Camera) -> bool:

@@ -137,9 +137,13 @@ def _window_colors(total, share, mask):  # type: ignore[no-untyped-def] # pragma
     return colors, centered, spread / count
 
 
+_OTSU_BINS = 48
+
+
 def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
     """Return the threshold that divides values best, and which share of their variance is between the two sides."""
-    counts, edges = np.histogram(values, bins=48)
+    edges = np.linspace(values.min(), values.max(), _OTSU_BINS + 1)
+    counts = _histogram(values, edges)
     middles = (edges[:-1] + edges[1:]) / 2
     below = np.cumsum(counts)[:-1]
     first = np.cumsum(counts * middles)[:-1]
@@ -148,6 +152,23 @@ def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
     best = int(np.argmax(between))
     variance = float(values.var()) * len(values) * len(values)
     return float(edges[best + 1]), float(between[best]) / max(variance, 1e-12)
+
+
+@numba.njit(cache=True, nogil=True)
+def _histogram(values, edges):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return how many values lie between each edge and the next; edges are evenly spaced around all values."""
+    bins = len(edges) - 1
+    counts = np.zeros(bins, dtype=np.int64)
+    width = (edges[bins] - edges[0]) / bins
+    for i in range(len(values)):
+        place = min(int((values[i] - edges[0]) / width), bins - 1)
+        # What rounding takes to a neighbour comes back.
+        if values[i] < edges[place]:
+            place -= 1
+        elif place < bins - 1 and values[i] >= edges[place + 1]:
+            place += 1
+        counts[place] += 1
+    return counts
 
 
 def _regions(one: NDArray[np.bool_], other: NDArray[np.bool_], min_pixels: int) -> list[NDArray[np.bool_]]:

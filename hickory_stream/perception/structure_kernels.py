@@ -67,10 +67,11 @@ def along(rows, direction):  # type: ignore[no-untyped-def] # pragma: no cover
 @numba.njit(cache=True, nogil=True)
 def bins_of_azimuth(directions, count):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return in which of `count` equal parts of a turn, from -pi on, each of (N, 2) directions lies."""
-    out = np.empty(len(directions), dtype=np.int64)
+    azimuths, out = np.empty(len(directions)), np.empty(len(directions), dtype=np.int64)
+    for i in range(len(directions)):  # vectorised
+        azimuths[i] = arctan2(np.float64(directions[i, 1]), np.float64(directions[i, 0]))
     for i in range(len(directions)):
-        azimuth = arctan2(directions[i, 1], directions[i, 0])
-        out[i] = np.int64((azimuth + np.pi) / (2 * np.pi) * count) % count
+        out[i] = np.int64((azimuths[i] + np.pi) / (2 * np.pi) * count) % count
     return out
 
 

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hickory_stream.perception.pieces import lab_of, label_boxes
-from hickory_stream.perception.shades import ShadeConfig, divided_by_color
+from hickory_stream.perception.shades import ShadeConfig, _histogram, divided_by_color
+from tests.strategies import seeds
 
 CONFIG = ShadeConfig()
 ORANGE, RED, WHITE = (230, 150, 60), (215, 40, 40), (240, 240, 235)
@@ -70,3 +71,10 @@ def test_pieces_are_of_one_fragment_and_leave_nothing_out(seed: int) -> None:
     for piece in np.unique(out[out > 0]):
         assert len(np.unique(labels[out == piece])) == 1
     assert set(np.unique(out[out > 0])) == set(range(1, int(out.max()) + 1))
+
+
+@given(seeds, st.integers(2, 200), st.integers(0, 3))
+def test_a_histogram_counts_what_lies_between_its_edges(seed: int, count: int, digits: int) -> None:
+    values = np.round(np.random.default_rng(seed).normal(size=count), digits)
+    edges = np.linspace(values.min(), values.max() + 0.1, 49)
+    assert np.array_equal(_histogram(values, edges), np.histogram(values, bins=edges)[0])

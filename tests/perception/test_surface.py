@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
+from hypothesis import given
 from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
 
 from hickory_stream.perception.structure import StructureConfig, floor_height_m, horizontal_planes, pixel_areas_m2
-from hickory_stream.perception.surface import SurfaceConfig, surface_of
+from hickory_stream.perception.surface import SurfaceConfig, _reduce_depth, _without_flying_pixels, surface_of
+from tests.strategies import seeds
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 BOX = Block(low=(-0.3, -0.3, 0.0), high=(0.3, 0.3, 0.5), color=(190, 40, 40))
@@ -66,3 +68,26 @@ def test_a_known_floor_is_replaced_by_a_lower_one_only():
     planes = horizontal_planes(surface, pixel_areas_m2(surface), min_area_m2=0.05)
     heights = [floor_height_m(surface, planes, known, StructureConfig()) for known in (None, -0.7, 0.4)]
     assert heights == pytest.approx([0.0, -0.7, 0.0], abs=0.01)
+
+
+@pytest.mark.parametrize("factor", [1, 2, 3])
+@given(seed=seeds)
+def test_a_working_pixel_has_the_lower_median_of_the_valid_depths_of_its_block(factor: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    depth = rng.choice(np.array([np.nan, 0.1, 1.0, 2.0, 3.0, 5.9, 7.0], dtype=np.float32), (4 * factor, 5 * factor))
+    reduced = _reduce_depth(depth, factor, 4, 5, 0.2, 6.0)
+    for (y, x), z in np.ndenumerate(reduced):
+        block = depth[y * factor : (y + 1) * factor, x * factor : (x + 1) * factor].ravel()
+        valid = np.sort(block[(block >= 0.2) & (block <= 6.0)])
+        assert np.array_equal(z, valid[(len(valid) - 1) // 2] if len(valid) else np.float32(np.nan), equal_nan=True)
+
+
+@given(seed=seeds)
+def test_a_pixel_stays_with_two_that_agree_where_nothing_is_before_it_and_with_three_elsewhere(seed: int) -> None:
+    depth = np.random.default_rng(seed).choice(np.array([np.nan, 1.0, 1.5], dtype=np.float32), (6, 7))
+    kept = _without_flying_pixels(depth)
+    for (y, x), z in np.ndenumerate(depth):
+        around = depth[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2]
+        others = int((around == z).sum()) - 1
+        stays = others >= 3 or (others >= 2 and not (around < z).any())
+        assert np.array_equal(kept[y, x], z if stays else np.float32(np.nan), equal_nan=True)
