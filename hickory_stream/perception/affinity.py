@@ -14,6 +14,7 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.perception.bodies import LEAST_M, bodies_of, union_of
+from hickory_stream.perception.features import Features, of_both
 from hickory_stream.perception.parts import grouped_pairs, grouped_parts
 from hickory_stream.perception.sizes import size_features
 from hickory_stream.perception.standing import standing_of
@@ -22,13 +23,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.perception.bodies import Bodies
+    from hickory_stream.perception.features import Makers
     from hickory_stream.perception.parts import Measures, Pairs, Parts
     from hickory_stream.perception.standing import Standing
 
 
-def pair_features(
-    measures: Measures, numbers: NDArray[np.int64], count: int
-) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
+def pair_features(measures: Measures, numbers: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], Features]:
     """Return the (K, 2) pairs of groups large and small, and by name (K,) how they look beside each other.
 
     `numbers` (n,) names the group 0..count - 1 of each fragment.
@@ -38,89 +38,87 @@ def pair_features(
     is_turned = parts.pixels[pairs.a] < parts.pixels[pairs.b]
     large, small = np.where(is_turned, pairs.b, pairs.a), np.where(is_turned, pairs.a, pairs.b)
     bodies = bodies_of(parts, measures.bottom_m)
-    features: dict[str, NDArray[np.float64]] = {}
-    for name, values in {**_shapes(parts, bodies), **_colors(parts), **_carried(standing)}.items():
-        features[f"large_{name}"], features[f"small_{name}"] = values[large], values[small]
     union = union_of(parts, bodies, large, small)
-    features |= _relations(parts, bodies, union, large, small)
-    features |= _colors_of_pairs(parts, large, small)
-    features |= _standing_of_pairs(standing, large, small)
-    features |= _seams(pairs, parts, measures, bodies, union, large, small, is_turned)
-    features |= size_features(measures, parts, pairs, bodies, union, large, small)
+    features = Features(
+        {
+            **of_both({**_shapes(parts, bodies), **_colors(parts), **_carried(standing)}, large, small),
+            **_relations(parts, bodies, union, large, small),
+            **_colors_of_pairs(parts, large, small),
+            **_standing_of_pairs(standing, large, small),
+            **_seams(pairs, parts, measures, bodies, union, large, small, is_turned),
+            **size_features(measures, parts, pairs, bodies, union, large, small),
+        }
+    )
     return np.stack([large, small], axis=1), features
 
 
-def _shapes(parts: Parts, bodies: Bodies) -> dict[str, NDArray[np.float64]]:
+def _shapes(parts: Parts, bodies: Bodies) -> Makers:
     """Return how flat, slim, upright and level each part is, and how much of its outline the image cuts."""
     per = np.maximum(parts.pixels, 1)
     axes_m = np.maximum(bodies.axes_m, 1e-4)
     return {
-        "in_plane": 1 - parts.planes[:, 0] / per,
-        "level": parts.normals[:, 2] / per,
-        "flat": np.linalg.norm(parts.normals, axis=1) / per,
-        "thickness_sigmas": portable.log1p(axes_m[:, 0] / bodies.sigma_m),
-        "thickness_of_breadth": axes_m[:, 0] / axes_m[:, 1],
-        "breadth_of_length": axes_m[:, 1] / axes_m[:, 2],
-        "height_of_width": bodies.height_m / (bodies.height_m + bodies.width_m),
-        "filled": portable.log((parts.area_m2 + 1e-4) / (axes_m[:, 1] * axes_m[:, 2] + 1e-4)),
-        "cut": parts.cut / np.maximum(parts.outline, 1),
-        "rugged": parts.outline / np.sqrt(per),
+        "in_plane": lambda: 1 - parts.planes[:, 0] / per,
+        "level": lambda: parts.normals[:, 2] / per,
+        "flat": lambda: np.linalg.norm(parts.normals, axis=1) / per,
+        "thickness_sigmas": lambda: portable.log1p(axes_m[:, 0] / bodies.sigma_m),
+        "thickness_of_breadth": lambda: axes_m[:, 0] / axes_m[:, 1],
+        "breadth_of_length": lambda: axes_m[:, 1] / axes_m[:, 2],
+        "height_of_width": lambda: bodies.height_m / (bodies.height_m + bodies.width_m),
+        "filled": lambda: portable.log((parts.area_m2 + 1e-4) / (axes_m[:, 1] * axes_m[:, 2] + 1e-4)),
+        "cut": lambda: parts.cut / np.maximum(parts.outline, 1),
+        "rugged": lambda: parts.outline / np.sqrt(per),
     }
 
 
-def _colors(parts: Parts) -> dict[str, NDArray[np.float64]]:
+def _colors(parts: Parts) -> Makers:
     """Return how colour varies over each part: as a whole, and from one pixel to the next."""
     per = np.maximum(parts.pixels, 1)[:, None]
     mean = parts.lab / per
     spread = np.sqrt(np.maximum(parts.lab_squares / per - mean * mean, 0))
     return {
-        "light_spread": spread[:, 0],
-        "chroma_spread": portable.hypot(spread[:, 1], spread[:, 2]),
-        "grain": parts.grain[:, 0] / np.maximum(parts.grain[:, 1], 1),
+        "light_spread": lambda: spread[:, 0],
+        "chroma_spread": lambda: portable.hypot(spread[:, 1], spread[:, 2]),
+        "grain": lambda: parts.grain[:, 0] / np.maximum(parts.grain[:, 1], 1),
     }
 
 
-def _colors_of_pairs(
-    parts: Parts, large: NDArray[np.int64], small: NDArray[np.int64]
-) -> dict[str, NDArray[np.float64]]:
+def _colors_of_pairs(parts: Parts, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
     """Return how two parts differ in colour, in CIE Lab and in multiples of how much they vary."""
     per = np.maximum(parts.pixels, 1)[:, None]
     mean = parts.lab / per
     variance = np.maximum(parts.lab_squares / per - mean * mean, 0)
     shade, spread = np.abs(mean[small] - mean[large]), np.sqrt((variance[large] + variance[small]) / 2 + 1)
     return {
-        "light_difference": shade[:, 0],
-        "chroma_difference": portable.hypot(shade[:, 1], shade[:, 2]),
-        "light_spreads": shade[:, 0] / spread[:, 0],
-        "chroma_spreads": portable.hypot(shade[:, 1], shade[:, 2]) / portable.hypot(spread[:, 1], spread[:, 2]),
+        "light_difference": lambda: shade[:, 0],
+        "chroma_difference": lambda: portable.hypot(shade[:, 1], shade[:, 2]),
+        "light_spreads": lambda: shade[:, 0] / spread[:, 0],
+        "chroma_spreads": lambda: portable.hypot(shade[:, 1], shade[:, 2]) / portable.hypot(spread[:, 1], spread[:, 2]),
     }
 
 
-def _carried(standing: Standing) -> dict[str, NDArray[np.float64]]:
+def _carried(standing: Standing) -> Makers:
     """Return which share of each part's foot is on structure, on anything, and over nothing near."""
     foot = np.maximum(standing.outline, 1)
     return {
-        "on_structure": standing.on[:, -1] / foot,
-        "on_any": standing.on.sum(axis=1) / foot,
-        "free": standing.free / foot,
+        "on_structure": lambda: standing.on[:, -1] / foot,
+        "on_any": lambda: standing.on.sum(axis=1) / foot,
+        "free": lambda: standing.free / foot,
     }
 
 
-def _standing_of_pairs(
-    standing: Standing, large: NDArray[np.int64], small: NDArray[np.int64]
-) -> dict[str, NDArray[np.float64]]:
+def _standing_of_pairs(standing: Standing, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
     """Return how much of either stands on the other, and of both on the same."""
     on = standing.on / np.maximum(standing.outline, 1)[:, None]
     return {
-        "large_on_small": on[large, small],
-        "small_on_large": on[small, large],
-        "on_the_same": np.minimum(on[large], on[small]).sum(axis=1),
+        "large_on_small": lambda: on[large, small],
+        "small_on_large": lambda: on[small, large],
+        "on_the_same": lambda: np.minimum(on[large], on[small]).sum(axis=1),
     }
 
 
 def _relations(
     parts: Parts, bodies: Bodies, union: Bodies, large: NDArray[np.int64], small: NDArray[np.int64]
-) -> dict[str, NDArray[np.float64]]:
+) -> Makers:
     """Return how two parts lie to each other and what their union would be: ratios, angles, multiples of sigma.
 
     "Before" is the sine of the angle at which one part's middle lies over the other's plane: positive for both where
@@ -143,39 +141,39 @@ def _relations(
     thickness = np.maximum(own_m[large, 0], own_m[small, 0])
     height_m = union.height_m
     return {
-        "pixels_ratio": portable.log(np.maximum(parts.pixels[small], 1) / np.maximum(parts.pixels[large], 1)),
-        "area_ratio": portable.log((parts.area_m2[small] + 1e-4) / (parts.area_m2[large] + 1e-4)),
-        "width_ratio": portable.log(bodies.width_m[small] / bodies.width_m[large]),
-        "height_ratio": portable.log(bodies.height_m[small] / bodies.height_m[large]),
-        "length_ratio": portable.log(own_m[small, 2] / own_m[large, 2]),
-        "parallel": (normal[large] * normal[small]).sum(axis=1),
-        "same_plane": ((most[large] == most[small]) & (most[large] > 0)).astype(np.float64),
-        "before_large": over_large / away,
-        "before_small": over_small / away,
-        "before_large_sigmas": _signed_log(over_large / union.sigma_m),
-        "before_small_sigmas": _signed_log(over_small / union.sigma_m),
-        "aside": portable.hypot(aside[:, 0], aside[:, 1]) / union.width_m,
-        "higher": aside[:, 2] / height_m,
-        "lows": (bodies.low_m[small] - bodies.low_m[large]) / height_m,
-        "highs": (bodies.high_m[small] - bodies.high_m[large]) / height_m,
-        "small_over_large": (bodies.low_m[small] - bodies.high_m[large]) / height_m,
-        "large_over_small": (bodies.low_m[large] - bodies.high_m[small]) / height_m,
-        "lows_sigmas": _signed_log((bodies.low_m[small] - bodies.low_m[large]) / union.sigma_m),
-        "highs_sigmas": _signed_log((bodies.high_m[small] - bodies.high_m[large]) / union.sigma_m),
-        "overlap_sideways": (overlap / sides[small])[:, :2].min(axis=1),
-        "overlap_upright": overlap[:, 2] / sides[small, 2],
-        "overlap_foot": np.minimum(foot, 1.5),
-        "inset": (inset / sides[large])[:, :2].min(axis=1),
-        "inset_sigmas": _signed_log(inset[:, :2].min(axis=1) / union.sigma_m),
-        "joined_width": portable.log(union.width_m / bodies.width_m[large]),
-        "joined_height": portable.log(height_m / bodies.height_m[large]),
-        "joined_height_of_width": height_m / (height_m + union.width_m),
-        "joined_volume": portable.log(joined / (volume[large] + volume[small])),
-        "joined_thickness_of_breadth": axes_m[:, 0] / axes_m[:, 1],
-        "joined_breadth_of_length": axes_m[:, 1] / axes_m[:, 2],
-        "joined_length": portable.log(axes_m[:, 2] / own_m[large, 2]),
-        "thicker": portable.log(axes_m[:, 0] / thickness),
-        "thicker_sigmas": _signed_log((axes_m[:, 0] - thickness) / union.sigma_m),
+        "pixels_ratio": lambda: portable.log(np.maximum(parts.pixels[small], 1) / np.maximum(parts.pixels[large], 1)),
+        "area_ratio": lambda: portable.log((parts.area_m2[small] + 1e-4) / (parts.area_m2[large] + 1e-4)),
+        "width_ratio": lambda: portable.log(bodies.width_m[small] / bodies.width_m[large]),
+        "height_ratio": lambda: portable.log(bodies.height_m[small] / bodies.height_m[large]),
+        "length_ratio": lambda: portable.log(own_m[small, 2] / own_m[large, 2]),
+        "parallel": lambda: (normal[large] * normal[small]).sum(axis=1),
+        "same_plane": lambda: ((most[large] == most[small]) & (most[large] > 0)).astype(np.float64),
+        "before_large": lambda: over_large / away,
+        "before_small": lambda: over_small / away,
+        "before_large_sigmas": lambda: _signed_log(over_large / union.sigma_m),
+        "before_small_sigmas": lambda: _signed_log(over_small / union.sigma_m),
+        "aside": lambda: portable.hypot(aside[:, 0], aside[:, 1]) / union.width_m,
+        "higher": lambda: aside[:, 2] / height_m,
+        "lows": lambda: (bodies.low_m[small] - bodies.low_m[large]) / height_m,
+        "highs": lambda: (bodies.high_m[small] - bodies.high_m[large]) / height_m,
+        "small_over_large": lambda: (bodies.low_m[small] - bodies.high_m[large]) / height_m,
+        "large_over_small": lambda: (bodies.low_m[large] - bodies.high_m[small]) / height_m,
+        "lows_sigmas": lambda: _signed_log((bodies.low_m[small] - bodies.low_m[large]) / union.sigma_m),
+        "highs_sigmas": lambda: _signed_log((bodies.high_m[small] - bodies.high_m[large]) / union.sigma_m),
+        "overlap_sideways": lambda: (overlap / sides[small])[:, :2].min(axis=1),
+        "overlap_upright": lambda: overlap[:, 2] / sides[small, 2],
+        "overlap_foot": lambda: np.minimum(foot, 1.5),
+        "inset": lambda: (inset / sides[large])[:, :2].min(axis=1),
+        "inset_sigmas": lambda: _signed_log(inset[:, :2].min(axis=1) / union.sigma_m),
+        "joined_width": lambda: portable.log(union.width_m / bodies.width_m[large]),
+        "joined_height": lambda: portable.log(height_m / bodies.height_m[large]),
+        "joined_height_of_width": lambda: height_m / (height_m + union.width_m),
+        "joined_volume": lambda: portable.log(joined / (volume[large] + volume[small])),
+        "joined_thickness_of_breadth": lambda: axes_m[:, 0] / axes_m[:, 1],
+        "joined_breadth_of_length": lambda: axes_m[:, 1] / axes_m[:, 2],
+        "joined_length": lambda: portable.log(axes_m[:, 2] / own_m[large, 2]),
+        "thicker": lambda: portable.log(axes_m[:, 0] / thickness),
+        "thicker_sigmas": lambda: _signed_log((axes_m[:, 0] - thickness) / union.sigma_m),
     }
 
 
@@ -193,7 +191,7 @@ def _seams(
     large: NDArray[np.int64],
     small: NDArray[np.int64],
     is_turned: NDArray[np.bool_],
-) -> dict[str, NDArray[np.float64]]:
+) -> Makers:
     """Return how two parts meet: how much of their outlines, how sharply, where, and which is before the other."""
     meet, touch = np.maximum(pairs.meet, 1), np.maximum(pairs.touch, 1)
 
@@ -214,27 +212,27 @@ def _seams(
     across = np.sqrt(np.maximum(parts.pixels[small], 1))
     gap_m = np.where(np.isfinite(pairs.gap_m), pairs.gap_m, np.nan)
     return {
-        "meet_of_lesser": pairs.meet / np.maximum(np.minimum(parts.outline[large], parts.outline[small]), 1),
-        "meet_of_small": pairs.meet / np.maximum(parts.outline[small], 1),
-        "touch_of_size": pairs.touch / across,
-        "touch_share": of_meeting(pairs.touch),
-        "lean": of_touching(pairs.lean),
-        "concave": of_touching(pairs.concave),
-        "seam_parallel": of_touching(pairs.parallel),
-        "seam_contrast": of_touching(pairs.contrast),
-        "seam_grains": of_touching(pairs.contrast) / (np.maximum(grain[large], grain[small]) + 1),
-        "seam_step_sigmas": of_touching(touch * pairs.step_m / np.maximum(pairs.sigma_m, 1e-4)),
-        "far_contrast": np.where(away > 0, pairs.far_contrast / np.maximum(away, 1), np.nan),
-        "seam_width": of_touching(touch * portable.hypot(spread[:, 0], spread[:, 1]) / width_m),
-        "seam_height": of_touching(touch * spread[:, 2] / height_m),
-        "seam_in_large": of_touching(touch * (at_m - bodies.low_m[large]) / bodies.height_m[large]),
-        "seam_in_small": of_touching(touch * (at_m - bodies.low_m[small]) / bodies.height_m[small]),
-        "large_nearer": of_meeting(nearer[:, 0]),
-        "small_nearer": of_meeting(nearer[:, 1]),
-        "large_above": of_meeting(above[:, 0]),
-        "small_above": of_meeting(above[:, 1]),
-        "bridged_level_share": pairs.bridged[:, 0] / across,
-        "bridged_upright_share": pairs.bridged[:, 1] / across,
-        "gap_sigmas": portable.log1p(gap_m / union.sigma_m),
-        "gap_of_small": gap_m / np.maximum(bodies.axes_m[small, 2], LEAST_M),
+        "meet_of_lesser": lambda: pairs.meet / np.maximum(np.minimum(parts.outline[large], parts.outline[small]), 1),
+        "meet_of_small": lambda: pairs.meet / np.maximum(parts.outline[small], 1),
+        "touch_of_size": lambda: pairs.touch / across,
+        "touch_share": lambda: of_meeting(pairs.touch),
+        "lean": lambda: of_touching(pairs.lean),
+        "concave": lambda: of_touching(pairs.concave),
+        "seam_parallel": lambda: of_touching(pairs.parallel),
+        "seam_contrast": lambda: of_touching(pairs.contrast),
+        "seam_grains": lambda: of_touching(pairs.contrast) / (np.maximum(grain[large], grain[small]) + 1),
+        "seam_step_sigmas": lambda: of_touching(touch * pairs.step_m / np.maximum(pairs.sigma_m, 1e-4)),
+        "far_contrast": lambda: np.where(away > 0, pairs.far_contrast / np.maximum(away, 1), np.nan),
+        "seam_width": lambda: of_touching(touch * portable.hypot(spread[:, 0], spread[:, 1]) / width_m),
+        "seam_height": lambda: of_touching(touch * spread[:, 2] / height_m),
+        "seam_in_large": lambda: of_touching(touch * (at_m - bodies.low_m[large]) / bodies.height_m[large]),
+        "seam_in_small": lambda: of_touching(touch * (at_m - bodies.low_m[small]) / bodies.height_m[small]),
+        "large_nearer": lambda: of_meeting(nearer[:, 0]),
+        "small_nearer": lambda: of_meeting(nearer[:, 1]),
+        "large_above": lambda: of_meeting(above[:, 0]),
+        "small_above": lambda: of_meeting(above[:, 1]),
+        "bridged_level_share": lambda: pairs.bridged[:, 0] / across,
+        "bridged_upright_share": lambda: pairs.bridged[:, 1] / across,
+        "gap_sigmas": lambda: portable.log1p(gap_m / union.sigma_m),
+        "gap_of_small": lambda: gap_m / np.maximum(bodies.axes_m[small, 2], LEAST_M),
     }

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry import portable
+from hickory_stream.perception.features import of_both
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.perception.bodies import Bodies
+    from hickory_stream.perception.features import Makers
     from hickory_stream.perception.parts import Measures, Pairs, Parts
 
 _FAR_M = 0.3
@@ -37,32 +39,30 @@ def size_features(
     union: Bodies,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
-) -> dict[str, NDArray[np.float64]]:
+) -> Makers:
     """Return by name (K,) the sizes of the parts `large` and `small` of each pair, and how they lie to each other."""
-    pixels = portable.log(np.maximum(parts.pixels, 1))
-    features = {"large_pixels": pixels[large], "small_pixels": pixels[small]}
-    for name, values in _of_parts(measures, parts, bodies).items():
-        features[f"large_{name}"], features[f"small_{name}"] = values[large], values[small]
-    return features | _of_pairs(parts, pairs, bodies, union, large, small)
+    of_parts = of_both(_of_parts(measures, parts, bodies), large, small)
+    return {**of_parts, **_of_pairs(parts, pairs, bodies, union, large, small)}
 
 
-def _of_parts(measures: Measures, parts: Parts, bodies: Bodies) -> dict[str, NDArray[np.float64]]:
+def _of_parts(measures: Measures, parts: Parts, bodies: Bodies) -> Makers:
     per = np.maximum(parts.pixels, 1)
     extent = parts.high - parts.low
     mean = parts.lab / per[:, None]
     return {
-        "area_m2": portable.log(parts.area_m2 + 1e-4),
-        "depth_m": parts.depth_m / per,
-        "width_m": portable.hypot(extent[:, 0], extent[:, 1]),
-        "thickness_m": bodies.axes_m[:, 0],
-        "breadth_m": bodies.axes_m[:, 1],
-        "length_m": bodies.axes_m[:, 2],
-        "members": parts.members,
-        "light": mean[:, 0],
-        "chroma": portable.hypot(mean[:, 1], mean[:, 2]),
-        "height_m": bodies.high_m - bodies.low_m,
-        "low_m": bodies.low_m - measures.floor_z_m,
-        "high_m": bodies.high_m - measures.floor_z_m,
+        "pixels": lambda: portable.log(np.maximum(parts.pixels, 1)),
+        "area_m2": lambda: portable.log(parts.area_m2 + 1e-4),
+        "depth_m": lambda: parts.depth_m / per,
+        "width_m": lambda: portable.hypot(extent[:, 0], extent[:, 1]),
+        "thickness_m": lambda: bodies.axes_m[:, 0],
+        "breadth_m": lambda: bodies.axes_m[:, 1],
+        "length_m": lambda: bodies.axes_m[:, 2],
+        "members": lambda: parts.members,
+        "light": lambda: mean[:, 0],
+        "chroma": lambda: portable.hypot(mean[:, 1], mean[:, 2]),
+        "height_m": lambda: bodies.high_m - bodies.low_m,
+        "low_m": lambda: bodies.low_m - measures.floor_z_m,
+        "high_m": lambda: bodies.high_m - measures.floor_z_m,
     }
 
 
@@ -73,7 +73,7 @@ def _of_pairs(
     union: Bodies,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
-) -> dict[str, NDArray[np.float64]]:
+) -> Makers:
     center = parts.place / np.maximum(parts.pixels, 1)[:, None]
     aside = center[small] - center[large]
     overlap = np.minimum(parts.high[large], parts.high[small]) - np.maximum(parts.low[large], parts.low[small])
@@ -88,26 +88,26 @@ def _of_pairs(
         return np.where(pairs.touch > 0, values, np.nan)
 
     return {
-        "aside_m": portable.hypot(aside[:, 0], aside[:, 1]),
-        "higher_m": aside[:, 2],
-        "lows_m": bodies.low_m[small] - bodies.low_m[large],
-        "highs_m": bodies.high_m[small] - bodies.high_m[large],
-        "small_over_large_m": bodies.low_m[small] - bodies.high_m[large],
-        "large_over_small_m": bodies.low_m[large] - bodies.high_m[small],
-        "overlap_sideways_m": overlap[:, :2].min(axis=1),
-        "overlap_upright_m": overlap[:, 2],
-        "inset_m": inset[:, :2].min(axis=1),
-        "joined_width_m": portable.hypot(joined[:, 0], joined[:, 1]),
-        "joined_height_m": union.high_m - union.low_m,
-        "joined_volume_m3": portable.log(np.prod(joined + 0.01, axis=1) / (volume[large] + volume[small])),
-        "joined_thickness_m": union.axes_m[:, 0],
-        "joined_breadth_m": union.axes_m[:, 1],
-        "thicker_m": union.axes_m[:, 0] - np.maximum(bodies.axes_m[large, 0], bodies.axes_m[small, 0]),
-        "touch": portable.log1p(pairs.touch),
-        "seam_step_m": of_touching(pairs.step_m / touch),
-        "seam_width_m": of_touching(portable.hypot(spread[:, 0], spread[:, 1])),
-        "seam_height_m": of_touching(spread[:, 2]),
-        "gap_m": np.minimum(pairs.gap_m, _FAR_M),
-        "bridged_level": pairs.bridged[:, 0],
-        "bridged_upright": pairs.bridged[:, 1],
+        "aside_m": lambda: portable.hypot(aside[:, 0], aside[:, 1]),
+        "higher_m": lambda: aside[:, 2],
+        "lows_m": lambda: bodies.low_m[small] - bodies.low_m[large],
+        "highs_m": lambda: bodies.high_m[small] - bodies.high_m[large],
+        "small_over_large_m": lambda: bodies.low_m[small] - bodies.high_m[large],
+        "large_over_small_m": lambda: bodies.low_m[large] - bodies.high_m[small],
+        "overlap_sideways_m": lambda: overlap[:, :2].min(axis=1),
+        "overlap_upright_m": lambda: overlap[:, 2],
+        "inset_m": lambda: inset[:, :2].min(axis=1),
+        "joined_width_m": lambda: portable.hypot(joined[:, 0], joined[:, 1]),
+        "joined_height_m": lambda: union.high_m - union.low_m,
+        "joined_volume_m3": lambda: portable.log(np.prod(joined + 0.01, axis=1) / (volume[large] + volume[small])),
+        "joined_thickness_m": lambda: union.axes_m[:, 0],
+        "joined_breadth_m": lambda: union.axes_m[:, 1],
+        "thicker_m": lambda: union.axes_m[:, 0] - np.maximum(bodies.axes_m[large, 0], bodies.axes_m[small, 0]),
+        "touch": lambda: portable.log1p(pairs.touch),
+        "seam_step_m": lambda: of_touching(pairs.step_m / touch),
+        "seam_width_m": lambda: of_touching(portable.hypot(spread[:, 0], spread[:, 1])),
+        "seam_height_m": lambda: of_touching(spread[:, 2]),
+        "gap_m": lambda: np.minimum(pairs.gap_m, _FAR_M),
+        "bridged_level": lambda: pairs.bridged[:, 0],
+        "bridged_upright": lambda: pairs.bridged[:, 1],
     }

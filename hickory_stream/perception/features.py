@@ -1,0 +1,57 @@
+"""Features by name that are computed when they are asked for: a forest asks for its own, and there are many more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Makers = Mapping[str, "Callable[[], NDArray[np.float64]]"]
+"""What makes each feature (K,), by its name."""
+
+
+class Features(Mapping[str, "NDArray[np.float64]"]):
+    """The features (K,) of K pairs by name, each made at most once."""
+
+    def __init__(self, makers: Makers) -> None:
+        self._makers = dict(makers)
+        self._made: dict[str, NDArray[np.float64]] = {}
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """Return the feature of a name; raises `KeyError` where there is none."""
+        made = self._made.get(name)
+        if made is None:
+            made = self._made[name] = self._makers[name]()
+        return made
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the names, also of what was not asked for yet."""
+        return iter(self._makers)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._makers)
+
+    def __or__(self, more: Mapping[str, NDArray[np.float64]]) -> Features:
+        """Return these features and others; what was made is not made again."""
+        out = Features({**self._makers, **{name: partial(more.__getitem__, name) for name in more}})
+        out._made = {name: made for name, made in self._made.items() if name not in more}
+        return out
+
+
+def of_both(makers: Makers, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
+    """Return what makes the features of the parts `large` and `small` (K,) of pairs from that of (n,) parts."""
+    parts = Features(makers)
+    out: dict[str, Callable[[], NDArray[np.float64]]] = {}
+    for name in makers:
+        out[f"large_{name}"] = partial(_at, parts, name, large)
+        out[f"small_{name}"] = partial(_at, parts, name, small)
+    return out
+
+
+def _at(features: Features, name: str, indices: NDArray[np.int64]) -> NDArray[np.float64]:
+    return features[name][indices]
