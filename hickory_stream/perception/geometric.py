@@ -34,10 +34,14 @@ class GeometricConfig(Ranged):
     """The geometric segmenter's parts, and what a mask must be.
 
     Attributes:
-        min_area_px: masks with fewer working pixels are rejected.
+        min_area_px: masks with fewer working pixels are rejected ...
+        min_side_sigmas: ... and so are those that a square covers whose side is so many sigmas of depth: what they show
+            cannot be told from noise.
+        hidden_area_px: a mask with fewer working pixels ...
+        hidden_share: ... and more of its outline than this behind something nearer is rejected.
         max_extent_m: masks of longer things are rejected as structure.
-        hidden_share: a small mask with more of its outline than this behind something nearer is rejected.
-        support_area_m2: the least visible area of a supporting plane.
+        support_area_m2: the least visible area of a supporting plane ...
+        support_area_px: ... and the fewest working pixels of a piece of it.
     """
 
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)
@@ -45,10 +49,13 @@ class GeometricConfig(Ranged):
     fragments: FragmentConfig = field(default_factory=FragmentConfig)
     shades: ShadeConfig = field(default_factory=ShadeConfig)
     join: JoinConfig = field(default_factory=JoinConfig)
-    min_area_px: int = number(60, 1, 1_000_000, "px")
-    max_extent_m: float = number(3.0, 0.01, 1000, "m")
+    min_area_px: int = number(16, 1, 1_000_000, "px")
+    min_side_sigmas: float = number(2.5, 0, 100, "sigmas")
+    hidden_area_px: int = number(720, 0, 1_000_000, "px")
     hidden_share: float = number(0.6, 0, 1, "share")
+    max_extent_m: float = number(3.0, 0.01, 1000, "m")
     support_area_m2: float = number(0.03, 0, 1000, "m2")
+    support_area_px: int = number(60, 1, 1_000_000, "px")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -107,7 +114,7 @@ class GeometricSegmenter:
         """Return the pieces that a surface falls into where it is not structure."""
         config, floor_z_m = self._config, scenery.floor_z_m
         heights = np.array([p.z_m for p in scenery.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
-        supports = support_labels(surface, heights, min_pixels=config.min_area_px)
+        supports = support_labels(surface, heights, min_pixels=config.support_area_px)
         creases = concave_creases(surface, scenery.structure, config.fragments)
         labels = fragments_of(surface, scenery.structure, supports, creases, config.fragments)
         boxes = label_boxes(labels, int(labels.max()) + 1)
@@ -150,6 +157,21 @@ def _why_not(
 ) -> str | None:
     if pixels < config.min_area_px:
         return f"{pixels} working pixels, fewer than {config.min_area_px}"
-    if hidden > config.hidden_share and pixels < 12 * config.min_area_px:
+    side_m, sigma_m = _side_and_sigma_m(surface, labels, label, pixels, box)
+    if side_m < config.min_side_sigmas * sigma_m:
+        return f"{100 * side_m:.1f} cm in a square, less than {config.min_side_sigmas:g} sigmas of depth"
+    if hidden > config.hidden_share and pixels < config.hidden_area_px:
         return f"{hidden:.0%} of the outline is hidden by nearer things"
     return why_no_object(surface, labels, label, box, config.max_extent_m)
+
+
+def _side_and_sigma_m(
+    surface: Surface, labels: NDArray[np.int32], label: int, pixels: int, box: NDArray[np.int64]
+) -> tuple[float, float]:
+    """Return the side of a square that covers as much of the view as a mask does, and the sigma of depth, there."""
+    x0, y0, x1, y1 = box
+    inside = labels[y0:y1, x0:x1] == label
+    # Every pixel of a fragment has a depth.
+    depth_m = float(np.median(surface.depth_m[y0:y1, x0:x1][inside]))
+    sigma_m = float(np.median(surface.sigma_m[y0:y1, x0:x1][inside]))
+    return float(np.sqrt(pixels / (surface.camera.fx * surface.camera.fy))) * depth_m, sigma_m

@@ -1,4 +1,4 @@
-"""The segmenter with a network of its own: fragments by geometry, joined by the network's affinities, or with trees.
+"""The segmenter with a network of its own: fragments by geometry, divided and joined by the network's affinities.
 
 By itself the network joins by average linkage; trees have its odds among their inputs, or are shifted by them. Its
 objectness can correct what geometry takes for structure, both ways.
@@ -6,7 +6,7 @@ objectness can correct what geometry takes for structure, both ways.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import cv2
@@ -17,6 +17,7 @@ from hickory_stream.perception.average_linkage import averaged
 from hickory_stream.perception.fragment_odds import fragment_odds
 from hickory_stream.perception.geometric import GeometricSegmenter
 from hickory_stream.perception.join import measured, rounds
+from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
 from hickory_stream.perception.pixel_network import ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
 from hickory_stream.perception.trees import embedded_trees
 from hickory_stream.ranges import Ranged, number
@@ -44,6 +45,7 @@ class NetworkJoinConfig(Ranged):
         join: what joins fragments: the `network` alone, the `trees` alone, `both` by weights set by hand, or trees that
             have `learned` what the network's odds are worth, the forest `odds`.
         learned_probability: those join two groups from this probability of being one thing.
+        split: when the network divides fragments that geometry and colour left whole.
         least_odds: the network alone joins two groups from this mean log-odds.
         far_weight: what a pair of pixels at the network's long distances counts against one at the short ones.
         trees_weight: of the trees' log-odds, where both join.
@@ -57,6 +59,7 @@ class NetworkJoinConfig(Ranged):
 
     join: Literal["network", "trees", "both", "learned"] = "both"
     learned_probability: float = number(0.3, 0, 1, "probability")
+    split: SplitConfig = field(default_factory=SplitConfig)
     least_odds: float = number(0.0, -8, 8, "log-odds")
     far_weight: float = number(0.25, 0, 10, "pairs")
     trees_weight: float = number(0.6, 0, 10, "weight")
@@ -100,10 +103,15 @@ class NetworkSegmenter:
     def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
+        pieces = self.fragments(found, prior)
+        return self._geometric.segmentation(frame, pieces, self._joined(pieces, found.odds))
+
+    def fragments(self, found: Prepared, prior: ObservedSpace | None) -> Fragments:
+        """Return the pieces that a frame falls into, before any are joined."""
         scenery = self._geometric.scenery(found.surface, prior)
         structure = corrected_structure(scenery.structure, found, self._config)
         pieces = self._geometric.divided(found.surface, replace(scenery, structure=structure))
-        return self._geometric.segmentation(frame, pieces, self._joined(pieces, found.odds))
+        return replace(pieces, labels=divided_by_odds(pieces.labels, found.odds, self._config.split))
 
     def _joined(self, pieces: Fragments, odds: PixelOdds) -> NDArray[np.int32]:
         labels, config = pieces.labels, self._config

@@ -18,7 +18,7 @@ from hickory_stream.json_text import dumps_exactly
 from hickory_stream.perception import pixel_network
 from hickory_stream.perception.pixel_inputs import CHANNELS
 from tools.network_training.frames import frames_of_scene
-from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, STAGES, drawn_frames, told
+from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, drawn_frames, told
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         net = train(drawn, schedule, checkpoint)
     kept = torch.load(checkpoint, weights_only=True)
     rng = np.random.default_rng([options.seed, 77])
-    calibration = [lesson_of(drawn(schedule.steps, rng), rng).inputs for _ in range(_CALIBRATED_ON)]
+    calibration = [lesson_of(drawn(rng), rng).inputs for _ in range(_CALIBRATED_ON)]
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / file.name
     export(net, calibration, path)
@@ -88,7 +88,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "trained_on": {
             "own": told(OWN),
             "broad": told(BROAD),
-            "broad_scenes_from_step": STAGES,
             "own_share": OWN_SHARE,
             "rendered_at": RENDERED_AT,
         },
@@ -104,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-STEPS = 1400
+STEPS = 6600
 """Those of the weights in the package."""
 
 if __name__ == "__main__":

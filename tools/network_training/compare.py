@@ -2,7 +2,7 @@
 
 Frames are those of labelled clouds, of the worlds that may be tuned on, each keyframe with the map as the trees leave
 it, and synthetic rooms that nothing was trained on. Masks are scored as `tools/bench perception` does; `joins` is what
-the truth would make of the same fragments.
+the truth would make of the same fragments, `network-joins` of those that the network divided further.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m tools.network_training.compare", description=__doc__)
     parser.add_argument("--sets", nargs="+", choices=SETS, default=SETS)
-    parser.add_argument("--ways", nargs="+", choices=("trees", "network", "both", "learned", "joins"))
+    parser.add_argument("--ways", nargs="+", choices=("trees", "network", "both", "learned", "joins", "network-joins"))
     parser.add_argument("--every", type=int, default=3, help="keyframes of the worlds, one of so many")
     parser.add_argument("--most", type=int, default=40, help="frames of a set")
     parser.add_argument("--worlds", type=Path, help="folder of the worlds")
@@ -104,12 +104,19 @@ def ways_of(network: PixelNetwork) -> dict[str, Callable[[Shown], NDArray[np.int
         pieces = trees.fragments(shown.frame, shown.prior)
         return trees.segmentation(shown.frame, pieces, truly_joined(pieces, shown.truth)).instances
 
+    divided = NetworkSegmenter(network, NetworkJoinConfig(), config)
+
+    def divided_by_truth(shown: Shown) -> NDArray[np.int32]:
+        pieces = divided.fragments(divided.prepare(shown.frame), shown.prior)
+        return trees.segmentation(shown.frame, pieces, truly_joined(pieces, shown.truth)).instances
+
     return {
         "trees": lambda shown: trees.segment(shown.frame, shown.prior).instances,
         "network": joined_by("network"),
         "both": joined_by("both"),
         "learned": joined_by("learned"),
         "joins": by_truth,
+        "network-joins": divided_by_truth,
     }
 
 

@@ -1,4 +1,4 @@
-"""Which synthetic scenes are learnt from: own rooms at first, then mostly the broad generator's."""
+"""Which synthetic scenes are learnt from: mostly rooms of the broad generator, beside own ones."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ OWN = (
     *(Scene(kind="apartment", seed=seed, frames=16) for seed in range(300, 315)),
     *(Scene(kind="tabletop", seed=seed, frames=10) for seed in range(350, 366, 2)),
 )
-BROAD = tuple(Scene(kind="clutter-training", seed=seed, frames=48) for seed in range(24))
-STAGES = ((0, 0), (700, 4), (800, 10), (1000, 16), (1200, 24))
-"""From which step so many of the broad scenes are learnt from: it began while they were still being rendered."""
+BROAD = tuple(Scene(kind="clutter-training", seed=seed, frames=48) for seed in range(48))
 OWN_SHARE = 0.2
-RENDERED_AT = "e92539a"
+RENDERED_AT = "f4e6ad6"
 """The commit whose generators made the frames of the weights in the package: later ones give other frames."""
 HELD_OUT = (
     *(Scene(kind="apartment", seed=seed, frames=16) for seed in (315, 316)),
@@ -31,17 +29,13 @@ HELD_OUT = (
 """Own rooms of other seeds, and random rooms of another family: nothing was trained on them."""
 
 
-def drawn_frames(folder: Path) -> Callable[[int, np.random.Generator], TrueFrame]:
-    """Return what draws the frame of a lesson; scenes are rendered when they are first needed and kept in `folder`."""
+def drawn_frames(folder: Path) -> Callable[[np.random.Generator], TrueFrame]:
+    """Return what draws the frame of a lesson; scenes are rendered once and kept in `folder`."""
     own = [frame for scene in OWN for frame in frames_of_scene(scene, folder)]
-    broad: list[list[TrueFrame]] = []
+    broad = [frame for scene in BROAD for frame in frames_of_scene(scene, folder)]
 
-    def frame_of(step: int, rng: np.random.Generator) -> TrueFrame:
-        count = max(count for first, count in STAGES if first <= step)
-        broad.extend(frames_of_scene(scene, folder) for scene in BROAD[len(broad) : count])
-        if count == 0 or rng.random() < OWN_SHARE:
-            return own[int(rng.integers(len(own)))]
-        frames = broad[int(rng.integers(count))]
+    def frame_of(rng: np.random.Generator) -> TrueFrame:
+        frames = own if rng.random() < OWN_SHARE else broad
         return frames[int(rng.integers(len(frames)))]
 
     return frame_of

@@ -37,7 +37,7 @@ class Schedule:
     """How long, how fast and from how many lessons at a time; `precision` of the products in training."""
 
     seed: int = 0
-    steps: int = 1400
+    steps: int = 6600
     batch: int = 4
     rate: float = 2e-3
     rising: int = 100
@@ -53,10 +53,8 @@ class Schedule:
         return self.rate * min(1.0, (step + 1) / self.rising, max(0.01, (self.steps - step) / falling))
 
 
-def train(
-    frame_of: Callable[[int, np.random.Generator], TrueFrame], schedule: Schedule, checkpoint: Path
-) -> AffinityNet:
-    """Return the network trained on frames that `frame_of(step, rng)` draws.
+def train(frame_of: Callable[[np.random.Generator], TrueFrame], schedule: Schedule, checkpoint: Path) -> AffinityNet:
+    """Return the network trained on frames that `frame_of(rng)` draws.
 
     It goes on from a checkpoint if there is one.
     """
@@ -73,7 +71,7 @@ def train(
     started, started_cpu_s, told = time.monotonic(), time.process_time(), [0.0, 0]
     for step in range(first, schedule.steps):
         rng = np.random.default_rng([schedule.seed, step])
-        lessons = [lesson_of(frame_of(step, rng), rng) for _ in range(schedule.batch)]
+        lessons = [lesson_of(frame_of(rng), rng) for _ in range(schedule.batch)]
         for group in optimizer.param_groups:
             group["lr"] = schedule.rate_at(step)
         loss = _loss_of(net, lessons, schedule.precision)
