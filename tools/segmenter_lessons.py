@@ -5,7 +5,7 @@ A lesson keeps counts instead of the image, and from these every way of joining 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +17,7 @@ from hickory_stream.perception.fragment_odds import fragment_odds
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.join import JoinConfig, measured
 from hickory_stream.perception.masks import enlarged_mask
+from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
 from hickory_stream.perception.trees import Trees
 from hickory_stream.records import Frame, Segmentation
 from tools.benchmarks.first_layer import play_first_layer
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from tools.network_training.frames import Scene, TrueFrame
 
 _MIN_SHARE = 0.002
-_MIN_PIXELS = 60
+_MIN_PIXELS = 16
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -179,7 +180,13 @@ def score_groups(lesson: Lesson, numbers: NDArray[np.int64]) -> MaskScore:
 
 
 def lesson_of_pieces(pieces: Fragments, shown: NDArray[np.int32], network: PixelNetwork | None = None) -> list[Lesson]:
-    """Return the lesson of an image in pieces of which each pixel (H, W) shows what; none where there are no pieces."""
+    """Return the lesson of an image in pieces of which each pixel (H, W) shows what; none where there are no pieces.
+
+    A network divides the pieces further, as it does where maps are made.
+    """
+    said = None if network is None else network.odds(pieces.surface, None)
+    if said is not None:
+        pieces = replace(pieces, labels=divided_by_odds(pieces.labels, said, SplitConfig()))
     measures = measured(pieces.surface, pieces.labels, pieces.supports, pieces.scenery, JoinConfig())
     if measures is None:
         return []
@@ -191,5 +198,5 @@ def lesson_of_pieces(pieces: Fragments, shown: NDArray[np.int32], network: Pixel
     pixels = np.bincount(key, minlength=count * len(owners)).reshape(count, len(owners)).astype(np.float64)
     in_image = pixels.sum(axis=0).astype(np.int64)
     pixels[0] = 0.0
-    odds = None if network is None else fragment_odds(labels, network.odds(pieces.surface, None))
+    odds = None if said is None else fragment_odds(labels, said)
     return [Lesson(measures=measures, shown=pixels, owners=owners.astype(np.int64), in_image=in_image, odds=odds)]

@@ -35,7 +35,7 @@ class SplitConfig(Ranged):
             with; of smaller fragments nothing is divided.
     """
 
-    odds_shift: float = number(1.0, -8, 8, "log-odds")
+    odds_shift: float = number(0.5, -8, 8, "log-odds")
     min_pixels: int = number(6, 1, 1_000_000, "px")
 
 

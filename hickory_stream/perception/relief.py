@@ -86,7 +86,9 @@ def _raised(
     values, marks = _marked(plane.distance_m, plane.near)
     total = cv2.blur(values, side, borderType=cv2.BORDER_CONSTANT)
     share = cv2.blur(marks, side, borderType=cv2.BORDER_CONSTANT)
-    area, least_m, sigmas = (np.float32(x) for x in (config.window_px * config.window_px, config.least_m, config.sigmas))
+    area, least_m, sigmas = (
+        np.float32(x) for x in (config.window_px * config.window_px, config.least_m, config.sigmas)
+    )
     high = _is_high(plane.near, total, share, sigma_m, area, least_m, sigmas)
     # A rim of a few pixels along the foot of a thing tells nothing that the thing does not.
     wide = cv2.morphologyEx(high.astype(np.uint8), cv2.MORPH_OPEN, _WIDE)
