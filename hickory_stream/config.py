@@ -28,6 +28,15 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_ONE_LATTICE = "the one lattice of perception and mapping"
+_MOVED = {
+    "perception.observe.voxel_m": "mapping.lattice.points_m",
+    "mapping.track.voxel_m": "mapping.lattice.points_m",
+    "perception.space.voxel_m": "mapping.lattice.space_m",
+    "mapping.space_voxel_m": "mapping.lattice.space_m",
+}
+"""Each of the two lattices was set twice."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunConfig(Ranged):
@@ -118,6 +127,9 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
     fields = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in data:
         if key not in fields:
+            if (moved := _MOVED.get(f"{where}{key}".removeprefix("mapper."))) is not None:
+                root = "mapper." if where.startswith("mapper.") else ""
+                raise ConfigError(f"{where}{key} is no setting any more: set {root}{moved}, {_ONE_LATTICE}")
             near = difflib.get_close_matches(key, fields, n=1)
             hint = f"did you mean {where}{near[0]}?" if near else f"known keys: {', '.join(sorted(fields))}"
             raise ConfigError(f"unknown configuration key {where}{key}; {hint}")
@@ -136,7 +148,7 @@ def as_far_as_known(kind: type[T], data: Mapping[str, Any]) -> T:
     for name, hint in get_type_hints(kind).items():
         if name not in data:
             continue
-        value = data[name]
+        value = _with_lattice(data[name]) if hint is MappingConfig else data[name]
         if dataclasses.is_dataclass(hint) and isinstance(value, dict):
             values[name] = as_far_as_known(hint, value)  # type: ignore[arg-type]
             continue
@@ -148,6 +160,16 @@ def as_far_as_known(kind: type[T], data: Mapping[str, Any]) -> T:
         return kind(**values)
     except ValueError:
         return kind()
+
+
+def _with_lattice(mapping: Any) -> Any:
+    """Return what a manifest says of the mapping, of which versions without a lattice had the numbers elsewhere."""
+    if not isinstance(mapping, dict) or "lattice" in mapping:
+        return mapping
+    track = mapping.get("track")
+    points_m = track.get("voxel_m") if isinstance(track, dict) else None
+    found = {"points_m": points_m, "space_m": mapping.get("space_voxel_m")}
+    return mapping | {"lattice": {name: value for name, value in found.items() if value is not None}}
 
 
 def to_toml(config: Any) -> str:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from hickory_stream.config import MapperConfig, RunConfig, as_far_as_known, from_dict, read_config, to_toml
 from hickory_stream.errors import ConfigError
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.ranges import ranges_of
 from hickory_stream.settings import Settings
 
@@ -161,6 +162,21 @@ def test_a_misspelt_key_is_refused_with_the_nearest_one(file: Path, text: str, t
 @pytest.mark.parametrize(
     ("text", "told"),
     [
+        ("[mapper.perception.observe]\nvoxel_m = 0.02", "set mapper.mapping.lattice.points_m, the one lattice"),
+        ("[mapper.mapping.track]\nvoxel_m = 0.02", "set mapper.mapping.lattice.points_m, the one lattice"),
+        ("[mapper.perception.space]\nvoxel_m = 0.1", "set mapper.mapping.lattice.space_m, the one lattice"),
+        ("[mapper.mapping]\nspace_voxel_m = 0.1", "set mapper.mapping.lattice.space_m, the one lattice"),
+    ],
+)
+def test_a_lattice_that_one_side_had_for_itself_is_refused_with_the_one_that_both_have(
+    file: Path, text: str, told: str
+) -> None:
+    assert told in refusal(file, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
         ('[mapper.run]\nworkers = "two"', "mapper.run.workers is 'two'; expected int"),
         ("[mapper.run]\nworkers = 1.5", "mapper.run.workers is 1.5; expected int"),
         ("[mapper.run]\nworkers = true", "mapper.run.workers is True; expected int"),
@@ -219,10 +235,17 @@ def test_what_another_version_wrote_is_read_as_far_as_it_is_known() -> None:
     data = json.loads(json.dumps(dataclasses.asdict(MapperConfig())))
     data["mapping"]["lifecycle"]["confirm_sightings"] = 7
     data["mapping"]["lifecycle"]["colour_of_the_moon"] = 3
-    data["mapping"]["space_voxel_m"] = "coarse"
+    data["mapping"]["lattice"]["space_m"] = "coarse"
     data["run"]["workers"] = -5
     del data["perception"]
     found = as_far_as_known(MapperConfig, data)
     assert found.mapping.lifecycle.confirm_sightings == 7
-    assert found.mapping.space_voxel_m == MapperConfig().mapping.space_voxel_m
+    assert found.mapping.lattice == MapperConfig().mapping.lattice
     assert (found.run, found.perception) == (RunConfig(), MapperConfig().perception)
+
+
+def test_the_lattices_of_a_map_of_an_older_version_are_those_that_its_tracks_and_its_space_had() -> None:
+    data = json.loads(json.dumps(dataclasses.asdict(MapperConfig())))
+    del data["mapping"]["lattice"]
+    data["mapping"]["track"]["voxel_m"], data["mapping"]["space_voxel_m"] = 0.02, 0.1
+    assert as_far_as_known(MapperConfig, data).mapping.lattice == Lattice(points_m=0.02, space_m=0.1)

@@ -454,9 +454,15 @@ class Run:
             await self._show(self._report(read.raw, frame, perceived, published, metrics))
 
     def _perceived(self, frame: Frame, prepared: object) -> Perceived:
-        core = self._core
+        core, config = self._core, self._config
         return perceive(
-            frame, core.observed_space(), prepared, self._segmenter, self._config.perception, core.known_objects()
+            frame,
+            core.observed_space(),
+            prepared,
+            self._segmenter,
+            config.perception,
+            core.known_objects(),
+            lattice=config.mapping.lattice,
         )
 
     async def _commit(

@@ -70,7 +70,9 @@ def warm_up_mapping() -> None:
             prior = snapshot.submaps[0].observed_space if snapshot is not None else None
             known = snapshot.objects if snapshot is not None else ()
             prepared = segmenter.prepare(frame)
-            perceived = perceive(frame, prior, prepared, segmenter, config.perception, known)
+            perceived = perceive(
+                frame, prior, prepared, segmenter, config.perception, known, lattice=config.mapping.lattice
+            )
             waiting: list[Effect] = core.handle(perceived.event(frame))
             while waiting:
                 effect = waiting.pop(0)

@@ -224,7 +224,7 @@ def _taken_for(
     book: FateBook,
 ) -> tuple[PlaceWhere, int | None, str]:
     """Return what a point (1, 3) of the odometry's world was taken for, its observation, and both in words."""
-    observed, voxel_m = keyframe.observed, config.mapping.space_voxel_m
+    observed, voxel_m = keyframe.observed, config.mapping.lattice.space_m
     noise_m = _AT_M + _NOISE_M * depth_m * depth_m
     index = _nearest_observation(observed.observations, point, min(noise_m, 2 * _AT_M))
     if index is not None:
@@ -346,7 +346,7 @@ def _story_of_keyframe_pixel(
     code = code_at(keyframe, pixel, range_of(config))
     _, _, text = _plain(keyframe, code, book)
     asked = AskedPixel(frame=frame, pixel=pixel, text=text)
-    point = _place_of_pixel(keyframe, pixel, code, config.mapping.space_voxel_m)
+    point = _place_of_pixel(keyframe, pixel, code, config.mapping.lattice.space_m)
     if point is None and depth_of is not None:
         map_from_camera = keyframe.map_from_odometry @ keyframe.observed.world_from_camera
         point = _point_of(depth_of(keyframe.observed.stamp_ns), pixel, keyframe.camera, map_from_camera)

@@ -32,6 +32,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
 from hickory_stream.mapping.carried import is_inner_part
@@ -86,7 +87,7 @@ from hickory_stream.mapping.track import (
     without_views,
 )
 from hickory_stream.mapping.views import ViewConfig, better, covers_better, score, score_bound, sector_of
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.ranges import Ranged
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
 if TYPE_CHECKING:
@@ -101,8 +102,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MappingConfig(Ranged):
-    """The configuration of everything that the core decides. `space_voxel_m` is the grid of the observed space."""
+    """The configuration of everything that the core decides, and the lattices on which perception tells it."""
 
+    lattice: Lattice = field(default_factory=Lattice)
     track: TrackConfig = field(default_factory=TrackConfig)
     associate: AssociateConfig = field(default_factory=AssociateConfig)
     existence: ExistenceConfig = field(default_factory=ExistenceConfig)
@@ -114,7 +116,6 @@ class MappingConfig(Ranged):
     flush: FlushConfig = field(default_factory=FlushConfig)
     floating: FloatConfig = field(default_factory=FloatConfig)
     submaps: SubmapConfig = field(default_factory=SubmapConfig)
-    space_voxel_m: float = number(0.05, 0.005, 1, "m")
 
 
 _FLOATS = "it would float but for this one"
@@ -147,7 +148,7 @@ class MapperCore:
         self._tracks: dict[int, Track] = {}
         self._votes = VoteBook()
         self._parts: Parts = {}
-        self._submaps = first_submap(config.space_voxel_m)
+        self._submaps = first_submap(config.lattice.space_m)
         self._clock_ns = 0
         self._stamp_ns: int | None = None
         self._revision = 0
@@ -377,10 +378,10 @@ class MapperCore:
     def _associated(self, event: FrameObserved) -> list[Match]:
         if self._associator is not None:
             return self._associator(event, self._tracks)
-        return associate(event.observations, self._tracks, self._config.track.voxel_m, self._config.associate)
+        return associate(event.observations, self._tracks, self._config.lattice.points_m, self._config.associate)
 
     def _cloud_of(self, observation: Observation) -> Cloud:
-        return cloud_of(observation.points_world, observation.colors, self._config.track.voxel_m)
+        return cloud_of(observation.points_world, observation.colors, self._config.lattice.points_m)
 
     def _place(self, event: FrameObserved, match: Match, seen: Cloud) -> tuple[int, list[int]]:
         """Fuse an observation into its track, or make a new one; return its id, and the other tracks that it covers."""
@@ -409,7 +410,9 @@ class MapperCore:
             seen_in=self._submaps.open_id,
         )
         if foreign.mean() < 0.9:
-            track = grown(track, without(seen, foreign), track.sightings + (not match.is_part), self._config.track)
+            track = grown(
+                track, without(seen, foreign), track.sightings + (not match.is_part), self._config.lattice.points_m
+            )
             if not match.is_part:
                 track = replace(track, existence=self._sighted(track.existence, event, observation))
         self._tracks[track.id] = track
@@ -428,7 +431,7 @@ class MapperCore:
             seen_clock_ns=self._clock_ns,
             cloud=cloud,
             solid=cloud,
-            box=box_of(cloud.points, self._config.track),
+            box=box_of(cloud.points, self._config.lattice.points_m),
             bounds=bounds_of(cloud.points),
             submap_id=self._submaps.open_id,
             seen_in=self._submaps.open_id,
@@ -493,7 +496,7 @@ class MapperCore:
         size = np.sort(2 * new.box.half_extents_m)
         if size[0] < self._config.parts.min_size_m or size[1] < 2 * self._config.parts.min_size_m:
             return None
-        left = with_cloud(host, rest, host.sightings, self._config.track)
+        left = with_cloud(host, rest, host.sightings, self._config.lattice.points_m)
         pair = _pair(host_id, new.id)
         votes = self._votes.plus([pair], apart=len(part.frames)).plus([pair], together=part.together)
         small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
@@ -559,7 +562,7 @@ class MapperCore:
 
     def _unite(self, kept_id: int, gone_id: int, reason: str) -> list[Effect]:
         kept, gone = self._tracks[kept_id], self._tracks.pop(gone_id)
-        self._tracks[kept_id] = merge(kept, gone, self._config.track, self._config.views)
+        self._tracks[kept_id] = merge(kept, gone, self._config.lattice.points_m, self._config.views)
         self._votes = self._votes.merged(kept_id, gone_id)
         self._parts = moved_to(self._parts, kept_id, gone_id)
         self._shown.pop(gone_id, None)
@@ -621,7 +624,7 @@ class MapperCore:
         if not config.wall_share < float(in_wall.mean()) < 0.9:
             return track
         self._decide("split", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
-        return with_cloud(track, without(track.cloud, in_wall), track.sightings, self._config.track)
+        return with_cloud(track, without(track.cloud, in_wall), track.sightings, self._config.lattice.points_m)
 
     def _is_more_wall(self, track: Track) -> bool:
         """Return whether a track is flush with structure, or an edge of it; asked where it settles or rests."""
@@ -633,7 +636,7 @@ class MapperCore:
         return is_flush(space, track.box, config) or is_edge(space, track.box, config)
 
     def _is_seen_through(self, track: Track, event: FrameObserved) -> bool:
-        share = share_in(event.space.free_keys, track.cloud.points, self._config.space_voxel_m)
+        share = share_in(event.space.free_keys, track.cloud.points, self._config.lattice.space_m)
         return share >= self._config.lifecycle.phantom_share
 
     def _drop_track(self, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:

@@ -16,7 +16,7 @@ from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, stands_in
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.existence import united
-from hickory_stream.mapping.track import Track, TrackConfig, touching, with_cloud
+from hickory_stream.mapping.track import Track, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 from hickory_stream.ranges import Ranged, number
 
@@ -130,7 +130,7 @@ def find_pair(
     return None
 
 
-def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: ViewConfig) -> Track:
+def merge(kept: Track, gone: Track, voxel_m: float, view_config: ViewConfig) -> Track:
     """Return one track with the histories of both."""
     cloud = fuse(kept.cloud, gone.cloud)
     sightings = max(kept.sightings, gone.sightings)
@@ -141,7 +141,7 @@ def merge(kept: Track, gone: Track, track_config: TrackConfig, view_config: View
             coverage[sector] = mine
     theirs = replace(gone.best_view, object_id=kept.id) if gone.best_view is not None else None
     return replace(
-        with_cloud(kept, cloud, sightings, track_config),
+        with_cloud(kept, cloud, sightings, voxel_m),
         phase=kept.phase if kept.sightings >= gone.sightings else gone.phase,
         first_seen_ns=min(kept.first_seen_ns, gone.first_seen_ns),
         last_seen_ns=max(kept.last_seen_ns, gone.last_seen_ns),

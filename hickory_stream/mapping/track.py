@@ -32,14 +32,12 @@ _BOX_POINTS = 10_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackConfig(Ranged):
-    """How a track keeps its points and its box.
+    """How a track keeps up with its points.
 
     Attributes:
-        voxel_m: the lattice of layer 1; half extents of a box are at least this.
         sketch_growth: a sketch is made anew when the surely seen points have become more or fewer by this share.
     """
 
-    voxel_m: float = number(0.01, 0.001, 1, "m")
     sketch_growth: float = number(0.3, 0, 100, "ratio")
 
 
@@ -106,12 +104,12 @@ class Track:
         return tuple(sorted(kept.values(), key=lambda view: (view.frame_index, view.box_px)))
 
 
-def grown(track: Track, seen: Cloud, sightings: int, config: TrackConfig) -> Track:
+def grown(track: Track, seen: Cloud, sightings: int, voxel_m: float) -> Track:
     """Return the track with a cloud fused into its own, `sightings` in all, and the box that follows."""
-    return with_cloud(track, fuse(track.cloud, seen), sightings, config)
+    return with_cloud(track, fuse(track.cloud, seen), sightings, voxel_m)
 
 
-def with_cloud(track: Track, cloud: Cloud, sightings: int, config: TrackConfig) -> Track:
+def with_cloud(track: Track, cloud: Cloud, sightings: int, voxel_m: float) -> Track:
     """Return the track with another cloud, and the box and bounds that follow."""
     sure = solid_part(cloud, sightings)
     return replace(
@@ -119,7 +117,7 @@ def with_cloud(track: Track, cloud: Cloud, sightings: int, config: TrackConfig) 
         cloud=cloud,
         solid=sure,
         sightings=sightings,
-        box=box_of(sure.points, config),
+        box=box_of(sure.points, voxel_m),
         bounds=bounds_of(sure.points),
     )
 
@@ -154,10 +152,10 @@ def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: floa
     return [track for track, is_near in zip(tracks, near, strict=True) if is_near]
 
 
-def box_of(points: NDArray[np.float32], config: TrackConfig) -> OrientedBox:
+def box_of(points: NDArray[np.float32], voxel_m: float) -> OrientedBox:
     """Return the gravity-aligned box of a cloud without its stray points; of a large cloud every nth point will do."""
     points = points[:: max(1, len(points) // _BOX_POINTS)]
-    return gravity_aligned_box(points[in_company(points)], config.voxel_m)
+    return gravity_aligned_box(points[in_company(points)], voxel_m)
 
 
 def as_object(track: Track) -> TrackedObject:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.camera import Camera
+    from hickory_stream.geometry.lattice import Lattice
     from hickory_stream.records import Frame, Segmentation
 
 
@@ -33,7 +34,6 @@ class ObserveConfig(Ranged):
         min_depth_m, max_depth_m: returns outside are unreliable.
         agree_sigmas: beside a step of depth, as far as the sensor says, a return counts only if it is within so many
             sigmas of the one next to it further inside.
-        voxel_m: points are averaged over the cells of this lattice.
         min_neighbors: a return is kept if so many of the 24 around it are within `agree_sigmas` of it.
         min_returns: a mask with fewer returns is rejected ...
         min_points: ... and so is one whose returns lie in fewer cells.
@@ -43,7 +43,6 @@ class ObserveConfig(Ranged):
     min_depth_m: float = number(0.2, 0, 100, "m")
     max_depth_m: float = number(5.0, 0.1, 1000, "m")
     agree_sigmas: float = number(3.0, 0, 100, "sigmas")
-    voxel_m: float = number(0.01, 0.001, 1, "m")
     min_neighbors: int = number(5, 0, 24, "returns")
     min_returns: int = number(24, 1, 1_000_000, "returns")
     min_points: int = number(12, 1, 1_000_000, "points")
@@ -55,13 +54,13 @@ class ObserveConfig(Ranged):
 
 
 def observe(
-    frame: Frame, segmentation: Segmentation, config: ObserveConfig
+    frame: Frame, segmentation: Segmentation, config: ObserveConfig, lattice: Lattice
 ) -> tuple[tuple[Observation, ...], tuple[RejectedMask, ...]]:
     """Return the observations of a frame in the order of their labels, and the masks that gave none, with reasons."""
     observations: list[Observation] = []
     rejected: list[RejectedMask] = list(segmentation.rejected)
     for box_px, mask in _masks(segmentation.instances):
-        lifted = _lift(frame, box_px, mask, config)
+        lifted = _lift(frame, box_px, mask, config, lattice.points_m)
         if isinstance(lifted, str):
             rejected.append(RejectedMask(box_px=box_px, reason=lifted, mask=mask))
             continue
@@ -72,7 +71,7 @@ def observe(
                 mask=mask,
                 points_world=lifted.points,
                 colors=lifted.colors,
-                box=gravity_aligned_box(lifted.company, config.voxel_m),
+                box=gravity_aligned_box(lifted.company, lattice.points_m),
                 r_area=float(np.count_nonzero(mask)) / mask_area_of(frame.camera),
                 r_depth=lifted.valid_share,
                 is_cut=_touches_border(box_px, frame.camera),
@@ -107,7 +106,7 @@ class _Lifted:
 
 
 def _lift(
-    frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], config: ObserveConfig
+    frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], config: ObserveConfig, voxel_m: float
 ) -> _Lifted | str:
     """Return a mask in 3D, or why it has no place there."""
     x0, y0, x1, y1 = box_px
@@ -127,7 +126,7 @@ def _lift(
         return "no reliable depth in the mask"
     if len(points) < config.min_returns:
         return f"{len(points)} sure returns, fewer than {config.min_returns}"
-    points, colors, _ = voxel_means(apply(frame.world_from_camera, points), colors, config.voxel_m)
+    points, colors, _ = voxel_means(apply(frame.world_from_camera, points), colors, voxel_m)
     if len(points) < config.min_points:
         return f"{len(points)} points, fewer than {config.min_points}"
     company = points[in_company(points)]

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.lattice import Lattice
     from hickory_stream.ports import FeatureExtractor, Segmenter
     from hickory_stream.records import (
         Frame,
@@ -94,18 +95,20 @@ def perceive(
     segmenter: Segmenter,
     config: PerceptionConfig,
     known: Sequence[TrackedObject] = (),
+    *,
+    lattice: Lattice,
 ) -> Perceived:
     """Return what a keyframe shows, seen with the space and the objects that the map knows so far.
 
-    `prepared` is what the segmenter's `prepare` gave for this frame, None if it was not called.
+    `lattice` is the map's; `prepared` is what the segmenter's `prepare` gave for this frame, None if it was not called.
     """
     segmentation = with_known(frame, segmenter.segment(frame, prior, prepared), known, config.known)
-    observations, rejected = observe(frame, segmentation, config.observe)
+    observations, rejected = observe(frame, segmentation, config.observe, lattice)
     return Perceived(
         segmentation=segmentation,
         observations=observations,
         rejected=rejected,
-        space=observe_space(frame, segmentation, config.space),
+        space=observe_space(frame, segmentation, config.space, lattice),
     )
 
 

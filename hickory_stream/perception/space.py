@@ -21,25 +21,24 @@ from hickory_stream.records import SpaceObservation
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.lattice import Lattice
     from hickory_stream.records import Frame, Segmentation
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SpaceConfig(Ranged):
-    """The grid and the sampling of rays.
+    """The sampling of rays.
 
     Attributes:
-        voxel_m: side of a cell.
         stride_px: every so many pixels a ray, in both directions.
         max_depth_m: farther returns are ignored.
     """
 
-    voxel_m: float = number(0.05, 0.005, 1, "m")
     stride_px: int = number(6, 1, 1000, "px")
     max_depth_m: float = number(5.0, 0.1, 1000, "m")
 
 
-def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig) -> SpaceObservation:
+def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig, lattice: Lattice) -> SpaceObservation:
     """Return the free and structure voxels of a frame."""
     stride = config.stride_px
     # The middle of each cell; an image that is smaller than one still has a ray.
@@ -57,11 +56,13 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig)
     valid = np.isfinite(depth) & (depth < config.max_depth_m)
     points = apply(frame.world_from_camera, backproject(depth, camera)[valid]).astype(np.float64)
     origin = frame.world_from_camera[:3, 3].astype(np.float64)
-    on_structure = sorted_unique(keys_of_points(points[structure[valid]], config.voxel_m))
+    on_structure = sorted_unique(keys_of_points(points[structure[valid]], lattice.space_m))
     return SpaceObservation(
-        free_keys=_free_keys(origin, points, _dense_returns(frame, config), config.voxel_m),
+        free_keys=_free_keys(origin, points, _dense_returns(frame, config), lattice.space_m),
         structure_keys=on_structure,
-        surface_keys=difference(sorted_unique(keys_of_points(points[~structure[valid]], config.voxel_m)), on_structure),
+        surface_keys=difference(
+            sorted_unique(keys_of_points(points[~structure[valid]], lattice.space_m)), on_structure
+        ),
         floor_z_m=segmentation.floor_z_m,
     )
 

@@ -15,6 +15,7 @@ from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.run import crop_of
 from hickory_stream.events import RequestShape
 from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.records import View
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, SceneSource
@@ -114,7 +115,7 @@ def scene_request(views: Path, *, ticket: int = 1, due_ns: int = 0, num_views: i
     kept, points, colors = [], [], []
     for raw in source.frames():
         frame = raw.decode()
-        observation = perceive(frame, None, None, segmenter, config).observations[-1]
+        observation = perceive(frame, None, None, segmenter, config, lattice=Lattice()).observations[-1]
         view = View(
             object_id=3,
             frame_index=frame.index,

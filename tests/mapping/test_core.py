@@ -24,6 +24,7 @@ from hickory_stream.events import (
     SourceEnded,
     TimeJumped,
 )
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.superquadric import radial_distance_m, volumes_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.core import MapperCore, MappingConfig
@@ -31,7 +32,6 @@ from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.merge import MergeConfig
 from hickory_stream.mapping.requests import RequestConfig
-from hickory_stream.mapping.track import TrackConfig
 from hickory_stream.mapping.views import Strategy, ViewConfig
 from hickory_stream.records import MapSnapshot, Observation, Phase, RejectedMask, TrackedObject
 from tests.mapping.mapping_fixtures import (
@@ -49,7 +49,7 @@ from tests.mapping.mapping_fixtures import (
 from tests.strategies import unit_share
 
 CONFIG = MappingConfig(
-    track=TrackConfig(voxel_m=VOXEL_M),
+    lattice=Lattice(points_m=VOXEL_M),
     existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),  # each sighting counts as one
     lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=4),
     merge=MergeConfig(min_votes=3),
@@ -312,7 +312,7 @@ def test_an_object_comes_back_under_its_own_id_after_it_was_dormant_and_archived
 
 
 def looked_through(frame_index: int) -> FrameObserved:
-    free = keys_of_points(np.concatenate([A, A + np.float32(0.01)]), CONFIG.space_voxel_m)
+    free = keys_of_points(np.concatenate([A, A + np.float32(0.01)]), CONFIG.lattice.space_m)
     return replace(frame(frame_index), space=space(free=free))
 
 
@@ -342,7 +342,7 @@ def test_an_object_that_grows_into_a_wall_becomes_structure_and_pieces_of_it_are
     snapshot = core.snapshot()
     assert snapshot.objects == ()
     structure = snapshot.submaps[0].observed_space.structure
-    assert np.isin(keys_of_points(wall, CONFIG.space_voxel_m), structure).mean() > 0.9
+    assert np.isin(keys_of_points(wall, CONFIG.lattice.space_m), structure).mean() > 0.9
     drive(core, [frame(5, observation(0, A + np.float32([0, 3, 0])))])
     assert len(core.snapshot().objects) == 1
 

@@ -22,13 +22,13 @@ from hickory_stream.events import (
     SourceEnded,
     TimeJumped,
 )
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.core import MapperCore, MappingConfig
 from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.merge import MergeConfig
 from hickory_stream.mapping.requests import RequestConfig
-from hickory_stream.mapping.track import TrackConfig
 from tests.mapping.mapping_fixtures import (
     SECOND_NS,
     VOXEL_M,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 MAX_IN_FLIGHT = 2
 CONFIG = MappingConfig(
-    track=TrackConfig(voxel_m=VOXEL_M),
+    lattice=Lattice(points_m=VOXEL_M),
     existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),  # each sighting counts as one
     lifecycle=LifecycleConfig(confirm_sightings=2, tentative_s=3.0, dormant_s=2.0, archive_s=6.0, phantom_frames=2),
     merge=MergeConfig(min_votes=2),
@@ -148,7 +148,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         ]
         free = None
         if looked_through is not None:
-            free = keys_of_points(points_at(looked_through, "box", 0.0), CONFIG.space_voxel_m)
+            free = keys_of_points(points_at(looked_through, "box", 0.0), CONFIG.lattice.space_m)
         event = keyframe(self.num_frames, shown, stamp_ns=self.stamp_ns, seen=space(free=free), angle_rad=angle_rad)
         self.num_frames += 1
         effects = self.tell(event)

@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 
 from hickory_stream.mapping.cloud import Cloud, cloud_of
 from hickory_stream.mapping.merge import MergeConfig, VoteBook, Votes, find_pair, foreign_points, merge
-from hickory_stream.mapping.track import Track, TrackConfig
+from hickory_stream.mapping.track import Track
 from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, shape, track, view
 
 CONFIG = MergeConfig()
-TRACKS = TrackConfig(voxel_m=VOXEL_M)
 VIEWS = ViewConfig()
 
 pairs = st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair[0] != pair[1])
@@ -208,7 +207,7 @@ def two_tracks() -> tuple[Track, Track]:
 
 def test_a_merged_track_was_seen_first_and_last_when_either_was_and_remembers_every_id() -> None:
     kept, gone = two_tracks()
-    one = merge(kept, gone, TRACKS, VIEWS)
+    one = merge(kept, gone, VOXEL_M, VIEWS)
     assert (one.id, one.merged_ids) == (1, (5, 6, 7))
     assert (one.first_seen_ns, one.last_seen_ns) == (1 * SECOND_NS, 9 * SECOND_NS)
     assert (one.seen_clock_ns, one.seen_through) == (6, 1)
@@ -216,14 +215,14 @@ def test_a_merged_track_was_seen_first_and_last_when_either_was_and_remembers_ev
 
 def test_a_merged_track_has_the_points_of_both_in_its_cloud_and_its_box() -> None:
     kept, gone = two_tracks()
-    one = merge(kept, gone, TRACKS, VIEWS)
+    one = merge(kept, gone, VOXEL_M, VIEWS)
     assert np.array_equal(one.cloud.keys, np.union1d(kept.cloud.keys, gone.cloud.keys))
     assert one.box.contains(one.cloud.points, VOXEL_M).all()
 
 
 def test_a_merged_track_has_the_better_best_view_and_the_better_view_of_every_sector_under_its_own_id() -> None:
     kept, gone = two_tracks()
-    one = merge(kept, gone, TRACKS, VIEWS)
+    one = merge(kept, gone, VOXEL_M, VIEWS)
     assert one.best_view is not None
     assert (one.best_view.frame_index, one.best_view.score, one.best_view.object_id) == (6, 0.5, 1)
     assert [(sector, kept_view.frame_index) for sector, kept_view in one.coverage] == [(0, 5), (2, 6)]
@@ -232,8 +231,8 @@ def test_a_merged_track_has_the_better_best_view_and_the_better_view_of_every_se
 
 def test_a_merged_track_has_the_shape_that_there_is_and_the_phase_of_the_one_seen_more() -> None:
     kept, gone = two_tracks()
-    one = merge(kept, gone, TRACKS, VIEWS)
+    one = merge(kept, gone, VOXEL_M, VIEWS)
     assert one.shape is gone.shape
     assert one.phase is Phase.DORMANT
     mine = shape(9)
-    assert merge(replace(kept, shape=mine), gone, TRACKS, VIEWS).shape is mine
+    assert merge(replace(kept, shape=mine), gone, VOXEL_M, VIEWS).shape is mine

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, is_swollen
 from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot
@@ -17,7 +18,6 @@ from hickory_stream.mapping.core import MapperCore, MappingConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig, is_structure
 from hickory_stream.mapping.observed_space import FlushConfig, add, add_structure, empty_space, is_edge, is_flush
 from hickory_stream.mapping.parts import PartConfig, moved_to, with_keyframe
-from hickory_stream.mapping.track import TrackConfig
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def test_parts_go_where_their_host_goes() -> None:
 
 
 def test_the_core_promotes_what_an_early_view_swallowed() -> None:
-    core = MapperCore(MappingConfig(track=TrackConfig(voxel_m=VOXEL_M)))
+    core = MapperCore(MappingConfig(lattice=Lattice(points_m=VOXEL_M)))
     both = np.concatenate([DRESSER, SET])
     frames = [keyframe(i, [observation(0, both)]) for i in range(3)]
     frames += [keyframe(i, [observation(0, DRESSER), observation(1, SET)]) for i in range(3, 14)]
@@ -82,7 +82,7 @@ def test_the_core_promotes_what_an_early_view_swallowed() -> None:
 
 
 def test_the_core_keeps_as_one_what_is_seen_as_one() -> None:
-    core = MapperCore(MappingConfig(track=TrackConfig(voxel_m=VOXEL_M)))
+    core = MapperCore(MappingConfig(lattice=Lattice(points_m=VOXEL_M)))
     both = np.concatenate([DRESSER, SET])
     for i in range(12):
         seen = [observation(0, both)] if i % 2 == 0 else [observation(0, DRESSER), observation(1, SET)]
@@ -91,7 +91,7 @@ def test_the_core_keeps_as_one_what_is_seen_as_one() -> None:
 
 
 def test_the_core_promotes_what_lies_on_a_track_whose_rest_is_seen_as_another_thing() -> None:
-    core = MapperCore(MappingConfig(track=TrackConfig(voxel_m=VOXEL_M)))
+    core = MapperCore(MappingConfig(lattice=Lattice(points_m=VOXEL_M)))
     table = box_surface((0.0, 0.0, 0.7), (1.2, 0.8, 0.04))
     tray, mug = box_surface((0.3, 0.1, 0.75), (0.4, 0.3, 0.06)), box_surface((0.3, 0.1, 0.84), (0.1, 0.1, 0.12))
     early = [observation(0, table), observation(1, np.concatenate([tray, mug]))]

@@ -14,6 +14,7 @@ from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.map_codec import encode_snapshot
 from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import FrameObserved, PoseJumped, PosesCorrected, Publish, RequestShape, SourceEnded
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.core import MapperCore, MappingConfig
@@ -32,7 +33,6 @@ from hickory_stream.mapping.submaps import (
     with_seen,
     with_structure,
 )
-from hickory_stream.mapping.track import TrackConfig
 from hickory_stream.records import MapSnapshot, SpaceObservation
 from tests.mapping.mapping_fixtures import (
     SECOND_NS,
@@ -45,7 +45,7 @@ from tests.mapping.mapping_fixtures import (
 )
 
 CONFIG = MappingConfig(
-    track=TrackConfig(voxel_m=VOXEL_M),
+    lattice=Lattice(points_m=VOXEL_M),
     existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),  # each sighting counts as one
     lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=2),
     requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5),

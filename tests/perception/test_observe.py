@@ -7,6 +7,7 @@ from perception_scenes import CAMERA, Block, floor, looking, render
 
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_points
 from hickory_stream.perception.observe import ObserveConfig, mask_area_of, observe, voxel_means
 from hickory_stream.perception.space import SpaceConfig, observe_space
@@ -42,7 +43,7 @@ def distance_to_box(points, block):
 
 def test_lifted_points_lie_on_the_true_surface():
     frame, shown = render([floor(), BOX], VIEW)
-    observations, rejected = observe(frame, truth(shown, [1]), ObserveConfig())
+    observations, rejected = observe(frame, truth(shown, [1]), ObserveConfig(), Lattice())
     assert rejected == ()
     # A voxel's mean at an edge lies inside by at most a voxel.
     assert distance_to_box(observations[0].points_world, BOX).max() < 0.01
@@ -54,7 +55,7 @@ def test_the_factors_of_a_view_are_shares_of_the_image_and_of_the_mask():
     depth = frame.depth_m.copy()
     lost = (shown == 1) & (np.arange(CAMERA.width) % 4 == 0)
     depth[lost] = np.nan
-    observation = observe(with_depth(frame, depth), truth(shown, [1]), ObserveConfig())[0][0]
+    observation = observe(with_depth(frame, depth), truth(shown, [1]), ObserveConfig(), Lattice())[0][0]
     pixels = int((shown == 1).sum())
     assert observation.r_area == pixels / (CAMERA.width * CAMERA.height)
     assert observation.r_depth == pytest.approx(1 - lost.sum() / pixels)
@@ -65,7 +66,9 @@ def test_only_what_touches_the_border_is_cut():
     inside = render([floor(), BOX], VIEW)
     outside = render([floor(), BOX], looking((0.0, 1.35, 0.3), start=(-2.2, -0.3, 1.5)))
     assert (outside[1][:, [0, -1]] == 1).any()
-    cut = [observe(frame, truth(shown, [1]), ObserveConfig())[0][0].is_cut for frame, shown in (inside, outside)]
+    cut = [
+        observe(frame, truth(shown, [1]), ObserveConfig(), Lattice())[0][0].is_cut for frame, shown in (inside, outside)
+    ]
     assert cut == [False, True]
 
 
@@ -75,14 +78,14 @@ def test_a_thin_leg_is_lifted_with_the_top_it_carries():
     fine = Camera(width=640, height=480, fx=580.0, fy=580.0, cx=319.5, cy=239.5)
     frame, shown = render([floor(), top, leg], VIEW, fine)
     whole = np.where(shown == 2, 1, shown)
-    box = observe(frame, truth(whole, [1]), ObserveConfig())[0][0].box
+    box = observe(frame, truth(whole, [1]), ObserveConfig(), Lattice())[0][0].box
     assert box.center[2] - box.half_extents_m[2] < 0.05
 
 
 def test_a_mask_without_depth_is_rejected_with_its_reason():
     frame, shown = render([floor(), BOX], VIEW)
     depth = np.where(shown == 1, np.nan, frame.depth_m).astype(np.float32)
-    observations, rejected = observe(with_depth(frame, depth), truth(shown, [1]), ObserveConfig())
+    observations, rejected = observe(with_depth(frame, depth), truth(shown, [1]), ObserveConfig(), Lattice())
     assert observations == ()
     assert [r.reason for r in rejected] == ["no reliable depth in the mask"]
 
@@ -90,28 +93,28 @@ def test_a_mask_without_depth_is_rejected_with_its_reason():
 def test_an_image_without_depth_says_nothing_of_space():
     frame, shown = render([floor()], VIEW)
     blind = with_depth(frame, np.full_like(frame.depth_m, np.nan))
-    space = observe_space(blind, truth(shown, []), SpaceConfig())
+    space = observe_space(blind, truth(shown, []), SpaceConfig(), Lattice())
     assert len(space.free_keys) == len(space.structure_keys) == 0
 
 
 @given(height=st.floats(0.8, 2.0), aim=st.floats(-0.5, 0.5))
 def test_free_voxels_hold_no_sampled_return_and_structure_lies_on_the_floor(height, aim):
     frame, shown = render([floor(), BOX], looking((0.0, aim, 0.2), start=(-2.0, 0.0, height)))
-    config = SpaceConfig()
-    space = observe_space(frame, truth(shown, [1]), config)
+    lattice = Lattice()
+    space = observe_space(frame, truth(shown, [1]), SpaceConfig(), lattice)
     u, v = np.meshgrid(np.arange(0, CAMERA.width, 3), np.arange(0, CAMERA.height, 3))
     z = frame.depth_m[::3, ::3].astype(np.float64)
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
-    points = (rays * z[..., None])[z < config.max_depth_m]
+    points = (rays * z[..., None])[z < SpaceConfig().max_depth_m]
     world = points @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]
-    assert not contains(space.free_keys, keys_of_points(world, config.voxel_m)).any()
+    assert not contains(space.free_keys, keys_of_points(world, lattice.space_m)).any()
     assert (np.diff(space.free_keys) > 0).all()
     assert (np.diff(space.structure_keys) > 0).all()
     assert (np.diff(space.surface_keys) > 0).all()
     assert not contains(space.structure_keys, space.surface_keys).any()
-    heights = centers_of_keys(space.structure_keys, config.voxel_m)[:, 2]
+    heights = centers_of_keys(space.structure_keys, lattice.space_m)[:, 2]
     assert len(heights) > 50
-    assert np.abs(heights).max() < config.voxel_m
+    assert np.abs(heights).max() < lattice.space_m
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 200))
@@ -150,7 +153,7 @@ def can_at(distance_m):
 def test_a_can_is_lifted_as_wide_and_as_tall_as_it_is_at_any_distance(distance_m):
     frame, mask = can_at(distance_m)
     segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask)
-    observations, rejected = observe(frame, segmentation, ObserveConfig())
+    observations, rejected = observe(frame, segmentation, ObserveConfig(), Lattice())
     assert rejected == ()
     size = np.ptp(observations[0].points_world, axis=0)
     # To a pixel on each side and two voxels; edges of stereo images are lost.
@@ -162,7 +165,7 @@ def test_the_rim_of_a_mask_that_shows_the_wall_behind_is_left_out():
     frame, mask = can_at(2.0)
     wide = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8))
     segmentation = Segmentation(instances=wide.astype(np.int32), structure=wide == 0)
-    points = observe(frame, segmentation, ObserveConfig())[0][0].points_world
+    points = observe(frame, segmentation, ObserveConfig(), Lattice())[0][0].points_world
     assert points[:, 0].max() < 2.0 + 5 * float(frame.sensor.sigma_m(np.array([2.0], dtype=np.float32))[0])
 
 
@@ -171,6 +174,6 @@ def test_returns_of_which_no_two_agree_are_no_thing():
     depth = frame.depth_m.copy()
     depth[mask] = np.random.default_rng(0).uniform(1.0, 4.0, int(mask.sum())).astype(np.float32)
     segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask)
-    observations, rejected = observe(with_depth(frame, depth), segmentation, ObserveConfig())
+    observations, rejected = observe(with_depth(frame, depth), segmentation, ObserveConfig(), Lattice())
     assert observations == ()
     assert "sure returns, fewer than 24" in rejected[0].reason

@@ -5,6 +5,7 @@ from perception_scenes import Block, Cylinder, floor, looking, render
 
 from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved, Publish, RequestShape, ShapeFailed
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import centers_of_keys
 from hickory_stream.mapping.core import MapperCore, MappingConfig
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
@@ -45,7 +46,7 @@ def played(steps):
             world_from_camera=view,
         )
         prior, known = (None, ()) if snapshot is None else (snapshot.submaps[0].observed_space, snapshot.objects)
-        seen = perceive(frame, prior, None, segmenter, config, known)
+        seen = perceive(frame, prior, None, segmenter, config, known, lattice=Lattice())
         waiting = core.handle(
             FrameObserved(
                 frame_index=i,

@@ -3,6 +3,7 @@ import pytest
 from perception_scenes import CAMERA, Block, Cylinder, best_iou, floor, looking, render
 
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
@@ -37,7 +38,7 @@ def test_what_the_map_takes_for_structure_is_structure_in_the_image_and_no_new_e
     result = GeometricSegmenter(GeometricConfig()).segment(frame, prior)
     assert result.structure[shown == 1].mean() > 0.9
     assert result.structure_shown[shown == 1].mean() < 0.1
-    space = observe_space(frame, result, SpaceConfig())
+    space = observe_space(frame, result, SpaceConfig(), Lattice())
     assert contains(space.structure_keys, keys).mean() < 0.3
     assert contains(space.surface_keys, keys).mean() > 0.2
 

@@ -18,6 +18,7 @@ import numpy as np
 from hickory_stream.evaluation.truth import instances_of, load_truth
 from hickory_stream.evaluation.worlds.cache import cached_recording
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
@@ -217,7 +218,8 @@ def _of_keyframes(keyframes: Sequence[PlayedKeyframe]) -> list[Figure]:
 
 def _perceive_again(seen: PlayedKeyframe, segmenter: GeometricSegmenter, config: PerceptionConfig) -> None:
     frame: Frame = seen.frame
-    perceive(frame, seen.snapshot.submaps[0].observed_space, None, segmenter, config, seen.snapshot.objects)
+    space, known = seen.snapshot.submaps[0].observed_space, seen.snapshot.objects
+    perceive(frame, space, None, segmenter, config, known, lattice=Lattice())
 
 
 def _working_memory_mb(seen: PlayedKeyframe, segmenter: GeometricSegmenter, config: PerceptionConfig) -> float:
