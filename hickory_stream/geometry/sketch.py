@@ -16,7 +16,7 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.canonical import canonical
-from hickory_stream.geometry.portable_kernels import exp, logaddexp
+from hickory_stream.geometry.portable_kernels import exp, log1p
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, unit_volumes
 
@@ -76,10 +76,9 @@ def _best(
     logs = portable.log(np.maximum(np.abs(portable.matmul(offsets, axes)) / half, 1e-9))
     semi_axes_m = [portable.matmul(half, order) for order in _ORDERS]
     sizes = np.concatenate([portable.cbrt(_unit_volumes() * own.prod()) for own in semi_axes_m])
-    trials, distances = _distances(logs, lengths, np.array(_EXPONENTS), sizes)
-    costs = distances.mean(axis=1) * sizes[trials]
+    costs = _distances(np.ascontiguousarray(logs.T), lengths, np.array(_EXPONENTS)).mean(axis=1) * sizes
     best = int(np.argmin(costs))
-    turn, of_e2, of_e1 = np.unravel_index(trials[best], (len(_ORDERS), len(_EXPONENTS), len(_EXPONENTS)))
+    turn, of_e2, of_e1 = np.unravel_index(best, (len(_ORDERS), len(_EXPONENTS), len(_EXPONENTS)))
     return _Trial(
         cost=float(costs[best]),
         exponents=(_EXPONENTS[of_e1], _EXPONENTS[of_e2]),
@@ -95,41 +94,45 @@ def _unit_volumes() -> NDArray[np.float64]:
 
 
 @numba.njit(cache=True, nogil=True)
-def _distances(logs, lengths, exponents, sizes):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the numbers of the trials that may be best, ascending, and (M, N) how far each point is from them.
+def _distances(logs, lengths, exponents):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (T, N) how far each point is from each trial: by the order of the axes, then by e2, then by e1.
 
-    Trials are numbered by the order of the axes, e2 and e1. `logs` (N, 3) are of the points along the axes, in shares
-    of the half extents. A trial that costs more by some of the points than another one by all of them is given up.
+    `logs` (3, N) are of the points along the axes, in shares of the half extents.
     """
     count, kinds = len(lengths), len(exponents)
-    trials = np.empty(3 * kinds * kinds, dtype=np.int64)
-    distances = np.empty((len(trials), count))
-    log_rho = np.empty(count)
-    tried, least = 0, np.inf
+    out = np.empty((3 * kinds * kinds, count))
+    log_rho, log_gauge, high, rest = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    trial = 0
     for shift in range(3):
         # As the columns of the orders, which are turned by as many.
-        x, y, z = -shift % 3, (1 - shift) % 3, (2 - shift) % 3
-        for j in range(kinds):
-            e2 = exponents[j]
-            for i in range(count):
-                log_rho[i] = e2 / 2 * logaddexp(2 / e2 * logs[i, x], 2 / e2 * logs[i, y])
-            for k in range(kinds):
-                e1 = exponents[k]
-                trial = (shift * kinds + j) * kinds + k
-                # Beyond what the order of summation can make of it.
-                limit = 1.001 * least * count
-                total = 0.0
-                for i in range(count):
-                    log_gauge = e1 / 2 * logaddexp(2 / e1 * log_rho[i], 2 / e1 * logs[i, z])
-                    distances[tried, i] = abs(lengths[i] * (1 - exp(-log_gauge)))
-                    total += distances[tried, i] * sizes[trial]
-                    if total > limit:
-                        break
-                if total <= limit:
-                    trials[tried] = trial
-                    tried += 1
-                    least = min(least, total / count)
-    return trials[:tried], distances[:tried]
+        x, y, z = logs[-shift % 3], logs[(1 - shift) % 3], logs[(2 - shift) % 3]
+        for e2 in exponents:
+            _add_logs(2 / e2, x, y, e2 / 2, high, rest, log_rho)
+            for e1 in exponents:
+                _add_logs(2 / e1, log_rho, z, e1 / 2, high, rest, log_gauge)
+                _measure(lengths, log_gauge, out[trial])
+                trial += 1
+    return out
+
+
+# Loops of one function each: they are vectorised.
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_logs(power, a, b, root, high, rest, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Put root ln(e^(power a) + e^(power b)) into `out`, as `logaddexp` has it; `high` and `rest` are used up."""
+    for i in range(len(out)):
+        first, second = power * a[i], power * b[i]
+        high[i] = max(first, second)
+        rest[i] = exp(min(first, second) - high[i])
+    for i in range(len(out)):
+        out[i] = root * (high[i] + log1p(rest[i]))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _measure(lengths, log_gauge, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    for i in range(len(out)):
+        out[i] = abs(lengths[i] * (1.0 - exp(-log_gauge[i])))
 
 
 def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,7 +19,6 @@ from hickory_stream.perception.structure_kernels import (
     along,
     areas_m2,
     bins_of_azimuth,
-    histogram,
     near_offset,
     on_wall,
     places_of,
@@ -215,34 +214,58 @@ def _walls(
         return []
     walls: list[Wall] = []
     at, heights, sigma, weight = places_of(pixels, points, surface.sigma_m.reshape(-1), weights)
-    width, azimuths = surface.depth_m.shape[1], bins_of_azimuth(direction, _AZIMUTHS)
-    total = float(all_weight.sum())
-    wide, narrow = 0.05 + 2.0 * sigma, 0.04 + sigma
-    left = np.ones(len(at), dtype=bool)
+    azimuths = bins_of_azimuth(direction, _AZIMUTHS)
+    left = _Upright(pixels, at, heights, sigma, weight, direction, azimuths)
+    width, total = surface.depth_m.shape[1], float(all_weight.sum())
     for _ in range(8):
-        normal = _dominant_direction(direction, weight, azimuths, left)
-        offsets, agreement = along(at, normal), along(direction, normal)
-        fits = left & (agreement > 0.97)
-        left &= ~(agreement > 0.94)
-        for peak in _peaks(taken(offsets, fits), taken(weight, fits), config.wall_area_m2):
-            inward, offset = _refined(at, weight, normal, peak, wide, fits)
-            on_it = near_offset(along(at, inward), np.float32(offset), narrow, fits)
-            if not on_it.any():
+        normal = _dominant_direction(left)
+        agreement = along(left.direction, normal)
+        facing, left = left.among(agreement > 0.97), left.among(~(agreement > 0.94))
+        for peak in _peaks(along(facing.at, normal), facing.weight, config.wall_area_m2):
+            inward, offset = _refined(facing, normal, peak)
+            offsets = along(facing.at, inward)
+            on_it = facing.among(near_offset(offsets, np.float32(offset), 0.04 + facing.sigma))
+            if len(on_it.pixels) == 0:
                 continue
             behind = _behind(all_at, all_weight, all_sigma, inward, offset)
             if behind < config.behind_share * total:
-                if _is_tall(taken(heights, on_it), floor_z_m):
+                if _is_tall(on_it.heights, floor_z_m):
                     walls.append(Wall(normal=inward, offset=offset, cells=None))
-            elif _is_high(taken(heights, on_it), taken(pixels, on_it), width, floor_z_m, config):
-                cells = _seen_cells(taken_rows(at, on_it), taken(weight, on_it), inward)
-                depth = offset - along(at, inward)
-                is_backing = fits & (depth > 0.12 + sigma) & (depth < config.furniture_depth_m)
-                backing = float(taken(weight, is_backing).sum())
+            elif _is_high(on_it.heights, on_it.pixels, width, floor_z_m, config):
+                cells = _seen_cells(on_it.at, on_it.weight, inward)
+                depth = offset - offsets
+                is_backing = (depth > 0.12 + facing.sigma) & (depth < config.furniture_depth_m)
+                backing = float(taken(facing.weight, is_backing).sum())
                 if len(cells) * _STRETCH_M > config.wall_width_m and backing < config.backing_m2:
                     walls.append(Wall(normal=inward, offset=offset, cells=cells))
-        if float(taken(weight, left).sum()) < config.wall_area_m2:
+        if float(left.weight.sum()) < config.wall_area_m2:
             break
     return walls
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Upright:
+    """N pixels of upright surface: their places `at` (N, 2), heights, depth's sigma, area, direction (N, 2) and bin."""
+
+    pixels: NDArray[np.int64]
+    at: NDArray[np.float32]
+    heights: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    weight: NDArray[np.float64]
+    direction: NDArray[np.float32]
+    azimuths: NDArray[np.int64]
+
+    def among(self, mask: NDArray[np.bool_]) -> _Upright:
+        """Return what is marked."""
+        return _Upright(
+            taken(self.pixels, mask),
+            taken_rows(self.at, mask),
+            taken(self.heights, mask),
+            taken(self.sigma, mask),
+            taken(self.weight, mask),
+            taken_rows(self.direction, mask),
+            taken(self.azimuths, mask),
+        )
 
 
 def _behind(
@@ -291,32 +314,23 @@ def _is_tall(heights: NDArray[np.float32], floor_z_m: float | None) -> bool:
 _AZIMUTHS = 120
 
 
-def _dominant_direction(
-    direction: NDArray[np.float32], weight: NDArray[np.float64], azimuths: NDArray[np.int64], left: NDArray[np.bool_]
-) -> NDArray[np.float32]:
-    """Return the unit direction (2,) that most area of what is `left` faces: a peak of the histogram, refined."""
-    areas = histogram(azimuths, weight, left, _AZIMUTHS)
+def _dominant_direction(left: _Upright) -> NDArray[np.float32]:
+    """Return the unit direction (2,) that most area of what is left faces: a peak of the histogram, refined."""
+    areas = np.bincount(left.azimuths, weights=left.weight, minlength=_AZIMUTHS)
     smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
-    direction, weight = taken_rows(direction, left), taken(weight, left)
     center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
-    near = along(direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
-    weight = taken(weight, near)
-    mean = weighted_sum(taken_rows(direction, near), weight) / weight.sum()
+    near = along(left.direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
+    weight = taken(left.weight, near)
+    mean = weighted_sum(taken_rows(left.direction, near), weight) / weight.sum()
     return (mean / portable.norm(mean)).astype(np.float32)
 
 
-def _refined(
-    at: NDArray[np.float32],
-    weight: NDArray[np.float64],
-    normal: NDArray[np.float32],
-    offset: float,
-    tolerance_m: NDArray[np.float32],
-    fits: NDArray[np.bool_],
-) -> tuple[NDArray[np.float32], float]:
+def _refined(facing: _Upright, normal: NDArray[np.float32], offset: float) -> tuple[NDArray[np.float32], float]:
     """Return the line through what lies near a wall's line: least squares, twice; a degree is 9 cm on 5 m of wall."""
+    tolerance_m = 0.05 + 2.0 * facing.sigma
     for _ in range(2):
-        near = near_offset(along(at, normal), np.float32(offset), tolerance_m, fits)
-        at_near, share = taken_rows(at, near), taken(weight, near)
+        near = near_offset(along(facing.at, normal), np.float32(offset), tolerance_m)
+        at_near, share = taken_rows(facing.at, near), taken(facing.weight, near)
         if len(share) < 20:
             break
         middle, spread = spread_of(at_near, share / share.sum())

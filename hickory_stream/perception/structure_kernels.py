@@ -103,16 +103,6 @@ def places_of(pixels, points, sigma, areas):  # type: ignore[no-untyped-def] # p
 
 
 @numba.njit(cache=True, nogil=True)
-def histogram(bins, weight, among, count):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (count,) the weight in each bin of what is marked."""
-    out = np.zeros(count)
-    for i in range(len(bins)):
-        if among[i]:
-            out[bins[i]] += weight[i]
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
 def taken(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return values[mask] of (N,) values."""
     out = np.empty(len(values), dtype=values.dtype)
@@ -146,11 +136,11 @@ def weighted_sum(rows, weight):  # type: ignore[no-untyped-def] # pragma: no cov
 
 
 @numba.njit(cache=True, nogil=True)
-def near_offset(along, offset, tolerance, among):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N,) which of `among` lie within their tolerance of an offset."""
+def near_offset(along, offset, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) what lies within its tolerance of an offset."""
     out = np.empty(len(along), dtype=np.bool_)
     for i in range(len(along)):
-        out[i] = among[i] & (abs(along[i] - offset) < tolerance[i])
+        out[i] = abs(along[i] - offset) < tolerance[i]
     return out
 
 

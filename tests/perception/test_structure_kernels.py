@@ -28,10 +28,10 @@ def test_what_is_taken_is_what_is_marked(seed, count):
 
 @given(seeds, st.integers(0, 60))
 def test_near_and_below_are_comparisons(seed, count):
-    along, tolerance, among = numbers(seed, count), np.abs(numbers(seed + 2, count)), marks(seed, count)
+    along, tolerance = numbers(seed, count), np.abs(numbers(seed + 2, count))
     offset, weight = np.float32(0.3), np.abs(numbers(seed + 3, count)).astype(np.float64)
-    near = kernels.near_offset(along, offset, tolerance, among)
-    assert np.array_equal(near, among & (np.abs(along - offset) < tolerance))
+    near = kernels.near_offset(along, offset, tolerance)
+    assert np.array_equal(near, np.abs(along - offset) < tolerance)
     below = kernels.weight_below(weight, along, offset, tolerance)
     assert np.array_equal(below, weight[along < offset - tolerance])
 
@@ -64,14 +64,6 @@ def test_upright_pixels_are_those_with_an_area_and_a_level_normal(seed, count):
     assert np.array_equal(all_at, points[areas > 0, :2])
     assert np.array_equal(all_weight, areas[areas > 0].astype(np.float64))
     assert np.array_equal(all_noise, 2.0 * sigma[areas > 0])
-
-
-@given(seeds, st.integers(0, 60))
-def test_a_histogram_sums_what_is_marked(seed, count):
-    bins, among = np.random.default_rng(seed).integers(0, 5, count), marks(seed, count)
-    weight = numbers(seed, count).astype(np.float64)
-    expected = np.bincount(bins[among], weights=weight[among], minlength=5)
-    assert np.array_equal(kernels.histogram(bins, weight, among, 5), expected)
 
 
 def test_areas_are_flat_ones_over_the_slant_and_none_where_nothing_is_seen():
