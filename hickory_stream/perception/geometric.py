@@ -53,7 +53,7 @@ class GeometricConfig(Ranged):
     min_side_sigmas: float = number(2.5, 0, 100, "sigmas")
     hidden_area_px: int = number(720, 0, 1_000_000, "px")
     hidden_share: float = number(0.6, 0, 1, "share")
-    max_extent_m: float = number(3.0, 0.01, 1000, "m")
+    max_extent_m: float = number(4.0, 0.01, 1000, "m")
     support_area_m2: float = number(0.03, 0, 1000, "m2")
     support_area_px: int = number(60, 1, 1_000_000, "px")
 

@@ -74,7 +74,7 @@ class MaskConfig(Ranged):
     stands_out_m: float = number(0.008, 0, 10, "m")
     flat_area_m2: float = number(0.008, 0, 100, "m2")
     visible_share: float = number(0.25, 0, 1, "share")
-    max_extent_m: float = number(3.0, 0.01, 1000, "m")
+    max_extent_m: float = number(4.0, 0.01, 1000, "m")
     hidden_share: float = number(0.6, 0, 1, "share")
 
 

@@ -46,7 +46,7 @@ class ObserveConfig(Ranged):
     min_neighbors: int = number(5, 0, 24, "returns")
     min_returns: int = number(24, 1, 1_000_000, "returns")
     min_points: int = number(12, 1, 1_000_000, "points")
-    max_box_m: float = number(3.0, 0.01, 1000, "m")
+    max_box_m: float = number(4.0, 0.01, 1000, "m")
 
     def __post_init__(self) -> None:
         check_ranges(self)

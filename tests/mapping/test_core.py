@@ -335,7 +335,7 @@ def test_an_object_that_is_seen_again_was_not_looked_through() -> None:
 
 def test_an_object_that_grows_into_a_wall_becomes_structure_and_pieces_of_it_are_no_objects() -> None:
     core = MapperCore(CONFIG)
-    wall = box_surface((0, 0, 1.2), (2.4, 0.04, 2.4))
+    wall = box_surface((0, 0, 1.4), (2.8, 0.04, 2.8))
     left, right = wall[wall[:, 0] < 0.3], wall[wall[:, 0] > -0.3]
     drive(core, [frame(0, observation(0, left)), frame(1, observation(0, left)), frame(2, observation(0, right))])
     drive(core, [frame(3, observation(0, wall)), frame(4, observation(0, right))])

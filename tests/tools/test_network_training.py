@@ -27,7 +27,7 @@ SHORT = Schedule(steps=6, batch=1, rising=2, told_every=100, kept_every=3, preci
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     checkpoint = tmp_path_factory.mktemp("network") / "net.pt"
-    return train(lambda step, rng: true_frame(), SHORT, checkpoint), checkpoint
+    return train(lambda rng: true_frame(), SHORT, checkpoint), checkpoint
 
 
 def test_a_run_that_was_broken_off_ends_as_one_that_was_not(trained, tmp_path):
@@ -35,15 +35,11 @@ def test_a_run_that_was_broken_off_ends_as_one_that_was_not(trained, tmp_path):
     broken_off = tmp_path / "net.pt"
     frame = true_frame()
 
-    def stops(step, rng):
-        if step == 4:
-            raise KeyboardInterrupt
-        return frame
-
-    with pytest.raises(KeyboardInterrupt):
-        train(stops, SHORT, broken_off)
+    until_step_4 = [frame] * (4 * SHORT.batch)
+    with pytest.raises(IndexError):
+        train(lambda rng: until_step_4.pop(), SHORT, broken_off)
     assert torch.load(broken_off, weights_only=True)["step"] == 3
-    again = train(lambda step, rng: frame, SHORT, broken_off)
+    again = train(lambda rng: frame, SHORT, broken_off)
     for a, b in zip(whole.state_dict().values(), again.state_dict().values(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
 
@@ -91,6 +87,6 @@ def test_what_is_to_be_said_of_pairs_follows_from_their_labels():
 def test_it_learns_what_it_is_shown(tmp_path):
     schedule = dataclasses.replace(SHORT, steps=40, rising=5, rate=4e-3)
     frame = true_frame()
-    net = train(lambda step, rng: frame, schedule, tmp_path / "net.pt")
+    net = train(lambda rng: frame, schedule, tmp_path / "net.pt")
     found = accuracies(net, [lesson_of(frame, np.random.default_rng(seed)) for seed in range(100, 104)])
     assert found["thing"] > 0.9
