@@ -87,7 +87,7 @@ def gravity_aligned_box(points_world: NDArray[Any], min_half_extent_m: float) ->
     The footprint is found by rotating calipers: a minimal rectangle shares a side with the convex hull.
     """
     points = np.asarray(points_world, dtype=np.float64)
-    pose, half_extents_m = _smallest_upright(points, _hull_2d(points), float(min_half_extent_m))
+    pose, half_extents_m = _smallest_upright(points, float(min_half_extent_m))
     return OrientedBox(world_from_box=pose, half_extents_m=half_extents_m)
 
 
@@ -163,8 +163,9 @@ def _held(points, world_from_box, limits, is_column):  # type: ignore[no-untyped
 
 
 @numba.njit(cache=True, nogil=True)
-def _smallest_upright(points, hull, min_half_extent):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return pose (4, 4) and half extents (3,) of the upright box of least footprint around points with that hull."""
+def _smallest_upright(points, min_half_extent):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return pose (4, 4) and half extents (3,) of the upright box of least footprint around points."""
+    hull = _hull_2d(points)
     angles = _side_angles(hull)
     sizes, _ = _rectangles(hull, angles)
     best = 0
@@ -233,11 +234,27 @@ def _are_apart(world_from_a, half_a, world_from_b, half_b):  # type: ignore[no-u
     return np.sqrt(way) >= np.sqrt(reach_a) + np.sqrt(reach_b)
 
 
-def _hull_2d(points: NDArray[np.float64]) -> NDArray[np.float64]:
+@numba.njit(cache=True, nogil=True)
+def _hull_2d(points):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the hull's corners in order, counter-clockwise; of collinear points the ends, of one the same twice."""
-    outer = _outer(points)
-    corners: NDArray[np.float64] = _monotone_chain(outer[np.lexsort((outer[:, 1], outer[:, 0]))])
-    return corners if len(corners) > 1 else np.repeat(corners, 2, axis=0)
+    corners = _monotone_chain(_by_x_then_y(_outer(points)))
+    if len(corners) > 1:
+        return corners
+    twice = np.empty((2, 2))
+    twice[0], twice[1] = corners[0], corners[0]
+    return twice
+
+
+@numba.njit(cache=True, nogil=True)
+def _by_x_then_y(points):  # type: ignore[no-untyped-def] # pragma: no cover
+    order = np.argsort(points[:, 0].copy())
+    out = points[order]
+    for i in range(1, len(out)):
+        k = i
+        while k > 0 and out[k - 1, 0] == out[k, 0] and out[k - 1, 1] > out[k, 1]:
+            out[k - 1, 1], out[k, 1] = out[k, 1], out[k - 1, 1]
+            k -= 1
+    return out
 
 
 @numba.njit(cache=True, nogil=True)

@@ -90,6 +90,8 @@ def _raised(
         np.float32(x) for x in (config.window_px * config.window_px, config.least_m, config.sigmas)
     )
     high = _is_high(plane.near, total, share, sigma_m, area, least_m, sigmas)
+    if np.count_nonzero(high) < config.min_area_px:
+        return mask
     # A rim of a few pixels along the foot of a thing tells nothing that the thing does not.
     wide = cv2.morphologyEx(high.astype(np.uint8), cv2.MORPH_OPEN, _WIDE)
     if int(wide.sum()) < config.min_area_px:
