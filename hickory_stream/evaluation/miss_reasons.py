@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hickory_stream.engine.fates import Ending
     from hickory_stream.evaluation.overlap import LiesOn, Overlap
     from hickory_stream.evaluation.truth_sightings import Part, Sighting, TruthSightings
+    from hickory_stream.mapping.existence import ExistenceConfig
 
 MissReason = Literal[
     "on no keyframe",
@@ -51,7 +52,7 @@ MISS_REASONS: dict[MissReason, str] = {
     "one mask with another": "its masks are mostly something else: those of the object that has it, or most of all",
     "merged with another": "it has masks of its own, but their track went into another object, or gave its points away",
     "in pieces": "the map has several objects on it, or most keyframes several masks",
-    "too few sightings": "fewer keyframes show it than a track needs, or its masks went to several tracks",
+    "too few sightings": "its sightings are too little evidence for a track, or went to several tracks",
     "dropped as structure": "its track was found to be structure, or to lie in some",
     "looked through": "its track was dropped since later depth was seen behind it",
     "box is off": "one object lies on it, but their boxes have an IoU under 0.25",
@@ -99,13 +100,29 @@ class Missed:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """All that reasons are made of; `names` are those of true objects, `boxes` those of the map's objects."""
+    """All that reasons are made of; `names` are those of true objects, `boxes` those of the map's objects.
+
+    A track is confirmed by evidence of `confirm`, to which its sightings add up (`existence`).
+    """
 
     names: Mapping[int, str]
     sightings: TruthSightings
     overlap: Overlap
     boxes: Mapping[int, OrientedBox]
-    confirm_sightings: int
+    confirm: float
+    existence: ExistenceConfig
+
+    @property
+    def fewest_sightings(self) -> int:
+        """The least number of sightings that can confirm a track: all of them good, and from places apart."""
+        return max(1, int(np.ceil(self.confirm / max(self.existence.fresh, self.existence.again, 1e-9))))
+
+    @property
+    def what_confirms(self) -> str:
+        """What confirms a track, in words."""
+        fresh, again = self.existence.fresh, self.existence.again
+        worth = f"{fresh:g} for a sighting from another place, {again:g} for one more from the same"
+        return f"a track takes evidence of {self.confirm:g}: {worth}, less for what is small or has little depth"
 
 
 def state_of(sighting: Sighting) -> State:
@@ -143,10 +160,10 @@ def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> M
     swallower = min(covered, key=lambda i: (-covered[i], i), default=None)
     if swallower is not None and covered[swallower] >= _SWALLOWED:
         return _swallowed(truth_id, swallower, told, evidence)
-    needed = evidence.confirm_sightings
+    needed = evidence.fewest_sightings
     if len(large) < needed:
         if len(seen) < needed:
-            text = f"{told}; {needed} sightings confirm a track"
+            text = f"{told}; {evidence.what_confirms}"
             return _missed(truth_id, "too few sightings", text, (), evidence)
         most = max(sighting.num_px for sighting in seen)
         often = f"it has that in {len(large)} of {len(seen)} keyframes, at most {most}"
@@ -275,7 +292,7 @@ def _lost_track(
         f"{count} of its {own} masks went to {ending_text(fates, i)}" for i, count in list(tracks.items())[:3]
     )
     more = f" and {len(tracks) - 3} more tracks" if len(tracks) > 3 else ""
-    needed = f"; {evidence.confirm_sightings} sightings confirm a track" if reason == "too few sightings" else ""
+    needed = f"; {evidence.what_confirms}" if reason == "too few sightings" else ""
     kept = tuple(sorted({i for track_id in tracks if (i := fates.final(track_id)) is not None}))
     return _missed(truth_id, reason, f"{told}; {where}{more}{needed}", kept, evidence)
 

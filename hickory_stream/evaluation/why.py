@@ -85,12 +85,14 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
     saved = replace(saved, snapshot=final_snapshot(saved.folder))
     placed = placed_truth(saved, truth).truth
     meshes = meshes_of(saved)
+    mapping = told_config(saved.folder).mapping
     evidence = Evidence(
         names={item.id: f"{item.id} {item.kind}" for item in placed.objects},
         sightings=sightings_of_truth(saved.folder, saved.snapshot, placed),
         overlap=Overlap(saved.snapshot, placed),
         boxes={o.id: best_box(o, meshes) for o in saved.snapshot.objects if o.phase is not Phase.TENTATIVE},
-        confirm_sightings=told_config(saved.folder).mapping.lifecycle.confirm_sightings,
+        confirm=mapping.lifecycle.confirm_sightings,
+        existence=mapping.existence,
     )
     return Investigation(score=score_map(saved.snapshot, meshes, placed), evidence=evidence)
 

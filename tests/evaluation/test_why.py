@@ -18,6 +18,7 @@ from hickory_stream.evaluation.truth_sightings import Other, Part, Sighting, Tru
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
+from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.records import Decision, MapSnapshot
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 
@@ -94,7 +95,8 @@ def evidence(
         ),
         overlap=Overlap(snapshot, truth),
         boxes={o.id: o.box for o in objects},
-        confirm_sightings=CONFIRM,
+        confirm=CONFIRM,
+        existence=ExistenceConfig(),
     )
 
 
@@ -128,7 +130,8 @@ CASES = {
     "too few sightings": (
         five(mask(0.9, 0.9)),
         (drop("never confirmed", "never confirmed, after 3 sightings"),),
-        "#7, dropped in frame 90: never confirmed, after 3 sightings; 4 sightings confirm a track",
+        "#7, dropped in frame 90: never confirmed, after 3 sightings; a track takes evidence of 4: 2 for a sighting "
+        "from another place, 0.7 for one more from the same, less for what is small or has little depth",
     ),
     "dropped as structure": (
         five(mask(0.9, 0.9)),
@@ -190,11 +193,19 @@ def test_a_thing_that_another_object_holds_is_one_with_it_by_its_masks_or_by_its
         assert "its track #7 was merged in frame 90: seen as one" in missed.text
 
 
+@pytest.mark.parametrize(("count", "is_enough"), [(1, False), (2, True)])
+def test_two_sightings_can_be_enough(truth: Truth, count: int, is_enough: bool) -> None:
+    rejected = [sighting(i, Part(where="rejected mask", share=0.8, reason="3 points")) for i in range(count)]
+    reason = why_missed(THING, (), evidence(truth, rejected)).reason
+    assert reason == ("mask rejected" if is_enough else "too few sightings")
+
+
 def test_what_is_hardly_on_a_keyframe_has_too_few_sightings(truth: Truth) -> None:
     missed = why_missed(THING, (), evidence(truth, [sighting(0, mask(0.9, 1.0))]))
     assert (missed.reason, missed.text) == (
         "too few sightings",
-        "1 keyframe shows it: 1 in a mask of its own; 4 sightings confirm a track",
+        "1 keyframe shows it: 1 in a mask of its own; a track takes evidence of 4: 2 for a sighting from another "
+        "place, 0.7 for one more from the same, less for what is small or has little depth",
     )
 
 

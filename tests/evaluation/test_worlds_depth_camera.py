@@ -73,3 +73,16 @@ def test_the_generator_alone_decides():
     )
     assert np.array_equal(one, same, equal_nan=True)
     assert not np.array_equal(one, other, equal_nan=True)
+
+
+@pytest.mark.parametrize("depth_m", [1.0, 2.5, 5.0])
+def test_the_sensor_that_the_camera_states_has_the_noise_the_steps_and_the_range_of_its_depth(depth_m):
+    config = DepthCameraConfig(dropout_share=0.0)
+    sensor = config.sensor(FOCAL_PX)
+    sensed = sensed_depth(*plane(depth_m), FOCAL_PX, config, np.random.default_rng(0))
+    sigma_m = float(sensor.sigma_m(np.array([depth_m], dtype=np.float32))[0])
+    assert np.nanstd(sensed) == pytest.approx(sigma_m, rel=0.12)
+    steps = 1 / sensed[np.isfinite(sensed)] / sensor.step_per_m
+    assert np.abs(steps - np.round(steps)).max() < 1e-2
+    ends = np.array([[sensor.min_m - 0.05, sensor.max_m + 1.0]], dtype=np.float32)
+    assert np.isnan(sensed_depth(ends, np.ones_like(ends), FOCAL_PX, config, np.random.default_rng(0))).all()

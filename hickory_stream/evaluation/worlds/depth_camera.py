@@ -41,7 +41,11 @@ class DepthCameraConfig:
     """The share of the image lost in patches, where nothing could be matched."""
 
     def sensor(self, focal_px: float) -> DepthSensor:
-        """Return what a mapper should know of the camera when its focal length is `focal_px`."""
+        """Return what a mapper should know of the camera when its focal length is `focal_px`.
+
+        The range is drawn from it. Noise and steps are drawn in pixels of disparity: from the record, which has them
+        over focal length times baseline, they would come back with another last bit, and logs with other bytes.
+        """
         constant = focal_px * self.baseline_m
         return DepthSensor(
             noise_per_m=self.disparity_sigma_px / constant,
@@ -80,7 +84,8 @@ def sensed_depth(
         sensed = constant / (steps * config.disparity_step_px)
     if is_blind is not None:
         lost |= is_blind
-    lost |= ~((sensed >= config.min_depth_m) & (sensed <= config.max_depth_m))
+    sensor = config.sensor(focal_px)
+    lost |= ~((sensed >= sensor.min_m) & (sensed <= sensor.max_m))
     return np.where(lost, np.nan, sensed).astype(np.float32)
 
 
