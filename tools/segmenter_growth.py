@@ -164,6 +164,7 @@ def _grown(
         l2_regularization=5.0,
         early_stopping=False,
         random_state=growth.seed,
+        monotonic_cst=[_direction(name) for name in names],
     )
     is_one = np.concatenate([sample.is_one for samples in kinds for sample in samples])
     classifier.fit(rows, is_one, sample_weight=weight / weight.mean())
@@ -173,6 +174,16 @@ def _grown(
     if off > 1e-5:
         raise RuntimeError(f"exported trees differ from scikit-learn's by {off:.2g}: its nodes mean something else now")
     return trees
+
+
+def _direction(name: str) -> int:
+    """Return 1 where more of an input can only make one thing likelier, -1 for the opposite, else 0.
+
+    What the network says of a pair is held to what it means, lest trees learn from where it is wrong in our rooms.
+    """
+    if name.startswith("odds_") and name not in ("odds_near_share", "odds_far_share"):
+        return -1 if name.endswith(("_apart", "_below_even")) else 1
+    return -1 if name.endswith("_odds_below_best") else 0
 
 
 def _alike(samples: Sequence[Samples]) -> NDArray[np.float64]:

@@ -44,8 +44,8 @@ ODDS_VIEWS = (
     *(Scene(kind="apartment", seed=seed, frames=16) for seed in range(400, 412)),
     *(Scene(kind="tabletop", seed=seed, frames=10) for seed in range(400, 412, 2)),
 )
-ODDS_ROOMS = tuple(Scene(kind="clutter-training", seed=seed, frames=48) for seed in range(200, 224))
-ODDS_SHARES = (1.0, 0.3, 0.3)
+ODDS_ROOMS = tuple(Scene(kind="clutter-training", seed=seed, frames=48) for seed in range(200, 224, 2))
+ODDS_SHARES = (1.0, 0.6, 0.3)
 """What logs, single views of own rooms, and random rooms weigh in `odds`."""
 RATE_HZ = 1.5
 

@@ -58,7 +58,7 @@ class NetworkJoinConfig(Ranged):
     """
 
     join: Literal["network", "trees", "both", "learned"] = "both"
-    learned_probability: float = number(0.3, 0, 1, "probability")
+    learned_probability: float = number(0.35, 0, 1, "probability")
     split: SplitConfig = field(default_factory=SplitConfig)
     least_odds: float = number(0.0, -8, 8, "log-odds")
     far_weight: float = number(0.25, 0, 10, "pairs")

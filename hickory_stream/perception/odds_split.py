@@ -30,19 +30,21 @@ class SplitConfig(Ranged):
     """When the network divides a fragment.
 
     Attributes:
-        odds_shift: what is added to log-odds: more divides less.
+        odds_shift: what is added to log-odds: more divides less, 8 nothing.
         min_pixels: smaller pieces, in pixels of the network's output, go to the neighbour that they have most in common
             with; of smaller fragments nothing is divided.
     """
 
-    odds_shift: float = number(0.5, -8, 8, "log-odds")
+    odds_shift: float = number(8.0, -8, 8, "log-odds")
     min_pixels: int = number(6, 1, 1_000_000, "px")
 
 
 def divided_by_odds(labels: NDArray[np.int32], odds: PixelOdds, config: SplitConfig) -> NDArray[np.int32]:
     """Return (h, w) fragments 1..n of which some are divided; the first piece of each keeps its number."""
-    few = np.ascontiguousarray(labels[::2, ::2])
     zero = ODDS_ZERO - round(ODDS_UNIT * config.odds_shift)
+    if zero <= 0:
+        return labels  # no byte is less
+    few = np.ascontiguousarray(labels[::2, ::2])
     pieces = _mutex_watershed(few, odds.odds, np.array(OFFSETS), _PER_DISTANCE, zero)
     pieces = _without_specks(few, pieces, odds.odds, np.array(OFFSETS[:_PER_DISTANCE]), config.min_pixels)
     return np.asarray(_renamed(labels, few, pieces, int(labels.max(initial=0))))

@@ -7,6 +7,8 @@ from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS
 HEIGHT, WIDTH = 24, 32
 """Of the network's output; the surface has twice as many pixels."""
 
+DIVIDING = SplitConfig(odds_shift=0.5)
+
 
 def said_of(things, sure=4.0):
     """The odds of a network that knows what each of its pixels shows."""
@@ -34,7 +36,7 @@ def three_in_a_row():
 
 def test_three_things_flush_in_a_row_are_three_fragments(three_in_a_row):
     labels = np.repeat(np.repeat((three_in_a_row > 0).astype(np.int32), 2, axis=0), 2, axis=1)
-    divided = divided_by_odds(labels, said_of(three_in_a_row), SplitConfig())
+    divided = divided_by_odds(labels, said_of(three_in_a_row), DIVIDING)
     assert divided.max() == 3
     assert ((divided > 0) == (labels > 0)).all()
     # Between two pixels of the network either is right.
@@ -44,7 +46,7 @@ def test_three_things_flush_in_a_row_are_three_fragments(three_in_a_row):
 def test_the_first_piece_of_a_fragment_keeps_its_number_and_whole_fragments_stay(three_in_a_row):
     few = np.where(three_in_a_row == 3, 2, (three_in_a_row > 0).astype(np.int32))
     labels = np.repeat(np.repeat(few, 2, axis=0), 2, axis=1).astype(np.int32)
-    divided = divided_by_odds(labels, said_of(three_in_a_row), SplitConfig())
+    divided = divided_by_odds(labels, said_of(three_in_a_row), DIVIDING)
     assert divided.max() == 3
     assert (divided[labels == 2] == 2).all()
     assert set(np.unique(divided[labels == 1])) == {1, 3}
@@ -53,7 +55,7 @@ def test_the_first_piece_of_a_fragment_keeps_its_number_and_whole_fragments_stay
 def test_where_the_network_knows_nothing_no_fragment_is_divided(three_in_a_row):
     labels = np.repeat(np.repeat((three_in_a_row > 0).astype(np.int32), 2, axis=0), 2, axis=1)
     even = PixelOdds(odds=np.full((NUM_OUTPUTS, HEIGHT, WIDTH), ODDS_ZERO, np.uint8))
-    np.testing.assert_array_equal(divided_by_odds(labels, even, SplitConfig()), labels)
+    np.testing.assert_array_equal(divided_by_odds(labels, even, DIVIDING), labels)
 
 
 def test_with_odds_shifted_further_than_the_network_is_sure_nothing_is_divided(three_in_a_row):
@@ -61,25 +63,26 @@ def test_with_odds_shifted_further_than_the_network_is_sure_nothing_is_divided(t
     odds = said_of(three_in_a_row, sure=2.0)
     np.testing.assert_array_equal(divided_by_odds(labels, odds, SplitConfig(odds_shift=2.5)), labels)
     assert divided_by_odds(labels, odds, SplitConfig(odds_shift=1.5)).max() == 3
+    np.testing.assert_array_equal(divided_by_odds(labels, odds, SplitConfig()), labels)
 
 
 def test_what_is_smaller_than_a_piece_may_be_stays_with_what_is_around_it(three_in_a_row):
     things = np.ones((HEIGHT, WIDTH), np.int32)
     things[10:12, 10:12] = 2
     labels = np.ones((2 * HEIGHT, 2 * WIDTH), np.int32)
-    assert divided_by_odds(labels, said_of(things), SplitConfig(min_pixels=5)).max() == 1
-    assert divided_by_odds(labels, said_of(things), SplitConfig(min_pixels=4)).max() == 2
+    assert divided_by_odds(labels, said_of(things), SplitConfig(odds_shift=0.5, min_pixels=5)).max() == 1
+    assert divided_by_odds(labels, said_of(things), SplitConfig(odds_shift=0.5, min_pixels=4)).max() == 2
 
 
 def test_no_fragments_are_divided_into_none():
     none = np.zeros((2 * HEIGHT, 2 * WIDTH), np.int32)
     even = PixelOdds(odds=np.full((NUM_OUTPUTS, HEIGHT, WIDTH), ODDS_ZERO, np.uint8))
-    np.testing.assert_array_equal(divided_by_odds(none, even, SplitConfig()), none)
+    np.testing.assert_array_equal(divided_by_odds(none, even, DIVIDING), none)
 
 
 def test_surfaces_of_odd_size_are_divided_to_their_last_row_and_column(three_in_a_row):
     labels = np.repeat(np.repeat((three_in_a_row > 0).astype(np.int32), 2, axis=0), 2, axis=1)
     labels[8:40, 60:63] = 1
     odd = np.ascontiguousarray(labels[:-1, :-1])
-    divided = divided_by_odds(odd, said_of(three_in_a_row), SplitConfig())
+    divided = divided_by_odds(odd, said_of(three_in_a_row), DIVIDING)
     assert ((divided > 0) == (odd > 0)).all()

@@ -61,3 +61,16 @@ def test_a_forest_of_odds_asks_the_network_and_joins_without_it_too(lessons):
     for odds in (lessons[5].odds, None):
         first, *_, last = rounds(lessons[5].measures, trees.probabilities, JoinConfig(probability=0.5), odds)
         assert right_share(lessons[5], last.numbers) > right_share(lessons[5], first.numbers)
+
+
+def test_what_the_network_says_of_a_pair_is_held_to_what_it_means(lessons):
+    trees, _ = train([lessons[::2]], Growth(num_trees=12, with_odds=True))
+    step = next(rounds(lessons[1].measures, trees.probabilities, JoinConfig(), lessons[1].odds))
+    before = trees.probabilities(step.features)
+    better = dict(step.features)
+    for name in ODDS_FEATURES:
+        if name.startswith("odds_") and not name.endswith("_share"):
+            better[name] = step.features[name] + (-5.0 if name.endswith(("_apart", "_below_even")) else 5.0)
+    after = trees.probabilities(better)
+    assert (after >= before - 1e-9).all()
+    assert (after > before).any()
