@@ -21,8 +21,8 @@ from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.json_text import dumps
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
-from hickory_stream.perception.geometric import GeometricSegmenter
 from hickory_stream.perception.perceive import features_of, perceive
 from hickory_stream.ports import Crop, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
@@ -63,7 +63,7 @@ def warm_up_mapping() -> None:
     """Map a few frames, for the kernels of perception and of the core, as `warm_up` does for those of shapes."""
     with _one_at_a_time("mapping"):
         config = MapperConfig()
-        segmenter, extractor = GeometricSegmenter(config.perception.geometric), ColorTextureDescriptor()
+        segmenter, extractor = make_segmenter(config.perception), ColorTextureDescriptor()
         core, snapshot = MapperCore(config.mapping), None
         for raw in SceneSource(_NUM_MAPPED, (*SCENE_BOXES, _WALL)).frames():
             frame = raw.decode()

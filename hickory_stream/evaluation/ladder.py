@@ -16,8 +16,10 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import frame_at, instances_of
 from hickory_stream.mapping.associate import Match
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.geometric import GeometricSegmenter
 from hickory_stream.perception.masks import enlarged_mask
+from hickory_stream.perception.network_segmenter import NetworkSegmenter
 from hickory_stream.records import Segmentation
 
 if TYPE_CHECKING:
@@ -30,7 +32,8 @@ if TYPE_CHECKING:
     from hickory_stream.events import FrameObserved
     from hickory_stream.mapping.core import MappingConfig
     from hickory_stream.mapping.track import Track
-    from hickory_stream.perception.geometric import Fragments, GeometricConfig
+    from hickory_stream.perception.geometric import Fragments
+    from hickory_stream.perception.perceive import PerceptionConfig
     from hickory_stream.records import Frame, Observation, ObservedSpace
 
 Rung = Literal["ours", "joins", "masks", "structure", "association"]
@@ -68,10 +71,13 @@ class TrueImages:
 class TrueSegmenter:
     """A segmenter with the true joins, masks, or masks and structure; the height of the floor stays ours."""
 
-    def __init__(self, rung: Rung, images: TrueImages, config: GeometricConfig) -> None:
+    def __init__(self, rung: Rung, images: TrueImages, config: PerceptionConfig) -> None:
         self._rung = rung
         self._images = images
-        self._ours = GeometricSegmenter(config)
+        ours = make_segmenter(config)
+        if not isinstance(ours, GeometricSegmenter | NetworkSegmenter):
+            ours = GeometricSegmenter(config.geometric)  # the others have no fragments
+        self._ours = ours
 
     def prepare(self, frame: Frame) -> object:
         """Return the surface of a frame."""
@@ -145,7 +151,7 @@ class TrueAssociation:
 
 def segmenter_of(rung: Rung, images: TrueImages, config: MapperConfig) -> TrueSegmenter | None:
     """Return the segmenter of a rung, None for the product's own."""
-    return None if rung == "ours" else TrueSegmenter(rung, images, config.perception.geometric)
+    return None if rung == "ours" else TrueSegmenter(rung, images, config.perception)
 
 
 def core_of(rung: Rung, images: TrueImages, config: MapperConfig) -> MapperCore:

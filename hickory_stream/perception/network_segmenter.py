@@ -57,7 +57,7 @@ class NetworkJoinConfig(Ranged):
         thing_odds: a pixel is none where it is a thing by more than this; 8: never.
     """
 
-    join: Literal["network", "trees", "both", "learned"] = "both"
+    join: Literal["network", "trees", "both", "learned"] = "learned"
     learned_probability: float = number(0.35, 0, 1, "probability")
     split: SplitConfig = field(default_factory=SplitConfig)
     least_odds: float = number(0.0, -8, 8, "log-odds")
@@ -103,11 +103,16 @@ class NetworkSegmenter:
     def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
-        pieces = self.fragments(found, prior)
-        return self._geometric.segmentation(frame, pieces, self._joined(pieces, found.odds))
+        pieces = self.fragments(frame, prior, found)
+        return self.segmentation(frame, pieces, self._joined(pieces, found.odds))
 
-    def fragments(self, found: Prepared, prior: ObservedSpace | None) -> Fragments:
+    def segmentation(self, frame: Frame, pieces: Fragments, labels: NDArray[np.int32]) -> Segmentation:
+        """Return what is said of a frame whose fragments were joined into the masks `labels` (h, w), 0 = none."""
+        return self._geometric.segmentation(frame, pieces, labels)
+
+    def fragments(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Fragments:
         """Return the pieces that a frame falls into, before any are joined."""
+        found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
         scenery = self._geometric.scenery(found.surface, prior)
         structure = corrected_structure(scenery.structure, found, self._config)
         pieces = self._geometric.divided(found.surface, replace(scenery, structure=structure))

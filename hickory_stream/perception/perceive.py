@@ -45,13 +45,13 @@ class PerceptionConfig:
     """The segmenter, the lifting of masks, the rays of the observed space, and the objects that the map knows.
 
     Attributes:
-        segmenter: `geometric` joins by trees; `network` by a network of our own, whose weights come with the package,
-            too, or by both; `fastsam` is a network in the folder of models.
+        segmenter: `network` divides and joins with a network of our own, whose weights come with the package; without
+            it, `geometric` joins by trees alone; `fastsam` is a network in the folder of models.
         extractor: what gives patch features: `color_texture` needs no weights; `dinov2` is a network.
         semantics: whose classes masks are rejected by: `none`, `oneformer`, or another `graph` of scores or class ids.
     """
 
-    segmenter: Literal["geometric", "network", "fastsam"] = "geometric"
+    segmenter: Literal["geometric", "network", "fastsam"] = "network"
     extractor: Literal["color_texture", "dinov2"] = "color_texture"
     semantics: Literal["none", "oneformer", "graph"] = "none"
     geometric: GeometricConfig = field(default_factory=GeometricConfig)

@@ -66,7 +66,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Truth:
 
 
 def segmented(rung: Rung, truth: Truth, frame: Frame) -> Segmentation:
-    return TrueSegmenter(rung, TrueImages(truth), PerceptionConfig().geometric).segment(frame)
+    return TrueSegmenter(rung, TrueImages(truth), PerceptionConfig()).segment(frame)
 
 
 def mapped(rung: Rung, truth: Truth, frames: list[Frame]) -> tuple[TrackedObject, ...]:
@@ -107,7 +107,7 @@ def test_true_structure_is_all_that_shows_nothing_and_a_passer_by_is_neither(tru
 
 
 def test_an_image_full_of_things_still_has_no_mask_without_a_number(truth: Truth, frames: list[Frame]) -> None:
-    segmenter = TrueSegmenter("structure", _Full(), PerceptionConfig().geometric)  # type: ignore[arg-type]
+    segmenter = TrueSegmenter("structure", _Full(), PerceptionConfig())  # type: ignore[arg-type]
     assert np.unique(segmenter.segment(frames[0]).instances).tolist() == [1, 2]
 
 
@@ -119,7 +119,7 @@ class _Full:
 
 
 def test_true_joins_keep_our_fragments_and_leave_out_those_of_no_thing(truth: Truth, frames: list[Frame]) -> None:
-    segmenter = TrueSegmenter("joins", TrueImages(truth), PerceptionConfig().geometric)
+    segmenter = TrueSegmenter("joins", TrueImages(truth), PerceptionConfig())
     pieces = segmenter._ours.fragments(frames[0])
     found = segmenter.segment(frames[0]).instances[:: pieces.surface.factor, :: pieces.surface.factor]
     found = found[: pieces.labels.shape[0], : pieces.labels.shape[1]]

@@ -12,8 +12,8 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.events import ComputeFeatures, FeaturesReady, Publish, RequestShape, ShapeFailed
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
-from hickory_stream.perception.geometric import GeometricSegmenter
 from hickory_stream.perception.perceive import features_of, perceive
 from players import open_source
 
@@ -64,7 +64,7 @@ def play_first_layer(
 ) -> Iterator[PlayedKeyframe]:
     """Yield every keyframe of a log with what perception and the core made of it; shapes are answered with failures."""
     config = config or MapperConfig()
-    segmenter = segmenter or GeometricSegmenter(config.perception.geometric)
+    segmenter = segmenter or make_segmenter(config.perception)
     extractor = extractor or ColorTextureDescriptor()
     core = MapperCore(config.mapping)
     snapshot: MapSnapshot | None = None

@@ -20,7 +20,7 @@ from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.ladder import TrueImages, core_of, mapping_of, segmenter_of
 from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.perception.geometric import GeometricSegmenter
+from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.records import Phase
 from players import open_source
 from tools.benchmarks.first_layer import play_first_layer
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.evaluation.ladder import Rung
+    from hickory_stream.ports import Segmenter
     from hickory_stream.records import Frame, ObservedSpace, Segmentation
 
 _MIN_SHARE = 0.002
@@ -104,7 +105,7 @@ def clouds_scored(folder: Path) -> dict[str, Any]:
     Raises:
         RecordingError: there are none.
     """
-    segmenter = GeometricSegmenter(MapperConfig().perception.geometric)
+    segmenter = make_segmenter(MapperConfig().perception)
     clouds = []
     for path in clouds_in(folder):
         cloud = load_cloud(path)
@@ -153,7 +154,7 @@ def kitchen_scored(data: Path, scorer: Path, out: Path) -> dict[str, Any]:
 class _Timed:
     """A segmenter that counts the processor time it takes."""
 
-    def __init__(self, segmenter: GeometricSegmenter) -> None:
+    def __init__(self, segmenter: Segmenter) -> None:
         self._segmenter = segmenter
         self.seconds: list[float] = []
 
@@ -175,7 +176,7 @@ def timed(log: Path) -> dict[str, Any]:
     import cv2
 
     config = MapperConfig()
-    segmenter = _Timed(GeometricSegmenter(config.perception.geometric))
+    segmenter = _Timed(make_segmenter(config.perception))
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

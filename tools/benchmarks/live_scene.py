@@ -24,7 +24,7 @@ from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.session import open_map
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.json_text import dumps
-from hickory_stream.perception.geometric import GeometricSegmenter
+from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.testing import SCENE_BOXES, START_NS, cast_scene, scene_pose
@@ -161,7 +161,7 @@ async def _run(out: Path, seconds: float, slower: float, stall_s: float) -> None
     # Shapes are not what is measured here: no job is ever asked for.
     requests = replace(config.mapping.requests, max_failures=0)
     config = replace(config, mapping=replace(config.mapping, requests=requests))
-    segmenter = SlowedSegmenter(GeometricSegmenter(config.perception.geometric), slower)
+    segmenter = SlowedSegmenter(make_segmenter(config.perception), slower)
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
         made: list[tuple[Sink, bool]] = [(DiskSink(folder), True)]

@@ -19,8 +19,8 @@ from hickory_stream.evaluation.truth import instances_of, load_truth
 from hickory_stream.evaluation.worlds.cache import cached_recording
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.geometry.lattice import Lattice
+from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.first_layer import PlayedKeyframe, play_first_layer
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.ports import Segmenter
     from hickory_stream.records import Frame
     from tools.benchmarks.labelled_clouds import LabelledFrame
 
@@ -86,9 +87,9 @@ def measure(options: Options) -> list[Figure]:
     return [*figures, *measure_models(options.seed)]
 
 
-def score_cloud(cloud: LabelledFrame, config: GeometricConfig | None = None) -> MaskScore:
+def score_cloud(cloud: LabelledFrame, config: PerceptionConfig | None = None) -> MaskScore:
     """Return the score of the embedded segmenter on a cloud, without any map."""
-    masks = GeometricSegmenter(config or GeometricConfig()).segment(cloud.frame).instances
+    masks = make_segmenter(config or PerceptionConfig()).segment(cloud.frame).instances
     truth = np.where(cloud.truth == 0, UNKNOWN, np.where(cloud.truth == 1, 0, cloud.truth))
     return score_masks(masks, truth, _min_pixels(truth))
 
@@ -193,7 +194,7 @@ def _of_keyframes(keyframes: Sequence[PlayedKeyframe]) -> list[Figure]:
     """Return the time on one core and the memory of perception, over keyframes with the maps that they left."""
     chosen = keyframes[:: max(1, len(keyframes) // _TIMED_FRAMES)][:_TIMED_FRAMES]
     config = PerceptionConfig()
-    segmenter = GeometricSegmenter(config.geometric)
+    segmenter = make_segmenter(config)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     best = []
@@ -216,13 +217,13 @@ def _of_keyframes(keyframes: Sequence[PlayedKeyframe]) -> list[Figure]:
     ]
 
 
-def _perceive_again(seen: PlayedKeyframe, segmenter: GeometricSegmenter, config: PerceptionConfig) -> None:
+def _perceive_again(seen: PlayedKeyframe, segmenter: Segmenter, config: PerceptionConfig) -> None:
     frame: Frame = seen.frame
     space, known = seen.snapshot.submaps[0].observed_space, seen.snapshot.objects
     perceive(frame, space, None, segmenter, config, known, lattice=Lattice())
 
 
-def _working_memory_mb(seen: PlayedKeyframe, segmenter: GeometricSegmenter, config: PerceptionConfig) -> float:
+def _working_memory_mb(seen: PlayedKeyframe, segmenter: Segmenter, config: PerceptionConfig) -> float:
     """Return the most memory that perception holds at a time, as far as Python and NumPy allocate it."""
     tracemalloc.start()
     try:

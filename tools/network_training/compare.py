@@ -107,7 +107,7 @@ def ways_of(network: PixelNetwork) -> dict[str, Callable[[Shown], NDArray[np.int
     divided = NetworkSegmenter(network, NetworkJoinConfig(), config)
 
     def divided_by_truth(shown: Shown) -> NDArray[np.int32]:
-        pieces = divided.fragments(divided.prepare(shown.frame), shown.prior)
+        pieces = divided.fragments(shown.frame, shown.prior)
         return trees.segmentation(shown.frame, pieces, truly_joined(pieces, shown.truth)).instances
 
     return {
