@@ -344,7 +344,7 @@ def test_our_own_failure_exits_with_1_and_one_line_that_says_how_to_see_more(
     def broken(*_: object) -> None:
         raise ZeroDivisionError("somewhere\nin the segmenter")
 
-    monkeypatch.setattr("hickory_stream.perception.geometric.GeometricSegmenter.segment", broken)
+    monkeypatch.setattr("hickory_stream.perception.network_segmenter.NetworkSegmenter.segment", broken)
     command = ("play", log, "--out", tmp_path / "map", "--viewer", "none")
     ended = run(*command)
     assert ended.status == 1
