@@ -13,6 +13,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.portable_kernels import cos
+from hickory_stream.perception.union_find import find_root
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -154,14 +155,6 @@ def _creases(points, normals, sigma, structure, reach, cos_crease, step):  # typ
 
 
 @numba.njit(cache=True, nogil=True)
-def _find(parent, i):  # type: ignore[no-untyped-def] # pragma: no cover
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@numba.njit(cache=True, nogil=True)
 def _join(depth, points, normals, sigma, structure, supports, creases, step, gap_share):  # type: ignore[no-untyped-def] # pragma: no cover
     height, width = depth.shape
     parent = np.arange(height * width)
@@ -174,7 +167,7 @@ def _join(depth, points, normals, sigma, structure, supports, creases, step, gap
                 if yy >= height or xx >= width or np.isnan(depth[yy, xx]) or structure[yy, xx] or creases[yy, xx]:
                     continue
                 if _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_share):
-                    ra, rb = _find(parent, y * width + x), _find(parent, yy * width + xx)
+                    ra, rb = find_root(parent, y * width + x), find_root(parent, yy * width + xx)
                     if ra != rb:
                         parent[max(ra, rb)] = min(ra, rb)
     labels = np.zeros((height, width), dtype=np.int32)
@@ -184,7 +177,7 @@ def _join(depth, points, normals, sigma, structure, supports, creases, step, gap
         for x in range(width):
             if np.isnan(depth[y, x]) or structure[y, x] or creases[y, x]:
                 continue
-            root = _find(parent, y * width + x)
+            root = find_root(parent, y * width + x)
             if names[root] == 0:
                 count += 1
                 names[root] = count

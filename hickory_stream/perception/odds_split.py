@@ -15,6 +15,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.perception.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS
+from hickory_stream.perception.union_find import find_root
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -48,14 +49,6 @@ def divided_by_odds(labels: NDArray[np.int32], odds: PixelOdds, config: SplitCon
     pieces = _mutex_watershed(few, odds.odds, np.array(OFFSETS), _PER_DISTANCE, zero)
     pieces = _without_specks(few, pieces, odds.odds, np.array(OFFSETS[:_PER_DISTANCE]), config.min_pixels)
     return np.asarray(_renamed(labels, few, pieces, int(labels.max(initial=0))))
-
-
-@numba.njit(cache=True, nogil=True)
-def _find(parent, i):  # type: ignore[no-untyped-def] # pragma: no cover
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
 
 
 @numba.njit(cache=True, nogil=True)
@@ -106,14 +99,14 @@ def _mutex_watershed(labels, odds, offsets, num_near, zero):  # type: ignore[no-
     for k in range(len(said)):
         a, i = np.int64(said[k, 0]), said[k, 1]
         b = a + offsets[i, 0] * width + offsets[i, 1]
-        ra, rb = _find(parent, a), _find(parent, b)
+        ra, rb = find_root(parent, a), find_root(parent, b)
         if ra == rb:
             continue
         shorter, longer = (ra, rb) if length[ra] <= length[rb] else (rb, ra)
         is_forbidden = False
         at = first[shorter]
         while at >= 0:
-            if _find(parent, others[at]) == longer:
+            if find_root(parent, others[at]) == longer:
                 is_forbidden = True
                 break
             at = following[at]
@@ -138,7 +131,7 @@ def _mutex_watershed(labels, odds, offsets, num_near, zero):  # type: ignore[no-
                 following[last[longer]] = first[shorter]
             last[longer] = last[shorter]
             length[longer] += length[shorter]
-    return np.array([_find(parent, i) for i in range(height * width)]).reshape(height, width)
+    return np.array([find_root(parent, i) for i in range(height * width)]).reshape(height, width)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -168,12 +161,12 @@ def _without_specks(labels, pieces, odds, offsets, min_pixels):  # type: ignore[
             for x in range(width):
                 if labels[y, x] == 0:
                     continue
-                a = _find(parent, pieces[y, x])
+                a = find_root(parent, pieces[y, x])
                 for i in range(len(offsets)):
                     yy, xx = y + offsets[i, 0], x + offsets[i, 1]
                     if yy >= height or xx < 0 or xx >= width or labels[yy, xx] != labels[y, x]:
                         continue
-                    b = _find(parent, pieces[yy, xx])
+                    b = find_root(parent, pieces[yy, xx])
                     if a == b:
                         continue
                     for here, there in ((a, b), (b, a)):
@@ -184,14 +177,14 @@ def _without_specks(labels, pieces, odds, offsets, min_pixels):  # type: ignore[
                                 most[names[here]], best[names[here]] = sums[key], there
         for i in range(size):
             if names[i] and best[names[i]] >= 0:
-                a, b = _find(parent, i), _find(parent, best[names[i]])
+                a, b = find_root(parent, i), find_root(parent, best[names[i]])
                 if a != b:
                     parent[a] = b
                     area[b] += area[a]
     out = np.empty_like(pieces)
     for y in range(height):
         for x in range(width):
-            out[y, x] = _find(parent, pieces[y, x])
+            out[y, x] = find_root(parent, pieces[y, x])
     return out
 
 

@@ -23,6 +23,7 @@ from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
+from hickory_stream.perception.odds_split import SplitConfig
 from hickory_stream.perception.pixel_network import PixelNetwork
 from hickory_stream.records import Frame
 from tools.benchmarks.first_layer import play_first_layer
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     from tools.network_training.frames import Scene
 
 MIN_SHARE = 0.002
+_DIVIDING = 0.5
+"""The shift of odds with which `network-joins` divides; the product divides nothing."""
 _USUAL = DepthCameraConfig(disparity_sigma_px=0.03, correlation_px=1.6, disparity_step_px=1 / 32)
 
 
@@ -104,7 +107,7 @@ def ways_of(network: PixelNetwork) -> dict[str, Callable[[Shown], NDArray[np.int
         pieces = trees.fragments(shown.frame, shown.prior)
         return trees.segmentation(shown.frame, pieces, truly_joined(pieces, shown.truth)).instances
 
-    divided = NetworkSegmenter(network, NetworkJoinConfig(), config)
+    divided = NetworkSegmenter(network, NetworkJoinConfig(split=SplitConfig(odds_shift=_DIVIDING)), config)
 
     def divided_by_truth(shown: Shown) -> NDArray[np.int32]:
         pieces = divided.fragments(shown.frame, shown.prior)
