@@ -483,7 +483,7 @@ OUTPUTS: dict[str, Any] = {
     "reconstruct": Reconstructed,
     "evaluate": "hickory_stream.evaluation.evaluate.Evaluation",
     "evaluate-explain": Definitions,
-    "explain": "hickory_stream.evaluation.why_here.PlaceStory",
+    "explain": "hickory_stream.evaluation.place_story.PlaceStory",
     "explain-object": "hickory_stream.evaluation.why.ObjectStory",
     "explain-truth": "hickory_stream.evaluation.why.Why",
     "evaluate-views": Strategies,

@@ -74,7 +74,8 @@ def _place(options: argparse.Namespace) -> int:
     import numpy as np
 
     from hickory_stream.cli.values import open_map_at
-    from hickory_stream.evaluation.why_here import story_of_pixel, story_of_point
+    from hickory_stream.evaluation.pixel_story import story_of_pixel
+    from hickory_stream.evaluation.place_story import story_of_point
     from hickory_stream.evaluation.why_text import place_text
 
     if options.point is not None:
