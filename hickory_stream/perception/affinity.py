@@ -15,6 +15,7 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.perception.bodies import LEAST_M, bodies_of, union_of
 from hickory_stream.perception.features import Features, of_both
+from hickory_stream.perception.pair_geometry import pair_geometry
 from hickory_stream.perception.parts import grouped_pairs, grouped_parts
 from hickory_stream.perception.sizes import size_features
 from hickory_stream.perception.standing import standing_of
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.bodies import Bodies
     from hickory_stream.perception.features import Makers
+    from hickory_stream.perception.pair_geometry import PairGeometry
     from hickory_stream.perception.parts import Measures, Pairs, Parts
     from hickory_stream.perception.standing import Standing
 
@@ -39,14 +41,15 @@ def pair_features(measures: Measures, numbers: NDArray[np.int64], count: int) ->
     large, small = np.where(is_turned, pairs.b, pairs.a), np.where(is_turned, pairs.a, pairs.b)
     bodies = bodies_of(parts, measures.bottom_m)
     union = union_of(parts, bodies, large, small)
+    geometry = pair_geometry(parts, pairs, large, small)
     features = Features(
         {
             **of_both({**_shapes(parts, bodies), **_colors(parts), **_carried(standing)}, large, small),
-            **_relations(parts, bodies, union, large, small),
+            **_relations(parts, geometry, bodies, union, large, small),
             **_colors_of_pairs(parts, large, small),
             **_standing_of_pairs(standing, large, small),
-            **_seams(pairs, parts, measures, bodies, union, large, small, is_turned),
-            **size_features(measures, parts, pairs, bodies, union, large, small),
+            **_seams(pairs, parts, geometry, measures, bodies, union, large, small, is_turned),
+            **size_features(measures, parts, pairs, geometry, bodies, union, large, small),
         }
     )
     return np.stack([large, small], axis=1), features
@@ -117,20 +120,21 @@ def _standing_of_pairs(standing: Standing, large: NDArray[np.int64], small: NDAr
 
 
 def _relations(
-    parts: Parts, bodies: Bodies, union: Bodies, large: NDArray[np.int64], small: NDArray[np.int64]
+    parts: Parts,
+    geometry: PairGeometry,
+    bodies: Bodies,
+    union: Bodies,
+    large: NDArray[np.int64],
+    small: NDArray[np.int64],
 ) -> Makers:
     """Return how two parts lie to each other and what their union would be: ratios, angles, multiples of sigma.
 
     "Before" is the sine of the angle at which one part's middle lies over the other's plane: positive for both where
     they make a hollow, negative where they make an edge (the convexity of Stein et al. 2014).
     """
-    per = np.maximum(parts.pixels, 1)[:, None]
     normal = parts.normals / np.maximum(np.linalg.norm(parts.normals, axis=1), 1e-9)[:, None]
-    center = parts.place / per
     most = parts.planes.argmax(axis=1)
-    overlap = np.minimum(parts.high[large], parts.high[small]) - np.maximum(parts.low[large], parts.low[small])
-    inset = np.minimum(parts.low[small] - parts.low[large], parts.high[large] - parts.high[small])
-    aside = center[small] - center[large]
+    aside, overlap, inset = geometry.aside_m, geometry.overlap_m, geometry.inset_m
     away = np.maximum(np.sqrt((aside * aside).sum(axis=1)), 1e-4)
     over_large, over_small = (aside * normal[large]).sum(axis=1), -(aside * normal[small]).sum(axis=1)
     sides = np.maximum(parts.high - parts.low, LEAST_M)
@@ -185,6 +189,7 @@ def _signed_log(values: NDArray[np.float64]) -> NDArray[np.float64]:
 def _seams(
     pairs: Pairs,
     parts: Parts,
+    geometry: PairGeometry,
     measures: Measures,
     bodies: Bodies,
     union: Bodies,
@@ -202,9 +207,7 @@ def _seams(
         return np.where(pairs.touch > 0, values / touch, np.nan)
 
     nearer, above = (np.where(is_turned[:, None], v[:, ::-1], v) for v in (pairs.nearer, pairs.above))
-    center = pairs.seam / touch[:, None]
-    spread = np.sqrt(np.maximum(pairs.seam_squares / touch[:, None] - center * center, 0))
-    at_m = center[:, 2] + measures.middle[2]
+    at_m, spread = geometry.seam_m[:, 2] + measures.middle[2], geometry.seam_spread_m
     away = pairs.meet - pairs.touch
     grain = parts.grain[:, 0] / np.maximum(parts.grain[:, 1], 1)
     width_m = np.minimum(bodies.width_m[large], bodies.width_m[small])

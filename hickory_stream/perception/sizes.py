@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.bodies import Bodies
     from hickory_stream.perception.features import Makers
+    from hickory_stream.perception.pair_geometry import PairGeometry
     from hickory_stream.perception.parts import Measures, Pairs, Parts
 
 _FAR_M = 0.3
@@ -35,6 +36,7 @@ def size_features(
     measures: Measures,
     parts: Parts,
     pairs: Pairs,
+    geometry: PairGeometry,
     bodies: Bodies,
     union: Bodies,
     large: NDArray[np.int64],
@@ -42,7 +44,7 @@ def size_features(
 ) -> Makers:
     """Return by name (K,) the sizes of the parts `large` and `small` of each pair, and how they lie to each other."""
     of_parts = of_both(_of_parts(measures, parts, bodies), large, small)
-    return {**of_parts, **_of_pairs(parts, pairs, bodies, union, large, small)}
+    return {**of_parts, **_of_pairs(parts, pairs, geometry, bodies, union, large, small)}
 
 
 def _of_parts(measures: Measures, parts: Parts, bodies: Bodies) -> Makers:
@@ -69,20 +71,16 @@ def _of_parts(measures: Measures, parts: Parts, bodies: Bodies) -> Makers:
 def _of_pairs(
     parts: Parts,
     pairs: Pairs,
+    geometry: PairGeometry,
     bodies: Bodies,
     union: Bodies,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
 ) -> Makers:
-    center = parts.place / np.maximum(parts.pixels, 1)[:, None]
-    aside = center[small] - center[large]
-    overlap = np.minimum(parts.high[large], parts.high[small]) - np.maximum(parts.low[large], parts.low[small])
-    inset = np.minimum(parts.low[small] - parts.low[large], parts.high[large] - parts.high[small])
+    aside, overlap, inset, spread = geometry.aside_m, geometry.overlap_m, geometry.inset_m, geometry.seam_spread_m
     joined = union.box_high_m - union.box_low_m
     volume = np.prod(parts.high - parts.low + 0.01, axis=1)
     touch = np.maximum(pairs.touch, 1)
-    seam = pairs.seam / touch[:, None]
-    spread = np.sqrt(np.maximum(pairs.seam_squares / touch[:, None] - seam * seam, 0))
 
     def of_touching(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(pairs.touch > 0, values, np.nan)
