@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
 
+import cv2
 import numpy as np
 import pytest
 
@@ -45,8 +47,20 @@ def fisheye(rgb: Any, depth: Any) -> Any:
     return np.where(inside[..., None], rgb, 0).astype(np.uint8), np.where(inside, depth, np.nan).astype(np.float32)
 
 
-def biased(rgb: Any, depth: Any) -> Any:
+def fisheye_color(rgb: Any, depth: Any) -> Any:
+    return fisheye(rgb, depth)[0], depth
+
+
+def fisheye_depth(rgb: Any, depth: Any) -> Any:
+    return rgb, fisheye(rgb, depth)[1]
+
+
+def too_long(rgb: Any, depth: Any) -> Any:
     return rgb, (depth + BIAS_M).astype(np.float32)
+
+
+def too_short(rgb: Any, depth: Any) -> Any:
+    return rgb, (depth - BIAS_M).astype(np.float32)
 
 
 def as_it_is(rgb: Any, depth: Any) -> Any:
@@ -54,14 +68,20 @@ def as_it_is(rgb: Any, depth: Any) -> Any:
 
 
 def write_log(
-    path: Path, change: Change = as_it_is, camera: Camera = SCENE_CAMERA, *, times: int = 1, has_color: bool = True
+    path: Path,
+    change: Change = as_it_is,
+    camera: Camera = SCENE_CAMERA,
+    *,
+    times: int = 1,
+    colors: Literal["three", "one", "none"] = "three",
 ) -> Path:
     """Write the scene as a ZED records it, each pair of images changed; 10 frames around three boxes before a wall.
 
-    It is cast with `camera`, each pixel of which then becomes `times` by `times`.
+    It is cast with `camera`, each pixel of which then becomes `times` by `times`. `colors`: the channels of its colour
+    images; "none" leaves out the images and their calibration.
     """
     cast_with, camera = camera, camera.scaled(times)
-    with _Log(path, camera, 90, has_color=has_color) as log:
+    with _Log(path, camera, 90, colors) as log:
         log.write_static(START_NS)
         for i in range(NUM_FRAMES):
             stamp_ns, pose = START_NS + i * PERIOD_NS, scene_pose(i)
@@ -74,15 +94,20 @@ def write_log(
 
 
 class _Log(ZedLog):
-    """A log that may lack its colour."""
+    """A log whose camera may have one channel, or that may lack its colour."""
 
-    def __init__(self, path: Path, camera: Camera, jpeg_quality: int, *, has_color: bool) -> None:
+    def __init__(self, path: Path, camera: Camera, jpeg_quality: int, colors: str) -> None:
         super().__init__(path, camera, jpeg_quality)
-        self._has_color = has_color
+        self._colors = colors
 
     def _put(self, topic: str, stamp_ns: int, message: Any) -> None:
-        if self._has_color or topic not in (COLOR_TOPIC, COLOR_INFO_TOPIC):
-            super()._put(topic, stamp_ns, message)
+        if self._colors == "none" and topic in (COLOR_TOPIC, COLOR_INFO_TOPIC):
+            return
+        if self._colors == "one" and topic == COLOR_TOPIC:
+            light = cv2.imdecode(message.data, cv2.IMREAD_GRAYSCALE)
+            data = cv2.imencode(".png", light)[1].ravel()
+            message = replace(message, format="mono8; png compressed mono8", data=data)
+        super()._put(topic, stamp_ns, message)
 
 
 def doctor(log: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -106,7 +131,7 @@ def num_found(centers: list[NDArray[np.float64]], within_m: float) -> int:
 
 
 @pytest.mark.parametrize(
-    ("change", "least"), [(black, 2), (grey, 3), (fisheye, 2)], ids=["black", "grey", "fisheye border"]
+    ("change", "least"), [(black, 2), (grey, 3), (fisheye, 2), (fisheye_color, 3), (fisheye_depth, 3)]
 )
 def test_a_log_with_poor_images_is_mapped(change: Change, least: int, tmp_path: Path) -> None:
     assert num_found(mapped(write_log(tmp_path / "a.mcap", change), tmp_path / "out"), 0.15) >= least
@@ -120,6 +145,23 @@ def test_small_and_large_images_are_mapped(width: int, height: int, times: int, 
     assert num_found(mapped(log, tmp_path / "out"), 0.15) == 3
 
 
+def test_a_monochrome_camera_is_mapped_and_doctor_says_that_it_is_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "a.mcap", colors="one")
+    assert num_found(mapped(log, tmp_path / "out"), 0.15) == 3
+    told = doctor(log, capsys)
+    assert told["problems"] == []
+    assert any("the camera has no colour" in note for note in told["notes"])
+
+
+@pytest.mark.parametrize("change", [fisheye, fisheye_color, fisheye_depth])
+def test_doctor_finds_no_fault_with_a_fisheye_border(
+    change: Change, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert doctor(write_log(tmp_path / "a.mcap", change), capsys)["problems"] == []
+
+
 def test_doctor_says_that_colour_is_black_or_grey(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = doctor(write_log(tmp_path / "black.mcap", black), capsys)
     assert any("colour is black" in problem for problem in told["problems"])
@@ -129,20 +171,25 @@ def test_doctor_says_that_colour_is_black_or_grey(tmp_path: Path, capsys: pytest
     assert not any("colour is black" in text for text in told["problems"] + told["notes"])
 
 
-def test_a_constant_bias_of_depth_is_found_and_taken_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = write_log(tmp_path / "a.mcap", biased)
+@pytest.mark.parametrize(("change", "bias_m"), [(too_long, BIAS_M), (too_short, -BIAS_M)])
+def test_a_constant_bias_of_depth_is_found_and_taken_off(
+    change: Change, bias_m: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "a.mcap", change)
     told = doctor(log, capsys)
-    assert told["frames"]["depth_bias"]["bias_m"] == pytest.approx(BIAS_M, abs=0.01)
+    assert told["frames"]["depth_bias"]["bias_m"] == pytest.approx(bias_m, abs=0.01)
     (problem,) = [text for text in told["problems"] if "at every distance" in text]
     setting = problem.partition("--set ")[2].partition(",")[0]
-    assert setting.startswith("mapper.sensor.bias_m=0.0")
+    name, value = setting.split("=")
+    assert name == "mapper.sensor.bias_m"
+    assert float(value) == pytest.approx(bias_m, abs=0.01)
     assert num_found(mapped(log, tmp_path / "mended", setting), 0.05) == 3
 
 
 def test_depth_without_colour_is_refused_and_says_what_is_missing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log = write_log(tmp_path / "a.mcap", has_color=False)
+    log = write_log(tmp_path / "a.mcap", colors="none")
     assert main(["play", str(log), "--out", str(tmp_path / "map"), "--viewer", "none"]) == 2
     told = capsys.readouterr().err.strip().splitlines()[-1]
     assert "colour" in told
