@@ -27,6 +27,7 @@ _HELPERS = {
     "foreign_parts",
     "foreign_runs",
     "intervals",
+    "keyframe_memory",
     "labelled_clouds",
     "live_scene",
     "map_changes",
