@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_or
 from hickory_stream.errors import ConfigError, RangeError
 from hickory_stream.geometry.depth_sensor import SensorConfig
 from hickory_stream.json_text import toml_string
-from hickory_stream.mapping.core import MappingConfig
 from hickory_stream.mapping.keyframes import KeyframeConfig
+from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.ranges import Ranged, number, ranges_of
 from hickory_stream.shapes.build import ShapeConfig

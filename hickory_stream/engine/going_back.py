@@ -17,7 +17,8 @@ from hickory_stream.events import ShapeFailed, ShapeReady
 if TYPE_CHECKING:
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.engine.step import OpenJob
-    from hickory_stream.mapping.core import MapperCore, MappingConfig
+    from hickory_stream.mapping.core import MapperCore
+    from hickory_stream.mapping.mapping_config import MappingConfig
 
 Answer = ShapeReady | ShapeFailed
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.journal import Journal
     from hickory_stream.engine.step import JournalEntry, Step
-    from hickory_stream.mapping.core import MappingConfig
+    from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.records import MapSnapshot
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.events import FrameObserved
-    from hickory_stream.mapping.core import MappingConfig
+    from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.track import Track
     from hickory_stream.perception.geometric import Fragments
     from hickory_stream.perception.perceive import PerceptionConfig

@@ -7,7 +7,7 @@ same map, to the byte.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, assert_never
 
 import numpy as np
@@ -24,7 +24,6 @@ from hickory_stream.events import (
     PoseJumped,
     PosesCorrected,
     Publish,
-    RequestShape,
     ShapeFailed,
     ShapeReady,
     SourceEnded,
@@ -32,38 +31,32 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.geometry.lattice import Lattice
-from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.associate import AssociateConfig, Match, associate, is_swollen
+from hickory_stream.mapping.against_structure import is_seen_through, points_in_wall, why_structure
+from hickory_stream.mapping.associate import Match, associate, is_swollen
 from hickory_stream.mapping.carried import is_inner_part
 from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
-from hickory_stream.mapping.existence import Existence, ExistenceConfig, doubted, no_evidence, sighted
-from hickory_stream.mapping.floating import FloatConfig, stem_of
-from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, is_sure, next_phase
-from hickory_stream.mapping.merge import MergeConfig, VoteBook, find_pair, foreign_points, merge, why_one
+from hickory_stream.mapping.existence import Existence, doubted, no_evidence, sighted
+from hickory_stream.mapping.floating import stem_of
+from hickory_stream.mapping.lifecycle import aged, next_phase
+from hickory_stream.mapping.merge import VoteBook, find_pair, foreign_points, merge, pair_of, pairs_that_meet, why_one
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import (
-    FlushConfig,
     as_record,
-    is_edge,
-    is_flush,
     known_no_object,
     share_in,
-    structure_hits,
 )
-from hickory_stream.mapping.parts import Part, PartConfig, Parts, moved_to, with_keyframe
+from hickory_stream.mapping.parts import Part, Parts, moved_to, with_keyframe
 from hickory_stream.mapping.requests import (
-    RequestConfig,
-    best_score,
     gain_of,
     increase_in_score,
     next_replacements,
     next_requests,
     predicted_s,
+    shape_request,
+    state_of_request,
     support_height_m,
 )
 from hickory_stream.mapping.submaps import (
-    SubmapConfig,
     SubmapState,
     first_submap,
     interrupted,
@@ -75,19 +68,16 @@ from hickory_stream.mapping.submaps import (
     with_structure,
 )
 from hickory_stream.mapping.track import (
-    ShapeState,
     Track,
-    TrackConfig,
     as_object,
-    box_of,
     grown,
+    new_track,
     sketched,
     touching,
     with_cloud,
     without_views,
 )
-from hickory_stream.mapping.views import ViewConfig, better, covers_better, score, score_bound, sector_of
-from hickory_stream.ranges import Ranged
+from hickory_stream.mapping.views import better, covers_better, score, score_bound, sector_of, view_of
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
 if TYPE_CHECKING:
@@ -95,27 +85,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.records import DropCause, MaskFeature, Observation, ObservedSpace, TrackedObject
 
     Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class MappingConfig(Ranged):
-    """The configuration of everything that the core decides, and the lattices on which perception tells it."""
-
-    lattice: Lattice = field(default_factory=Lattice)
-    track: TrackConfig = field(default_factory=TrackConfig)
-    associate: AssociateConfig = field(default_factory=AssociateConfig)
-    existence: ExistenceConfig = field(default_factory=ExistenceConfig)
-    lifecycle: LifecycleConfig = field(default_factory=LifecycleConfig)
-    merge: MergeConfig = field(default_factory=MergeConfig)
-    parts: PartConfig = field(default_factory=PartConfig)
-    views: ViewConfig = field(default_factory=ViewConfig)
-    requests: RequestConfig = field(default_factory=RequestConfig)
-    flush: FlushConfig = field(default_factory=FlushConfig)
-    floating: FloatConfig = field(default_factory=FloatConfig)
-    submaps: SubmapConfig = field(default_factory=SubmapConfig)
 
 
 _FLOATS = "it would float but for this one"
@@ -388,10 +361,10 @@ class MapperCore:
         observation = event.observations[match.observation_index]
         others = ", ".join(f"#{i} {iou:.2f}" for i, iou in match.candidates) or "none"
         if match.track_id is None:
-            track_id = self._next_id
-            self._next_id += 1
             found = self._sighted(no_evidence(), event, observation)
-            self._tracks[track_id] = self._new_track(track_id, event.stamp_ns, seen, 1, found)
+            track_id = self._next_id
+            self._tracks[track_id] = self._new_track(event, seen, 1, found)
+            self._next_id += 1
             text = f"mask {observation.box_px}: new; candidates by IoU: {others}"
             self._decide("create", track_id, text, observation_index=observation.index)
             return track_id, []
@@ -421,21 +394,17 @@ class MapperCore:
     def _sighted(self, known: Existence, event: FrameObserved, observation: Observation) -> Existence:
         return sighted(known, observation, event.world_from_camera[:3, 3], self._config.existence)
 
-    def _new_track(self, track_id: int, stamp_ns: int, cloud: Cloud, sightings: int, existence: Existence) -> Track:
-        return Track(
-            id=track_id,
-            phase=Phase.TENTATIVE,
+    def _new_track(self, event: FrameObserved, cloud: Cloud, sightings: int, existence: Existence) -> Track:
+        """Return a track that was first seen now; it has the next id, which is not taken yet."""
+        return new_track(
+            self._next_id,
+            cloud,
+            stamp_ns=event.stamp_ns,
+            clock_ns=self._clock_ns,
             sightings=sightings,
-            first_seen_ns=stamp_ns,
-            last_seen_ns=stamp_ns,
-            seen_clock_ns=self._clock_ns,
-            cloud=cloud,
-            solid=cloud,
-            box=box_of(cloud.points, self._config.lattice.points_m),
-            bounds=bounds_of(cloud.points),
             submap_id=self._submaps.open_id,
-            seen_in=self._submaps.open_id,
             existence=existence,
+            voxel_m=self._config.lattice.points_m,
         )
 
     def _note_parts(
@@ -492,12 +461,12 @@ class MapperCore:
         cloud = solid_part(part.cloud, len(part.frames))
         # It was seen apart often enough to be one: so it was sure before it was a track.
         known = Existence(evidence=float(len(part.frames)), places=event.world_from_camera[None, :3, 3])
-        new = self._new_track(self._next_id, event.stamp_ns, cloud, len(part.frames), known)
+        new = self._new_track(event, cloud, len(part.frames), known)
         size = np.sort(2 * new.box.half_extents_m)
         if size[0] < self._config.parts.min_size_m or size[1] < 2 * self._config.parts.min_size_m:
             return None
         left = with_cloud(host, rest, host.sightings, self._config.lattice.points_m)
-        pair = _pair(host_id, new.id)
+        pair = pair_of(host_id, new.id)
         votes = self._votes.plus([pair], apart=len(part.frames)).plus([pair], together=part.together)
         small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
         near = touching(new.bounds, [self._tracks[i] for i in sorted(self._tracks) if i != host_id])
@@ -542,12 +511,9 @@ class MapperCore:
         only a pair that is not seen apart can be seen together.
         """
         whole = [(m.observation_index, home) for m, home in zip(matches, homes, strict=True) if not m.is_part]
-        bounds = np.array([bounds_of(event.observations[i].points_world) for i, _ in whole]).reshape(-1, 2, 3)
-        low, high = bounds[:, 0], bounds[:, 1]
-        slack_m = 0.15
-        meet = (low[:, None] <= high[None] + slack_m).all(axis=2) & (low[None] <= high[:, None] + slack_m).all(axis=2)
-        apart = {_pair(whole[i][1], whole[j][1]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)}
-        together = {_pair(home, other) for home, others in zip(homes, covered, strict=True) for other in others}
+        bounds = [bounds_of(event.observations[i].points_world) for i, _ in whole]
+        apart = pairs_that_meet(bounds, [home for _, home in whole])
+        together = {pair_of(home, other) for home, others in zip(homes, covered, strict=True) for other in others}
         self._votes = self._votes.plus(sorted(apart), apart=1).plus(sorted(together - apart), together=1)
 
     def _merge_tracks(self, changed: set[int]) -> list[Effect]:
@@ -576,7 +542,8 @@ class MapperCore:
         for track_id in sorted(self._tracks):
             track = self._tracks[track_id]
             is_judged = self._is_judged(track)
-            if is_judged and (reason := self._why_structure(track)) is not None:
+            reason = why_structure(track, self._submaps.space, self._clock_ns, self._config) if is_judged else None
+            if reason is not None:
                 self._submaps = with_structure(self._submaps, track.solid.points)
                 no_object = known_no_object(self._submaps.space)
                 effects += self._drop_track(track, "structure", reason)
@@ -585,7 +552,8 @@ class MapperCore:
             if lies_in > self._config.lifecycle.structure_share:
                 effects += self._drop_track(track, "in structure", "a piece of what was found to be structure")
                 continue
-            if is_judged and track.seen_clock_ns != self._clock_ns and self._is_seen_through(track, event):
+            is_out_of_sight = is_judged and track.seen_clock_ns != self._clock_ns
+            if is_out_of_sight and is_seen_through(track, event.space.free_keys, self._config):
                 track = replace(track, seen_through=track.seen_through + 1, existence=doubted(track.existence))
             phase = next_phase(track, self._clock_ns, self._config.lifecycle)
             if phase is None:
@@ -601,12 +569,6 @@ class MapperCore:
             self._tracks[track_id] = sketched(aged(track, phase), self._config.track)
         return effects
 
-    def _why_structure(self, track: Track) -> str | None:
-        """Return why a track is no object but structure, None where it may be one."""
-        if is_structure(track, self._submaps.space.floor_z_m, self._config.lifecycle):
-            return f"{np.round(2 * track.box.half_extents_m, 1)} m: structure"
-        return "flat or an edge, and the wall goes on around it" if self._is_more_wall(track) else None
-
     def _stem_of(self, track: Track) -> Track | None:
         """Return what a track is a piece of that would float without it, None where it stands or hangs by itself."""
         if self._associator is not None:
@@ -616,28 +578,11 @@ class MapperCore:
 
     def _without_wall(self, track: Track) -> Track:
         """Return a track without what of it lies in structure, if that is more than a seam at a wall."""
-        config = self._config.lifecycle
-        space = self._submaps.space
-        hits = structure_hits(space, keys_of_points(track.cloud.points, space.voxel_m))
-        # A shelf's back in the voxels of the wall behind it was seen as its own more often than as the wall.
-        in_wall = (hits >= config.wall_hits) & (hits > config.wall_against * track.cloud.hits)
-        if not config.wall_share < float(in_wall.mean()) < 0.9:
+        in_wall = points_in_wall(track, self._submaps.space, self._config)
+        if in_wall is None:
             return track
         self._decide("split", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
         return with_cloud(track, without(track.cloud, in_wall), track.sightings, self._config.lattice.points_m)
-
-    def _is_more_wall(self, track: Track) -> bool:
-        """Return whether a track is flush with structure, or an edge of it; asked where it settles or rests."""
-        is_settling = track.phase is Phase.TENTATIVE and is_sure(track, self._config.lifecycle)
-        is_resting = track.phase is Phase.ACTIVE and self._clock_ns - track.seen_clock_ns > 1e9
-        if not (is_settling or is_resting):
-            return False
-        space, config = self._submaps.space, self._config.flush
-        return is_flush(space, track.box, config) or is_edge(space, track.box, config)
-
-    def _is_seen_through(self, track: Track, event: FrameObserved) -> bool:
-        share = share_in(event.space.free_keys, track.cloud.points, self._config.lattice.space_m)
-        return share >= self._config.lifecycle.phantom_share
 
     def _drop_track(self, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:
         del self._tracks[track.id]
@@ -661,7 +606,7 @@ class MapperCore:
             if track_id is None or match.is_part:
                 continue
             observation, track = event.observations[match.observation_index], self._tracks[track_id]
-            view = _view_of(event, observation, track_id)
+            view = view_of(event, observation, track_id)
             best = track.best_view
             bound = score_bound(view, self._config.views)
             if best is None or best.score is None or bound > best.score:
@@ -717,37 +662,19 @@ class MapperCore:
             if (gone := track.shape_state.open_ticket) is not None:
                 effects.append(CancelShape(ticket=gone))
                 self._decide("shape", track_id, f"job {gone} is replaced: S grew by {increase_in_score(track):.3f}")
-            core = track.solid
-            views = sorted(track.views, key=lambda view: (view is not track.best_view, view.frame_index, view.box_px))
             ticket = self._next_ticket
             self._next_ticket += 1
-            effects.append(
-                RequestShape(
-                    ticket=ticket,
-                    object_id=track_id,
-                    views=tuple(views),
-                    points_world=core.points,
-                    colors=np.round(core.colors).astype(np.uint8),
-                    box=track.box,
-                    support_z_m=support_height_m(track, self._tracks.values(), self._submaps.space.floor_z_m),
-                    due_ns=(self._stamp_ns or 0) + int(config.latency_s * 1e9),
-                )
-            )
+            support_z_m = support_height_m(track, self._tracks.values(), self._submaps.space.floor_z_m)
+            due_ns = (self._stamp_ns or 0) + int(config.latency_s * 1e9)
+            request = shape_request(track, ticket=ticket, support_z_m=support_z_m, due_ns=due_ns)
+            effects.append(request)
             self._decide(
                 "shape",
                 track_id,
                 f"job {ticket} asked for: S {increase_in_score(track):+.3f} in {predicted_s(track, config):.1f} s, "
-                f"new {gain_of(track):.2f}, {len(views)} views",
+                f"new {gain_of(track):.2f}, {len(request.views)} views",
             )
-            state = ShapeState(
-                open_ticket=ticket,
-                asked_clock_ns=self._clock_ns,
-                asked_points=len(core.keys),
-                asked_views=tuple(view.name for view in track.views),
-                asked_score=best_score(track),
-                is_replacement=gone is not None,
-                failures=track.shape_state.failures,
-            )
+            state = state_of_request(track, ticket, self._clock_ns, is_replacement=gone is not None)
             self._tracks[track_id] = replace(track, shape_state=state)
         return effects
 
@@ -820,25 +747,3 @@ class MapperCore:
 def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:
     """Return an object where its submap lies: itself, to the byte, where that was not corrected."""
     return item if np.array_equal(world_from_submap, np.eye(4)) else moved_object(item, world_from_submap)
-
-
-def _pair(a: int, b: int) -> tuple[int, int]:
-    return min(a, b), max(a, b)
-
-
-def _view_of(event: FrameObserved, observation: Observation, track_id: int) -> View:
-    return View(
-        object_id=track_id,
-        frame_index=event.frame_index,
-        stamp_ns=event.stamp_ns,
-        box_px=observation.box_px,
-        world_from_camera=event.world_from_camera,
-        r_area=observation.r_area,
-        r_depth=observation.r_depth,
-        box_volume_m3=observation.box.volume_m3,
-        score=None,
-        variance=None,
-        feature=None,
-        is_cut=observation.is_cut,
-        observation_index=observation.index,
-    )

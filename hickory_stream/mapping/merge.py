@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 
 _FOOT_GAP_M = 0.2
+# Boxes that come so near meet: their things can be taken for one.
+_MEET_M = 0.15
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -94,6 +96,19 @@ class VoteBook:
     def without(self, gone: int) -> VoteBook:
         """Return the book without a track that was dropped."""
         return VoteBook(votes={pair: vote for pair, vote in self.votes.items() if gone not in pair})
+
+
+def pair_of(a: int, b: int) -> tuple[int, int]:
+    """Return the key of a pair of tracks, the lower id first."""
+    return min(a, b), max(a, b)
+
+
+def pairs_that_meet(bounds: Sequence[NDArray[np.float32]], track_ids: Sequence[int]) -> set[tuple[int, int]]:
+    """Return the pairs of the tracks of observations whose bounds (2, 3) meet, or nearly."""
+    both = np.array(bounds).reshape(-1, 2, 3)
+    low, high = both[:, 0], both[:, 1]
+    meet = (low[:, None] <= high[None] + _MEET_M).all(axis=2) & (low[None] <= high[:, None] + _MEET_M).all(axis=2)
+    return {pair_of(track_ids[i], track_ids[j]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)}
 
 
 def foreign_points(

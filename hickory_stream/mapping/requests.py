@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.events import RequestShape
 from hickory_stream.geometry import portable
+from hickory_stream.mapping.track import ShapeState
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
@@ -118,6 +120,34 @@ def support_height_m(track: Track, others: Iterable[Track], floor_z_m: float | N
     if best is not None:
         return best
     return floor_z_m if floor_z_m is not None and bottom - floor_z_m < 0.35 else None
+
+
+def shape_request(track: Track, *, ticket: int, support_z_m: float | None, due_ns: int) -> RequestShape:
+    """Return the job that makes a shape of a track's solid part and its views, the best one first."""
+    views = sorted(track.views, key=lambda view: (view is not track.best_view, view.frame_index, view.box_px))
+    return RequestShape(
+        ticket=ticket,
+        object_id=track.id,
+        views=tuple(views),
+        points_world=track.solid.points,
+        colors=np.round(track.solid.colors).astype(np.uint8),
+        box=track.box,
+        support_z_m=support_z_m,
+        due_ns=due_ns,
+    )
+
+
+def state_of_request(track: Track, ticket: int, clock_ns: int, *, is_replacement: bool) -> ShapeState:
+    """Return what a track remembers of a job that is asked for now."""
+    return ShapeState(
+        open_ticket=ticket,
+        asked_clock_ns=clock_ns,
+        asked_points=len(track.solid.keys),
+        asked_views=tuple(view.name for view in track.views),
+        asked_score=best_score(track),
+        is_replacement=is_replacement,
+        failures=track.shape_state.failures,
+    )
 
 
 def _surrounds(points: NDArray[np.float32], box: OrientedBox) -> bool:

@@ -104,6 +104,35 @@ class Track:
         return tuple(sorted(kept.values(), key=lambda view: (view.frame_index, view.box_px)))
 
 
+def new_track(
+    track_id: int,
+    cloud: Cloud,
+    *,
+    stamp_ns: int,
+    clock_ns: int,
+    sightings: int,
+    submap_id: int,
+    existence: Existence,
+    voxel_m: float,
+) -> Track:
+    """Return a tentative track of a cloud that was first seen at a stamp, in a submap."""
+    return Track(
+        id=track_id,
+        phase=Phase.TENTATIVE,
+        sightings=sightings,
+        first_seen_ns=stamp_ns,
+        last_seen_ns=stamp_ns,
+        seen_clock_ns=clock_ns,
+        cloud=cloud,
+        solid=cloud,
+        box=box_of(cloud.points, voxel_m),
+        bounds=bounds_of(cloud.points),
+        submap_id=submap_id,
+        seen_in=submap_id,
+        existence=existence,
+    )
+
+
 def grown(track: Track, seen: Cloud, sightings: int, voxel_m: float) -> Track:
     """Return the track with a cloud fused into its own, `sightings` in all, and the box that follows."""
     return with_cloud(track, fuse(track.cloud, seen), sightings, voxel_m)

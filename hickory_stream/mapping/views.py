@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Literal, assert_never
 
 from hickory_stream.geometry.portable_kernels import arctan2, log1p, power
 from hickory_stream.ranges import Ranged, number
+from hickory_stream.records import View
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from hickory_stream.records import View
+    from hickory_stream.events import FrameObserved
+    from hickory_stream.records import Observation
 
 Strategy = Literal["s_score", "initial", "max_area", "max_box", "max_volume"]
 
@@ -103,3 +105,22 @@ def usefulness(view: View) -> float:
 def covers_better(view: View, incumbent: View | None, config: ViewConfig) -> bool:
     """Return whether a view should take the place of the one kept for its sector."""
     return incumbent is None or usefulness(view) > config.better_by * usefulness(incumbent)
+
+
+def view_of(event: FrameObserved, observation: Observation, track_id: int) -> View:
+    """Return an observation of a track as a view, not judged yet."""
+    return View(
+        object_id=track_id,
+        frame_index=event.frame_index,
+        stamp_ns=event.stamp_ns,
+        box_px=observation.box_px,
+        world_from_camera=event.world_from_camera,
+        r_area=observation.r_area,
+        r_depth=observation.r_depth,
+        box_volume_m3=observation.box.volume_m3,
+        score=None,
+        variance=None,
+        feature=None,
+        is_cut=observation.is_cut,
+        observation_index=observation.index,
+    )

@@ -27,9 +27,10 @@ from hickory_stream.events import (
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.superquadric import radial_distance_m, volumes_m3
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
+from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.mapping.merge import MergeConfig
 from hickory_stream.mapping.requests import RequestConfig
 from hickory_stream.mapping.views import Strategy, ViewConfig

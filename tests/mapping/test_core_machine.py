@@ -24,9 +24,10 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
+from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.mapping.merge import MergeConfig
 from hickory_stream.mapping.requests import RequestConfig
 from tests.mapping.mapping_fixtures import (

@@ -7,8 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.mapping.cloud import Cloud, cloud_of
-from hickory_stream.mapping.merge import MergeConfig, VoteBook, Votes, find_pair, foreign_points, merge
+from hickory_stream.mapping.merge import (
+    MergeConfig,
+    VoteBook,
+    Votes,
+    find_pair,
+    foreign_points,
+    merge,
+    pairs_that_meet,
+)
 from hickory_stream.mapping.track import Track
 from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.records import Phase
@@ -236,3 +245,9 @@ def test_a_merged_track_has_the_shape_that_there_is_and_the_phase_of_the_one_see
     assert one.phase is Phase.DORMANT
     mine = shape(9)
     assert merge(replace(kept, shape=mine), gone, VOXEL_M, VIEWS).shape is mine
+
+
+def test_observations_meet_whose_boxes_are_within_a_hand_of_each_other() -> None:
+    bounds = [bounds_of(box_surface((x, 0, 0), (0.2, 0.2, 0.2))) for x in (0.0, 0.3, 0.8)]
+    assert pairs_that_meet(bounds, [7, 4, 5]) == {(4, 7)}
+    assert pairs_that_meet([], []) == set()

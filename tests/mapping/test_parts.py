@@ -14,8 +14,9 @@ from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, is_swollen
 from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot
 from hickory_stream.mapping.cloud import cloud_of
-from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.lifecycle import LifecycleConfig, is_structure
+from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.mapping.observed_space import FlushConfig, add, add_structure, empty_space, is_edge, is_flush
 from hickory_stream.mapping.parts import PartConfig, moved_to, with_keyframe
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track

@@ -12,6 +12,8 @@ from hickory_stream.mapping.requests import (
     next_replacements,
     next_requests,
     predicted_s,
+    shape_request,
+    state_of_request,
     support_height_m,
 )
 from hickory_stream.mapping.track import ShapeState, Track
@@ -214,3 +216,17 @@ def test_what_hangs_or_has_no_floor_below_has_no_known_support() -> None:
 def test_of_two_things_under_it_an_object_stands_on_the_higher() -> None:
     book = track(3, box_surface((0.2, 0.1, 0.755), (0.3, 0.3, 0.03)))
     assert support_height_m(mug(0.77), [table(), book], floor_z_m=0.0) == pytest.approx(0.77, abs=0.01)
+
+
+def test_a_request_has_the_best_view_first_and_the_track_remembers_what_it_asked_with() -> None:
+    bare = seen(1, num_views=3)
+    best = replace(bare.views[1], score=0.5)
+    known = replace(bare, best_view=best, coverage=tuple((i, best if i == 1 else v) for i, v in bare.coverage))
+    request = shape_request(known, ticket=8, support_z_m=0.7, due_ns=5)
+    assert [view.frame_index for view in request.views] == [11, 10, 12]
+    assert (request.ticket, request.object_id, request.support_z_m, request.due_ns) == (8, 1, 0.7, 5)
+    assert len(request.points_world) == len(request.colors) == len(known.solid.keys)
+    state = state_of_request(failed(known, 1), 8, 3, is_replacement=True)
+    assert (state.open_ticket, state.asked_clock_ns, state.asked_score, state.failures) == (8, 3, 0.5, 1)
+    assert set(state.asked_views) == {view.name for view in known.views}
+    assert state.is_replacement

@@ -17,9 +17,10 @@ from hickory_stream.events import FrameObserved, PoseJumped, PosesCorrected, Pub
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.core import MapperCore, MappingConfig
+from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
+from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.mapping.observed_space import add, as_record
 from hickory_stream.mapping.requests import RequestConfig
 from hickory_stream.mapping.submaps import (

@@ -1,0 +1,37 @@
+"""The configuration of the core, by what each part of it decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hickory_stream.geometry.lattice import Lattice
+from hickory_stream.mapping.associate import AssociateConfig
+from hickory_stream.mapping.existence import ExistenceConfig
+from hickory_stream.mapping.floating import FloatConfig
+from hickory_stream.mapping.lifecycle import LifecycleConfig
+from hickory_stream.mapping.merge import MergeConfig
+from hickory_stream.mapping.observed_space import FlushConfig
+from hickory_stream.mapping.parts import PartConfig
+from hickory_stream.mapping.requests import RequestConfig
+from hickory_stream.mapping.submaps import SubmapConfig
+from hickory_stream.mapping.track import TrackConfig
+from hickory_stream.mapping.views import ViewConfig
+from hickory_stream.ranges import Ranged
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MappingConfig(Ranged):
+    """The configuration of everything that the core decides, and the lattices on which perception tells it."""
+
+    lattice: Lattice = field(default_factory=Lattice)
+    track: TrackConfig = field(default_factory=TrackConfig)
+    associate: AssociateConfig = field(default_factory=AssociateConfig)
+    existence: ExistenceConfig = field(default_factory=ExistenceConfig)
+    lifecycle: LifecycleConfig = field(default_factory=LifecycleConfig)
+    merge: MergeConfig = field(default_factory=MergeConfig)
+    parts: PartConfig = field(default_factory=PartConfig)
+    views: ViewConfig = field(default_factory=ViewConfig)
+    requests: RequestConfig = field(default_factory=RequestConfig)
+    flush: FlushConfig = field(default_factory=FlushConfig)
+    floating: FloatConfig = field(default_factory=FloatConfig)
+    submaps: SubmapConfig = field(default_factory=SubmapConfig)
