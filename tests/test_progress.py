@@ -9,7 +9,7 @@ import pytest
 
 from hickory_stream.cli.compile_notice import CompileNotice
 from hickory_stream.cli.evaluate_views import planned_runs
-from hickory_stream.engine.run import Progress
+from hickory_stream.engine.run_progress import Progress
 from hickory_stream.progress import ProgressPrinter
 
 AT_START = Progress(phase="mapping", frames=0, total=1000, keyframes=0, objects=0, open_shapes=0)

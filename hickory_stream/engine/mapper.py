@@ -19,7 +19,7 @@ from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.journal import JournalWriter
 from hickory_stream.engine.processor import processor_of_run
 from hickory_stream.engine.resume import reopen, resumed_config
-from hickory_stream.engine.run import Mode, Progress, Run
+from hickory_stream.engine.run import Mode, Run
 from hickory_stream.engine.session import create_map_folder
 from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.engine.continued import Continued
+    from hickory_stream.engine.run_progress import Progress
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot

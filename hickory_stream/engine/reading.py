@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.engine.channel import Channel, ChannelClosed
 from hickory_stream.errors import RecordingError
+from hickory_stream.events import TimeJumped
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.pump import Pump
+    from hickory_stream.engine.step import FramePose
     from hickory_stream.geometry.depth_sensor import SensorConfig
     from hickory_stream.ports import Segmenter, Source
     from hickory_stream.records import Frame, RawFrame
@@ -56,6 +58,23 @@ class Position:
     last_index: int = -1
     keyframe: Keyframe | None = None
     last_ns: int | None = None
+
+
+def time_jump(
+    last: FramePose | None, read: Read, *, round_index: int, first_ns: int | None, most_s: float
+) -> TimeJumped | None:
+    """Return the jump of time before a frame, None where its stamp follows that of the frame before.
+
+    `round_index` is that of the frame before, `first_ns` the first stamp of all; a gap of up to `most_s` is none.
+    """
+    if last is None or first_ns is None:
+        return None
+    from_ns, to_ns = last.stamp_ns, read.raw.stamp_ns
+    if read.round_index != round_index:
+        return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="loop")
+    if 0 <= to_ns - from_ns <= most_s * 1e9:
+        return None
+    return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="restart" if to_ns < first_ns else "seek")
 
 
 def playback_channel() -> Channel[Read]:

@@ -18,7 +18,6 @@ import logging
 import time
 from collections import Counter, defaultdict, deque
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, assert_never
 
 import numpy as np
@@ -26,15 +25,19 @@ import psutil
 
 from hickory_stream.caches import cache_folder
 from hickory_stream.engine.channel import ChannelClosed
+from hickory_stream.engine.corrections import checked_places
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.first_run import compile_kernels
+from hickory_stream.engine.frame_reports import final_report, keyframe_report, plain_report
 from hickory_stream.engine.going_back import known_before
+from hickory_stream.engine.keyframe_images import color_of, crop_of
 from hickory_stream.engine.loop_delay import LoopDelay
-from hickory_stream.engine.message_ledger import message_ledger
 from hickory_stream.engine.placing import where_it_lies
 from hickory_stream.engine.pump import Pump
-from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel, sensed
+from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel, sensed, time_jump
 from hickory_stream.engine.recorder import Recorder, Unwritten
+from hickory_stream.engine.run_accounts import run_ledger, run_timings
+from hickory_stream.engine.run_progress import Progress
 from hickory_stream.engine.shape_cache import ShapeCache
 from hickory_stream.engine.shape_queue import ShapeQueue
 from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, Step, StepKind, Told
@@ -54,20 +57,16 @@ from hickory_stream.events import (
     ShapeFailed,
     ShapeReady,
     SourceEnded,
-    TimeJumped,
 )
-from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.perceive import Perceived, features_of, perceive
-from hickory_stream.ports import Crop
-from hickory_stream.records import Frame, FrameReport, MapSnapshot, RawFrame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.config import JournalConfig, MapperConfig
+    from hickory_stream.config import MapperConfig
     from hickory_stream.engine.continued import Continued
     from hickory_stream.engine.journal import JournalWriter
     from hickory_stream.engine.session import MapFolder
@@ -76,30 +75,13 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.ports import FeatureExtractor, Segmenter, Source
-    from hickory_stream.records import Decision, Observation
+    from hickory_stream.records import Decision, Frame, FrameReport, MapSnapshot, Observation, RawFrame
 
 logger = logging.getLogger(__name__)
 T = TypeVar("T")
 
 Mode = Literal["playback", "live"]
 _PROCESS = psutil.Process()
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Progress:
-    """Where a run is: for the bar. `frames` of `total` (None: unknown), `phase` in a word.
-
-    While the phase is `compiling`, `num_compiled` kernels of about `num_kernels` are.
-    """
-
-    phase: str
-    frames: int
-    total: int | None
-    keyframes: int
-    objects: int
-    open_shapes: int
-    num_compiled: int = 0
-    num_kernels: int = 0
 
 
 class Run:
@@ -198,28 +180,19 @@ class Run:
 
     def ledger(self, source: Source) -> dict[str, dict[str, Any]]:
         """Return what became of every message, frame and job."""
-        counts = {name: count for name, count in self.counts.items() if count}
-        read = counts.pop("read", self._num_frames + counts.get("frames_late", 0))
-        frames = {"read": read, "keyframes": self._num_keyframes, **counts}
-        reports = sum(sink.num_dropped for sink in self._sinks)
-        if reports:
-            frames["reports_not_shown"] = reports
-        kept = {"source": dict(source.ledger()), "frames": frames, "shapes": self._shape_counts()}
-        messages = message_ledger(source, frames)
-        return {**kept, "messages": messages} if messages else kept
+        return run_ledger(
+            source,
+            num_frames=self._num_frames,
+            num_keyframes=self._num_keyframes,
+            counts=self.counts,
+            shapes=self._shape_counts(),
+            num_not_shown=sum(sink.num_dropped for sink in self._sinks),
+        )
 
     def timings(self) -> dict[str, float]:
         """Return seconds of work: by layer as in the paper's table of storage and time, and by stage."""
-        steps = self._shapes.timings_s
         times = {**self.timings_s, "decode": self._reader.decode_s}
-        layers = {
-            "layer1_s": times.get("perceive", 0.0) + times.get("decide", 0.0),
-            "layer2_s": steps["reconstruct"],
-            "layer3_s": steps["fit"],
-            "layer4_s": steps["inflate"],
-        }
-        stages = {f"{stage}_s": seconds for stage, seconds in sorted(times.items())}
-        return {**layers, **stages, "loop_delay_p99_ms": 1e3 * self._loop_delay.quantile_s(0.99)}
+        return run_timings(times, self._shapes.timings_s, self._loop_delay.quantile_s(0.99))
 
     def stop(self) -> None:
         """End the run after the frame at hand: no further frames, and no shape that takes longer than the grace."""
@@ -236,17 +209,7 @@ class Run:
         if self._is_over:
             raise InputError("the map is finished: poses can be corrected while it is being made")
         known = [submap.id for submap in self._snapshot.submaps] if self._snapshot is not None else []
-        for submap_id, pose in world_from_submap.items():
-            if submap_id not in known:
-                there = (
-                    f"the map has {known[0]} to {known[-1]}" if known else "the map has none before its first keyframe"
-                )
-                raise InputError(f"there is no submap {submap_id}: {there}")
-            if np.shape(pose) != (4, 4) or not is_rigid(np.asarray(pose)):
-                raise InputError(
-                    f"world_from_submap of submap {submap_id} must be a rigid (4, 4) transform, found {pose}"
-                )
-        self._corrections.append({i: np.array(pose, dtype=np.float64) for i, pose in world_from_submap.items()})
+        self._corrections.append(checked_places(world_from_submap, known))
 
     async def run(self, source: Source, *, rate: float | None, loops: int) -> None:
         """Play a source `loops` times.
@@ -319,7 +282,7 @@ class Run:
                         await self._map_keyframe(read)
                     else:
                         self.counts["between_keyframes"] += 1
-                        await self._show(_plain_report(read.raw))
+                        await self._show(plain_report(read.raw))
                     self._tell("mapping")
             except _OutOfPatienceError:
                 await self._channel.close()
@@ -354,7 +317,13 @@ class Run:
         await self._correct(raw.stamp_ns)
         self.counts.update(read.counts)
         self.counts["between_keyframes"] -= read.counts.get("frames_undecodable", 0)
-        jump = self._jump(read)
+        jump = time_jump(
+            self._last,
+            read,
+            round_index=self._place[0],
+            first_ns=self._first_ns,
+            most_s=self._config.run.time_jump_s,
+        )
         if raw.goes_back and self._mode == "playback":
             await self._go_back(raw.stamp_ns)
             jump = None
@@ -405,17 +374,6 @@ class Run:
                 )
             )
 
-    def _jump(self, read: Read) -> TimeJumped | None:
-        """Return the jump of time before a frame, None where its stamp follows that of the frame before."""
-        if self._last is None or self._first_ns is None:
-            return None
-        from_ns, to_ns = self._last.stamp_ns, read.raw.stamp_ns
-        if read.round_index != self._place[0]:
-            return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="loop")
-        if 0 <= to_ns - from_ns <= self._config.run.time_jump_s * 1e9:
-            return None
-        return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="restart" if to_ns < self._first_ns else "seek")
-
     async def _map_keyframe(self, read: Read) -> None:
         """Map a keyframe; in a live run it is decoded only now, and may be torn."""
         frame, prepared = read.frame, read.prepared
@@ -426,7 +384,7 @@ class Run:
             except RecordingError as error:
                 self.counts["frames_undecodable"] += 1
                 logger.warning("frame %d cannot be decoded: %s", read.raw.index, error)
-                await self._show(_plain_report(read.raw))
+                await self._show(plain_report(read.raw))
                 return
             prepared = await self._in(self._thinker, self._segmenter.prepare, frame)
         await self._keyframe(read, frame, prepared)
@@ -449,9 +407,19 @@ class Run:
             self.timings_s[stage] += seconds
         times["latency"] = time.monotonic() - read.arrived_s
         metrics, config = self._metrics(times), self._config.journal
-        await self._commit(StepKind.KEYFRAME, frame.stamp_ns, metrics, lambda: _color_of(read.raw, frame, config))
+        await self._commit(StepKind.KEYFRAME, frame.stamp_ns, metrics, lambda: color_of(read.raw, frame, config))
         if published is not None:
-            await self._show(self._report(read.raw, frame, perceived, published, metrics))
+            await self._show(
+                keyframe_report(
+                    read.raw,
+                    frame,
+                    perceived,
+                    published,
+                    keyframe_index=self._num_keyframes - 1,
+                    patches=self._patches,
+                    metrics=metrics,
+                )
+            )
 
     def _perceived(self, frame: Frame, prepared: object) -> Perceived:
         core, config = self._core, self._config
@@ -639,16 +607,7 @@ class Run:
         self._tell("saving")
         assert self._camera is not None
         await self._show(
-            FrameReport(
-                index=last.index + 1,
-                stamp_ns=last.stamp_ns,
-                keyframe_index=self._num_keyframes,
-                camera=self._camera,
-                world_from_camera=last.world_from_camera,
-                color_bytes=None,
-                decisions=decisions,
-                snapshot=self._snapshot,
-            )
+            final_report(last, self._camera, self._snapshot, keyframe_index=self._num_keyframes, decisions=decisions)
         )
 
     # ---- what others are told ----------------------------------------------------------------------------------------
@@ -669,28 +628,6 @@ class Run:
             ("engine/memory_mb", _PROCESS.memory_info().rss / 1e6),
             *((f"ledger/{fate}", float(number)) for fate, number in self._fates().items()),
             ("engine/frames_dropped", float(self.counts["frames_dropped"] + self.counts["keyframes_dropped"])),
-        )
-
-    def _report(
-        self,
-        raw: RawFrame,
-        frame: Frame,
-        perceived: Perceived,
-        published: Publish,
-        metrics: tuple[tuple[str, float], ...],
-    ) -> FrameReport:
-        return replace(
-            _plain_report(raw),
-            keyframe_index=self._num_keyframes - 1,
-            frame=frame,
-            segmentation=perceived.segmentation,
-            observations=perceived.observations,
-            object_ids=published.object_ids,
-            rejected=perceived.rejected,
-            patches=self._patches,
-            decisions=published.decisions,
-            snapshot=published.snapshot,
-            metrics=(*metrics, *published.metrics),
         )
 
     def _tell_compiling(self, num_compiled: int, num_kernels: int) -> None:
@@ -716,45 +653,3 @@ class Run:
 
 class _OutOfPatienceError(Exception):
     """A stopped run waits no longer."""
-
-
-def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
-    """Return the cut-out of a frame around an observation, with `margin` of its box more on every side."""
-    x0, y0, x1, y1 = observation.box_px
-    dx, dy = round((x1 - x0) * margin) + 2, round((y1 - y0) * margin) + 2
-    left, top = max(0, x0 - dx), max(0, y0 - dy)
-    right, bottom = min(frame.camera.width, x1 + dx), min(frame.camera.height, y1 + dy)
-    mask = np.zeros((bottom - top, right - left), dtype=bool)
-    mask[y0 - top : y1 - top, x0 - left : x1 - left] = observation.mask
-    return Crop(
-        rgb=frame.rgb[top:bottom, left:right],
-        depth_m=frame.depth_m[top:bottom, left:right],
-        mask=mask,
-        camera=frame.camera.cropped(left, top, right, bottom),
-        world_from_camera=frame.world_from_camera,
-        sensor=frame.sensor,
-    )
-
-
-def _color_of(raw: RawFrame, frame: Frame, config: JournalConfig) -> bytes | None:
-    """Return the compressed image of a keyframe: the log's own, else a JPEG; None where none are to be kept."""
-    if not config.keep_images:
-        return None
-    if raw.color_bytes is not None:
-        return raw.color_bytes
-    import cv2
-
-    quality = [cv2.IMWRITE_JPEG_QUALITY, config.jpeg_quality]
-    encoded: bytes = cv2.imencode(".jpg", frame.rgb[..., ::-1], quality)[1].tobytes()
-    return encoded
-
-
-def _plain_report(raw: RawFrame) -> FrameReport:
-    return FrameReport(
-        index=raw.index,
-        stamp_ns=raw.stamp_ns,
-        keyframe_index=None,
-        camera=raw.camera,
-        world_from_camera=raw.world_from_camera,
-        color_bytes=raw.color_bytes,
-    )

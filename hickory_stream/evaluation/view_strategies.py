@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.run import Progress
+    from hickory_stream.engine.run_progress import Progress
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.evaluation.evaluate import Evaluation
     from hickory_stream.evaluation.truth import Truth

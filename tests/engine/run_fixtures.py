@@ -11,8 +11,8 @@ import psutil
 
 from hickory_stream.config import MapperConfig, read_config
 from hickory_stream.engine.crops import write_crop
+from hickory_stream.engine.keyframe_images import crop_of
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.run import crop_of
 from hickory_stream.events import RequestShape
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import Lattice
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
     from pathlib import Path
 
-    from hickory_stream.engine.run import Mode, Progress
+    from hickory_stream.engine.run import Mode
+    from hickory_stream.engine.run_progress import Progress
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot

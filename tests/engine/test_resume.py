@@ -22,7 +22,7 @@ from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.run import Progress
+    from hickory_stream.engine.run_progress import Progress
 
 pytestmark = pytest.mark.timeout(120)
 

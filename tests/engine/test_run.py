@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.engine.mapper import Mapper
-    from hickory_stream.engine.run import Progress
+    from hickory_stream.engine.run_progress import Progress
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Sink
 

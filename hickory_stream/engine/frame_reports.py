@@ -1,0 +1,72 @@
+"""What sinks are told of a frame: of any, of a keyframe with all that came of it, and of the finished map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.records import FrameReport
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.step import FramePose
+    from hickory_stream.events import Publish
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.perception.perceive import Perceived
+    from hickory_stream.records import Decision, Frame, MapSnapshot, RawFrame
+
+
+def plain_report(raw: RawFrame) -> FrameReport:
+    """Return what is told of a frame that is no keyframe."""
+    return FrameReport(
+        index=raw.index,
+        stamp_ns=raw.stamp_ns,
+        keyframe_index=None,
+        camera=raw.camera,
+        world_from_camera=raw.world_from_camera,
+        color_bytes=raw.color_bytes,
+    )
+
+
+def keyframe_report(
+    raw: RawFrame,
+    frame: Frame,
+    perceived: Perceived,
+    published: Publish,
+    *,
+    keyframe_index: int,
+    patches: NDArray[np.float32] | None,
+    metrics: tuple[tuple[str, float], ...],
+) -> FrameReport:
+    """Return what is told of a keyframe; `metrics` are those of the engine, before those of the core."""
+    return replace(
+        plain_report(raw),
+        keyframe_index=keyframe_index,
+        frame=frame,
+        segmentation=perceived.segmentation,
+        observations=perceived.observations,
+        object_ids=published.object_ids,
+        rejected=perceived.rejected,
+        patches=patches,
+        decisions=published.decisions,
+        snapshot=published.snapshot,
+        metrics=(*metrics, *published.metrics),
+    )
+
+
+def final_report(
+    last: FramePose, camera: Camera, snapshot: MapSnapshot, *, keyframe_index: int, decisions: tuple[Decision, ...]
+) -> FrameReport:
+    """Return what is told of the finished map: one more keyframe, without images, after the last frame."""
+    return FrameReport(
+        index=last.index + 1,
+        stamp_ns=last.stamp_ns,
+        keyframe_index=keyframe_index,
+        camera=camera,
+        world_from_camera=last.world_from_camera,
+        color_bytes=None,
+        decisions=decisions,
+        snapshot=snapshot,
+    )

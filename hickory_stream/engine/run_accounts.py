@@ -1,0 +1,46 @@
+"""What a run says of itself when it has ended: where every message, frame and job went, and where the time went."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.engine.message_ledger import message_ledger
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from hickory_stream.ports import Source
+
+
+def run_ledger(
+    source: Source,
+    *,
+    num_frames: int,
+    num_keyframes: int,
+    counts: Mapping[str, int],
+    shapes: dict[str, int],
+    num_not_shown: int,
+) -> dict[str, dict[str, Any]]:
+    """Return what became of every message, frame and job; `counts` are of frames, by what became of them."""
+    told = {name: count for name, count in counts.items() if count}
+    read = told.pop("read", num_frames + told.get("frames_late", 0))
+    frames = {"read": read, "keyframes": num_keyframes, **told}
+    if num_not_shown:
+        frames["reports_not_shown"] = num_not_shown
+    kept = {"source": dict(source.ledger()), "frames": frames, "shapes": shapes}
+    messages = message_ledger(source, frames)
+    return {**kept, "messages": messages} if messages else kept
+
+
+def run_timings(
+    times_s: Mapping[str, float], shape_times_s: Mapping[str, float], loop_delay_s: float
+) -> dict[str, float]:
+    """Return seconds of work: by layer as in the paper's table of storage and time, and by stage."""
+    layers = {
+        "layer1_s": times_s.get("perceive", 0.0) + times_s.get("decide", 0.0),
+        "layer2_s": shape_times_s["reconstruct"],
+        "layer3_s": shape_times_s["fit"],
+        "layer4_s": shape_times_s["inflate"],
+    }
+    stages = {f"{stage}_s": seconds for stage, seconds in sorted(times_s.items())}
+    return {**layers, **stages, "loop_delay_p99_ms": 1e3 * loop_delay_s}
