@@ -9,7 +9,7 @@ import pytest
 
 from hickory_stream.errors import InputError, RecordingError
 from tools.benchmarks.foreign import own_seeds
-from tools.benchmarks.foreign_figures import figures_of, of_map
+from tools.benchmarks.foreign_figures import figures_of, of_map, reasons
 from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
 from tools.benchmarks.foreign_parts import OWN, WORLDS, Part, Store, all_parts, chosen_parts
 from tools.benchmarks.intervals import bootstrap, wilson
@@ -35,11 +35,13 @@ def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[floa
                 "contained": 0.9 if is_found else None,
                 "num_seen": 10,
                 "tracks": int(is_found),
+                "missed_because": None if is_found else "taken for structure",
             }
             for i, is_found in enumerate(found)
         ],
         "objects": [
             {"id": i, "size_m": 1.0, "right_25": right, "right_50": False, "ignored": ignored}
+            | {"false_because": None if right or ignored else "structure"}
             for i, (right, ignored) in enumerate(objects)
         ],
         "little_seen": 5,
@@ -236,3 +238,14 @@ def test_a_bootstrap_covers_the_mean_and_is_the_same_each_time() -> None:
     assert high - low == pytest.approx(2 * 1.96 * rows.std() / 20, rel=0.1)
     assert low < rows.mean() < high
     assert (low, high) == bootstrap([rows], lambda groups: float(groups[0].mean()))
+
+
+def test_what_is_lost_to_structure_and_made_of_it_is_counted_over_all_worlds() -> None:
+    one, other = record([True, False], [(True, False), (False, False)]), record([True], [(True, False), (False, True)])
+    other["truth"].append(other["truth"][0] | {"found_25": False, "missed_because": "in pieces"})
+    found = by_name(figures_of({by_hand(world): one if world == "home" else other for world in WORLDS}))
+    swallowed, phantoms = found["foreign_structure_swallowed"], found["foreign_structure_phantoms"]
+    assert (swallowed.of, swallowed.better) == ("1 of 8 true objects", "lower")
+    assert (phantoms.of, phantoms.better) == ("1 of 5 objects", "lower")
+    assert reasons(one) == ["1 missed: 1 taken for structure", "1 false: 1 structure"]
+    assert "foreign_structure_swallowed" not in by_name(figures_of({by_hand("home"): one}))

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tools.benchmarks.foreign_figures import figures_of, of_map
+from tools.benchmarks.foreign_figures import figures_of, of_map, reasons
 from tools.benchmarks.foreign_logs import foreign_log, own_log, worlds_folder
 from tools.benchmarks.foreign_parts import OWN, ROLES, WORLDS, Part, Store, chosen_parts, map_code_hash
 from tools.benchmarks.foreign_runs import clouds_scored, kitchen_scored, mapped, timed
@@ -94,6 +94,8 @@ def _measured(
             log = own_log(int(key)) if part.world in OWN else log
             record = mapped(log.log, log.truth, part.rung, out)
     store.put(part, key, record)
+    if part.world in (*WORLDS, *OWN):
+        print("\n".join(f"  {line}" for line in reasons(record)), flush=True)
     told = ", ".join(f"{f.name.removeprefix(part.world + '_')} {f.value:.3f}" for f in _headline(part, record))
     print(f"{part.name}: {told or 'done'} ({time.monotonic() - started:.0f} s)", flush=True)
     return record

@@ -6,6 +6,7 @@ true objects (over clouds for masks). Both are 95 %. A thing is large from 0.4 m
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 LARGE_M = 0.4
 _OBJECTS = "bootstrap over true objects"
 _MIXED = "home and bookstore tuned on, office and warehouse reported"
+_TO_STRUCTURE = ("taken for structure", "dropped as structure")
 _LITTLE_SEEN = "{} true objects of which under 30 % was seen"
 
 
@@ -42,6 +44,7 @@ def figures_of(measured: Measured) -> list[Figure]:
                     figures += of_map(name, record, ROLES[world])
     figures += _of_ladder(measured)
     figures += _of_robot(measured)
+    figures += _of_structure([_a_by_hand(measured, world) for world in WORLDS])
     figures += _of_shapes("foreign", [_a_by_hand(measured, world) for world in WORLDS], _MIXED)
     own = [record for name in OWN if (record := measured.get(Part(world=name))) is not None]
     if own:
@@ -88,14 +91,22 @@ def _share(
     return _proportion(name, sum(chosen), len(chosen), what, left_out, role)
 
 
-def _proportion(name: str, found: int, total: int, what: str, left_out: str, role: str) -> Figure | None:
+def _proportion(
+    name: str,
+    found: int,
+    total: int,
+    what: str,
+    left_out: str,
+    role: str,
+    better: Literal["higher", "lower"] = "higher",
+) -> Figure | None:
     if not total:
         return None
     return Figure(
         name=name,
         value=found / total,
         unit="",
-        better="higher",
+        better=better,
         of=f"{found} of {total} {what}",
         left_out=left_out,
         interval=wilson(found, total),
@@ -181,6 +192,36 @@ def _of_robot(measured: Measured) -> list[Figure]:
             role=_MIXED,
         )
     ]
+
+
+def reasons(record: Mapping[str, Any]) -> list[str]:
+    """Return in words how many true objects of a map are missed, and how many of its objects are false, and why."""
+    lines = []
+    for what, rows, key in (
+        ("missed", record["truth"], "missed_because"),
+        ("false", record["objects"], "false_because"),
+    ):
+        counts = Counter(row[key] for row in rows if row[key] is not None)
+        told = ", ".join(f"{count} {reason}" for reason, count in counts.most_common())
+        lines.append(f"{sum(counts.values())} {what}: {told or '-'}")
+    return lines
+
+
+def _of_structure(records: Sequence[dict[str, Any] | None]) -> list[Figure]:
+    """Return how many true objects are lost to structure, and how many objects are pieces of it, over all worlds."""
+    known = [record for record in records if record is not None]
+    if len(known) < len(records):
+        return []
+    truth = [row["missed_because"] in _TO_STRUCTURE for record in known for row in record["truth"]]
+    objects = [
+        o["false_because"] == "structure" for r in known for o in r["objects"] if o["right_25"] or not o["ignored"]
+    ]
+    unseen, ignored = (_LITTLE_SEEN.format(sum(r["little_seen"] for r in known)), "objects of these")
+    figures = [
+        _proportion("foreign_structure_swallowed", sum(truth), len(truth), "true objects", unseen, _MIXED, "lower"),
+        _proportion("foreign_structure_phantoms", sum(objects), len(objects), "objects", ignored, _MIXED, "lower"),
+    ]
+    return [figure for figure in figures if figure is not None]
 
 
 def _of_shapes(name: str, records: Sequence[dict[str, Any] | None], role: str) -> list[Figure]:

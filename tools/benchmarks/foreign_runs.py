@@ -20,6 +20,7 @@ from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.ladder import TrueImages, core_of, mapping_of, segmenter_of
 from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
 from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.evaluation.why import NoWhy, reasons_of
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.records import Phase
 from players import open_source
@@ -54,6 +55,11 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
     saved = open_map(out)
     found = evaluate(saved, truth)
     meshes = meshes_of(saved)
+    why = reasons_of(saved, truth)
+    if isinstance(why, NoWhy):
+        raise RecordingError(f"{out}: what is missed has no reasons: {why.reason}")
+    reasons = {item.truth_id: item.reason for item in why.missed}
+    origins = {item.map_id: item.origin for item in why.false}
     matched = {row.map_id for row in found.objects if row.map_id is not None}
     strict = {row.strict_map_id for row in found.objects if row.strict_map_id is not None}
     return {
@@ -69,6 +75,7 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
                 "contained": row.contained,
                 "num_seen": row.num_seen,
                 "tracks": len(row.track_ids),
+                "missed_because": reasons.get(row.truth_id),
             }
             for row in found.objects
         ],
@@ -79,6 +86,7 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
                 "right_25": item.id in matched,
                 "right_50": item.id in strict,
                 "ignored": item.id in found.ignored_ids,
+                "false_because": origins.get(item.id),
             }
             for item in saved.snapshot.objects
             if item.phase is not Phase.TENTATIVE
