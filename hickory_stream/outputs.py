@@ -54,6 +54,42 @@ class Metrics(TypedDict):
     url: str
 
 
+class LiveWaiting(TypedDict):
+    """What `live` waits for before it can map; on standard error, whenever that changes."""
+
+    event: Literal["waiting"]
+    text: str
+
+
+class LiveTopic(TypedDict):
+    """One topic of a live route: `role` in the map ("" for none), `problem` says what is missing and why."""
+
+    topic: str
+    type_name: str
+    role: str
+    rate_hz: float
+    age_s: float | None
+    bytes_per_s: float
+    received: int
+    dropped: int
+    lost: int
+    problem: str
+
+
+class LiveStatus(TypedDict):
+    """How a live route is, by topic; `clock_offset_s` is our clock less the robot's. On standard error."""
+
+    event: Literal["status"]
+    uri: str
+    kind: str
+    is_connected: bool
+    problem: str
+    clock_offset_s: float | None
+    clock_steps: int
+    unlisted_topics: int
+    topics: list[LiveTopic]
+
+
 class FailedShapes(TypedDict):
     """Objects without a shape because their jobs failed for one reason; where the inputs of those jobs lie."""
 
@@ -467,6 +503,8 @@ OUTPUTS: dict[str, Any] = {
     "progress": Progress,
     "compiling": Compiling,
     "metrics": Metrics,
+    "live-waiting": LiveWaiting,
+    "live-status": LiveStatus,
     "play": Finished,
     "resume-saved": Saved,
     "replay": Replayed,

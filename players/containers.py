@@ -51,8 +51,8 @@ class Log(Protocol):
     """A container of messages."""
 
     @property
-    def path(self) -> Path:
-        """The file or folder."""
+    def path(self) -> Path | str:
+        """The file, the folder, or the address."""
         ...
 
     @property

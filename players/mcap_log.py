@@ -16,51 +16,37 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import RecordingError
-from players.containers import LogMessage, Topic, merged_topics, normalized_type
+from players.containers import LogMessage, merged_topics
 from players.flaws import Flaw, Flaws
-from players.foxglove import ROS_TYPES
-from players.unpack import UnpackError, release, unpack
+from players.mcap_records import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    CHUNK_OP,
+    DATA_END,
+    FOOTER,
+    HEAD,
+    INDEX,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_OP,
+    SCHEMA,
+    STATISTICS,
+    Described,
+    is_record,
+    learn,
+    topic_of,
+    unpacked_chunk,
+)
+from players.unpack import UnpackError, release
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
     from pathlib import Path
 
-    from players.containers import DefinitionFormat, Wire
+    from players.containers import Topic
 
-MAGIC = b"\x89MCAP0\r\n"
-_WIRES: dict[str, Wire] = {"cdr": "cdr", "ros1": "ros1", "protobuf": "protobuf", "json": "json"}
-_FORMATS: dict[str, DefinitionFormat] = {
-    "ros2msg": "msg",
-    "ros1msg": "msg",
-    "ros2idl": "idl",
-    "protobuf": "protobuf",
-    "jsonschema": "jsonschema",
-}
-
-_HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-_CHUNK = struct.Struct("<QQQII")
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE_OP, _CHUNK_OP, _INDEX = 1, 2, 3, 4, 5, 6, 7
-_CHUNK_INDEX, _STATISTICS, _DATA_END = 8, 0x0B, 0x0F
-_FOOTER_BYTES = _HEAD.size + 20
-# The least that a record of each kind holds; a shorter one is no record.
-_LEAST_BYTES = {
-    1: 8,
-    2: 20,
-    3: 14,
-    4: 16,
-    5: 22,
-    6: 40,
-    7: 6,
-    8: 56,
-    9: 36,
-    10: 32,
-    11: 46,
-    12: 8,
-    13: 20,
-    14: 17,
-    15: 4,
-}
+_FOOTER_BYTES = HEAD.size + 20
 _CHUNK_PATTERN = re.compile(rb"\x06(?=[\s\S]{5}\x00{3}[\s\S]{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))")
 _RECORD_PATTERN = re.compile(rb"[\x03-\x05\x0f](?=[\s\S]{4}\x00{4})")
 
@@ -75,11 +61,9 @@ class _Chunk:
 
 
 @dataclass(slots=True)
-class _Survey:
+class _Survey(Described):
     """What is known of a file: schemas and channels by id, its chunks, how many messages it declares."""
 
-    schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
-    channels: dict[int, tuple[int, str, str]] = field(default_factory=dict)
     chunks: list[_Chunk] = field(default_factory=list)
     loose_counts: Counter[int] = field(default_factory=Counter)
     declared: dict[int, int] | None = None
@@ -167,7 +151,7 @@ class McapLog:
             if chunk.counts and not any(self._name(channel) in wanted for channel in chunk.counts):
                 continue
             try:
-                records = _unpacked(data, chunk)
+                records = unpacked_chunk(data, chunk.offset + HEAD.size, chunk.offset + chunk.num_bytes)
             except UnpackError as error:
                 self._bad_chunk(chunk, str(error))
                 continue
@@ -179,16 +163,16 @@ class McapLog:
         view, at, end = memoryview(records), 0, len(records)
         names = {channel: name for channel, (_, name, _) in self._survey.channels.items() if name in wanted}
         unknown = 0
-        while at + _HEAD.size <= end:
-            opcode, length = _HEAD.unpack_from(view, at)
-            at += _HEAD.size
+        while at + HEAD.size <= end:
+            opcode, length = HEAD.unpack_from(view, at)
+            at += HEAD.size
             if length > end - at:
                 break
-            if opcode == _MESSAGE_OP and length >= _MESSAGE.size:
-                channel, _, log_ns, _ = _MESSAGE.unpack_from(view, at)
+            if opcode == MESSAGE_OP and length >= MESSAGE.size:
+                channel, _, log_ns, _ = MESSAGE.unpack_from(view, at)
                 name = names.get(channel)
                 if name is not None:
-                    yield LogMessage(name, log_ns, view[at + _MESSAGE.size : at + length])
+                    yield LogMessage(name, log_ns, view[at + MESSAGE.size : at + length])
                 elif channel not in self._survey.channels:
                     unknown += 1
             at += length
@@ -203,16 +187,16 @@ class McapLog:
         view, crc, crc_at = memoryview(data), 0, 0
         try:
             for opcode, at, length in self._walk(data):
-                if opcode == _MESSAGE_OP:
-                    channel, _, log_ns, _ = _MESSAGE.unpack_from(data, at)
+                if opcode == MESSAGE_OP:
+                    channel, _, log_ns, _ = MESSAGE.unpack_from(data, at)
                     name = self._name(channel)
                     if name in wanted:
-                        yield LogMessage(name, log_ns, bytes(view[at + _MESSAGE.size : at + length]))
+                        yield LogMessage(name, log_ns, bytes(view[at + MESSAGE.size : at + length]))
                     elif channel not in self._survey.channels:
                         self._flaw(at, "a message of a channel that no readable record describes", 0, num_unknown=1)
-                elif opcode == _DATA_END:
+                elif opcode == DATA_END:
                     (expected,) = struct.unpack_from("<I", data, at)
-                    crc = zlib.crc32(view[crc_at : at - _HEAD.size], crc) if expected else 0
+                    crc = zlib.crc32(view[crc_at : at - HEAD.size], crc) if expected else 0
                     if crc != expected:
                         self._flaw(at, "the checksum over all messages differs: at least one of them was altered", 0)
         finally:
@@ -224,18 +208,18 @@ class McapLog:
         """Return what a walk over the records finds; notes what is no record."""
         survey = _Survey()
         for opcode, at, length in self._walk(data):
-            if opcode == _CHUNK_OP:
-                survey.chunks.append(_Chunk(at - _HEAD.size, length + _HEAD.size))
-            elif opcode == _INDEX and survey.chunks:
+            if opcode == CHUNK_OP:
+                survey.chunks.append(_Chunk(at - HEAD.size, length + HEAD.size))
+            elif opcode == INDEX and survey.chunks:
                 channel, size = struct.unpack_from("<HI", data, at)
                 last = survey.chunks[-1]
                 last.counts = {**(last.counts or {}), channel: size // 16}
-            elif opcode == _MESSAGE_OP:
-                survey.loose_counts[_MESSAGE.unpack_from(data, at)[0]] += 1
-            elif opcode == _STATISTICS:
+            elif opcode == MESSAGE_OP:
+                survey.loose_counts[MESSAGE.unpack_from(data, at)[0]] += 1
+            elif opcode == STATISTICS:
                 survey.declared = _statistics(data, at, length)
-            elif opcode in (_SCHEMA, _CHANNEL):
-                _learn(survey, opcode, data[at : at + length])
+            elif opcode in (SCHEMA, CHANNEL):
+                learn(survey, opcode, data[at : at + length])
         for chunk in survey.chunks:
             if chunk.counts is None or not chunk.counts.keys() <= survey.channels.keys():
                 self._learn_chunk(data, chunk, survey)
@@ -246,12 +230,12 @@ class McapLog:
         at, end = (len(MAGIC) if data[: len(MAGIC)] == MAGIC else 0), len(data)
         is_chunked = _CHUNK_PATTERN.search(data) is not None
         while at < end:
-            if at + _HEAD.size <= end:
-                opcode, length = _HEAD.unpack_from(data, at)
-                if _is_record(opcode, length, end - at - _HEAD.size):
-                    yield opcode, at + _HEAD.size, length
-                    at += _HEAD.size + length
-                    if opcode == _FOOTER:
+            if at + HEAD.size <= end:
+                opcode, length = HEAD.unpack_from(data, at)
+                if is_record(opcode, length, end - at - HEAD.size):
+                    yield opcode, at + HEAD.size, length
+                    at += HEAD.size + length
+                    if opcode == FOOTER:
                         return
                     continue
             if data[at:end] == MAGIC[: end - at]:
@@ -263,21 +247,21 @@ class McapLog:
     def _learn_chunk(self, data: mmap.mmap, chunk: _Chunk, survey: _Survey) -> None:
         """Learn channels from a chunk and count its messages, where no index does."""
         try:
-            records = _unpacked(data, chunk)
+            records = unpacked_chunk(data, chunk.offset + HEAD.size, chunk.offset + chunk.num_bytes)
         except UnpackError as error:
             self._bad_chunk(chunk, str(error))
             return
         counts: Counter[int] = Counter()
         at, end = 0, len(records)
-        while at + _HEAD.size <= end:
-            opcode, length = _HEAD.unpack_from(records, at)
-            at += _HEAD.size
+        while at + HEAD.size <= end:
+            opcode, length = HEAD.unpack_from(records, at)
+            at += HEAD.size
             if length > end - at:
                 break
-            if opcode == _MESSAGE_OP and length >= _MESSAGE.size:
-                counts[_MESSAGE.unpack_from(records, at)[0]] += 1
-            elif opcode in (_SCHEMA, _CHANNEL):
-                _learn(survey, opcode, bytes(records[at : at + length]))
+            if opcode == MESSAGE_OP and length >= MESSAGE.size:
+                counts[MESSAGE.unpack_from(records, at)[0]] += 1
+            elif opcode in (SCHEMA, CHANNEL):
+                learn(survey, opcode, bytes(records[at : at + length]))
             at += length
         chunk.counts = dict(counts)
 
@@ -309,21 +293,7 @@ class McapLog:
             for chunk in survey.chunks:
                 found.update(chunk.counts or {})
             counts = dict(found)
-        topics = []
-        for number, (schema_id, name, encoding) in survey.channels.items():
-            type_name, schema_encoding, definition = survey.schemas.get(schema_id, ("", "", b""))
-            topics.append(
-                Topic(
-                    name=name,
-                    type_name=ROS_TYPES.get(type_name, normalized_type(type_name)),
-                    foreign_type=type_name if type_name in ROS_TYPES else "",
-                    num_messages=counts.get(number, 0),
-                    wire=_WIRES.get(encoding, "other"),
-                    definition_format=_FORMATS.get(schema_encoding, "none"),
-                    definition=_text_of(definition, schema_encoding),
-                )
-            )
-        return merged_topics(topics)
+        return merged_topics([topic_of(survey, channel, counts.get(channel, 0)) for channel in survey.channels])
 
 
 def _read_summary(data: mmap.mmap) -> _Survey | None:
@@ -331,24 +301,24 @@ def _read_summary(data: mmap.mmap) -> _Survey | None:
     tail = len(data) - len(MAGIC) - _FOOTER_BYTES
     if tail < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or data[: len(MAGIC)] != MAGIC:
         return None
-    opcode, length = _HEAD.unpack_from(data, tail)
-    start, _, crc = struct.unpack_from("<QQI", data, tail + _HEAD.size)
-    if opcode != _FOOTER or length != 20 or not 0 < start < tail:
+    opcode, length = HEAD.unpack_from(data, tail)
+    start, _, crc = struct.unpack_from("<QQI", data, tail + HEAD.size)
+    if opcode != FOOTER or length != 20 or not 0 < start < tail:
         return None
     if crc and zlib.crc32(data[start : len(data) - len(MAGIC) - 4]) != crc:
         return None
     survey, at = _Survey(is_indexed=True), start
     try:
         while at < tail:
-            opcode, length = _HEAD.unpack_from(data, at)
-            at += _HEAD.size
-            if not _is_record(opcode, length, tail - at):
+            opcode, length = HEAD.unpack_from(data, at)
+            at += HEAD.size
+            if not is_record(opcode, length, tail - at):
                 return None
-            if opcode in (_SCHEMA, _CHANNEL):
-                _learn(survey, opcode, data[at : at + length])
-            elif opcode == _CHUNK_INDEX:
+            if opcode in (SCHEMA, CHANNEL):
+                learn(survey, opcode, data[at : at + length])
+            elif opcode == CHUNK_INDEX:
                 survey.chunks.append(_chunk_of_index(data[at : at + length]))
-            elif opcode == _STATISTICS:
+            elif opcode == STATISTICS:
                 survey.declared = _statistics(data, at, length)
             at += length
     except (struct.error, UnicodeDecodeError):
@@ -370,56 +340,23 @@ def _chunk_of_index(record: bytes) -> _Chunk:
 
 def _is_chunk_at(data: mmap.mmap, chunk: _Chunk) -> bool:
     """Return whether a chunk is where the index says; completes its counts from the message indices behind it."""
-    if chunk.offset + chunk.num_bytes > len(data) or chunk.num_bytes < _HEAD.size + 40:
+    if chunk.offset + chunk.num_bytes > len(data) or chunk.num_bytes < HEAD.size + 40:
         return False
-    opcode, length = _HEAD.unpack_from(data, chunk.offset)
-    if opcode != _CHUNK_OP or length + _HEAD.size != chunk.num_bytes:
+    opcode, length = HEAD.unpack_from(data, chunk.offset)
+    if opcode != CHUNK_OP or length + HEAD.size != chunk.num_bytes:
         return False
     if chunk.counts:
         at = chunk.offset + chunk.num_bytes
         for _ in range(len(chunk.counts)):
-            if at + _HEAD.size + 6 > len(data):
+            if at + HEAD.size + 6 > len(data):
                 break
-            opcode, length = _HEAD.unpack_from(data, at)
-            channel, size = struct.unpack_from("<HI", data, at + _HEAD.size)
-            if opcode != _INDEX or channel not in chunk.counts or size + 6 != length:
+            opcode, length = HEAD.unpack_from(data, at)
+            channel, size = struct.unpack_from("<HI", data, at + HEAD.size)
+            if opcode != INDEX or channel not in chunk.counts or size + 6 != length:
                 break
             chunk.counts[channel] = size // 16
-            at += _HEAD.size + length
+            at += HEAD.size + length
     return True
-
-
-def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
-    """Return the records of a chunk.
-
-    Raises:
-        UnpackError: it is damaged.
-    """
-    at = chunk.offset + _HEAD.size
-    end = chunk.offset + chunk.num_bytes
-    _, _, size, crc, name_bytes = _CHUNK.unpack_from(data, at)
-    at += _CHUNK.size
-    if name_bytes > 16 or at + name_bytes + 8 > end:
-        raise UnpackError("has a header that does not fit it")
-    compression = data[at : at + name_bytes].decode("ascii", errors="replace")
-    at += name_bytes
-    (packed,) = struct.unpack_from("<Q", data, at)
-    at += 8
-    if packed != end - at:
-        raise UnpackError(f"says to hold {packed} bytes and holds {end - at}")
-    if compression in ("lz4", "zstd"):
-        with memoryview(data) as view, view[at:end] as packed_bytes:
-            records = unpack(compression, packed_bytes, size)
-    else:
-        records = unpack(compression, data[at:end], size)
-    if crc and zlib.crc32(records) != crc:
-        raise UnpackError("fails its checksum")
-    return records
-
-
-def _is_record(opcode: int, length: int, room: int) -> bool:
-    """Return whether a record can have this opcode and length; opcodes from 0x80 on are private."""
-    return length <= room and (opcode >= 0x80 or length >= _LEAST_BYTES.get(opcode, room + 1))
 
 
 def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
@@ -436,7 +373,7 @@ def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
     # Behind the last chunk: the summary, found by the footer's place, may still hold channels.
     tail = end - len(MAGIC) - _FOOTER_BYTES
     if tail > start and data[-len(MAGIC) :] == MAGIC:
-        (summary,) = struct.unpack_from("<Q", data, tail + _HEAD.size)
+        (summary,) = struct.unpack_from("<Q", data, tail + HEAD.size)
         if start <= summary < tail and _is_chain(data, summary, 2):
             return int(summary)
     return end
@@ -445,45 +382,20 @@ def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
 def _is_chain(data: mmap.mmap, at: int, links: int) -> bool:
     """Return whether so many records follow each other from here on; fewer where the file ends."""
     for _ in range(links):
-        if at + _HEAD.size > len(data):
+        if at + HEAD.size > len(data):
             return at == len(data)
-        opcode, length = _HEAD.unpack_from(data, at)
-        if not _is_record(opcode, length, len(data) - at - _HEAD.size) or opcode >= 0x80:
+        opcode, length = HEAD.unpack_from(data, at)
+        if not is_record(opcode, length, len(data) - at - HEAD.size) or opcode >= 0x80:
             return False
-        if opcode == _CHUNK_OP:
-            _, _, _, _, name_bytes = _CHUNK.unpack_from(data, at + _HEAD.size)
+        if opcode == CHUNK_OP:
+            _, _, _, _, name_bytes = CHUNK.unpack_from(data, at + HEAD.size)
             if name_bytes > 4:
                 return False
-            (packed,) = struct.unpack_from("<Q", data, at + _HEAD.size + _CHUNK.size + name_bytes)
-            if packed != length - _CHUNK.size - name_bytes - 8:
+            (packed,) = struct.unpack_from("<Q", data, at + HEAD.size + CHUNK.size + name_bytes)
+            if packed != length - CHUNK.size - name_bytes - 8:
                 return False
-        at += _HEAD.size + length
+        at += HEAD.size + length
     return True
-
-
-def _learn(survey: _Survey, opcode: int, record: bytes) -> None:
-    """Note a schema or a channel; one that does not parse is left out, and its messages are of no known topic."""
-    try:
-        (number,) = struct.unpack_from("<H", record, 0)
-        if opcode == _SCHEMA:
-            name, at = _string(record, 2)
-            encoding, at = _string(record, at)
-            (size,) = struct.unpack_from("<I", record, at)
-            survey.schemas[number] = (name, encoding, record[at + 4 : at + 4 + size])
-        else:
-            (schema,) = struct.unpack_from("<H", record, 2)
-            topic, at = _string(record, 4)
-            encoding, _ = _string(record, at)
-            survey.channels[number] = (schema, topic, encoding)
-    except (struct.error, UnicodeDecodeError, ValueError):
-        return
-
-
-def _string(record: bytes, at: int) -> tuple[str, int]:
-    (size,) = struct.unpack_from("<I", record, at)
-    if size > len(record) - at - 4:
-        raise ValueError("a string that is longer than its record")
-    return record[at + 4 : at + 4 + size].decode("utf-8"), at + 4 + size
 
 
 def _statistics(data: mmap.mmap, at: int, length: int) -> dict[int, int] | None:
@@ -491,8 +403,3 @@ def _statistics(data: mmap.mmap, at: int, length: int) -> dict[int, int] | None:
     if size > length - 46:
         return None
     return dict(struct.iter_unpack("<HQ", data[at + 46 : at + 46 + size // 10 * 10]))
-
-
-def _text_of(definition: bytes, encoding: str) -> str:
-    """Return a definition as text; protobuf's descriptors are bytes, kept one to one as Latin-1."""
-    return definition.decode("latin-1" if encoding == "protobuf" else "utf-8", errors="replace")

@@ -58,7 +58,8 @@ def bag_files(folder: Path) -> list[Path]:
 
 def open_bag_file(file: Path) -> Log:
     """Return the log of one file of a ROS 2 bag, unpacked into a temporary file where it is compressed as a whole."""
-    from players.mcap_log import MAGIC, McapLog
+    from players.mcap_log import McapLog
+    from players.mcap_records import MAGIC
     from players.sqlite_log import SqliteLog
 
     path = _unpacked_file(file) if file.name.endswith(".zstd") else file

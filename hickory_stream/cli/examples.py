@@ -7,6 +7,10 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Map a recorded log: find its objects and write a map folder, which every other command reads.",
         "play demo.mcap --out demo.map --rrd demo.rrd",
     ),
+    "live": (
+        "Map a robot while it moves: what arrives is mapped, what is missing is said, and nothing of ROS is installed.",
+        "live mcap:/tmp/robot.pipe --out robot.map --for 60",
+    ),
     "resume": (
         "Go on with a playback that was killed, stopped or broken off, to the map that it would have become.",
         "resume demo.map --source /mnt/logs/demo.mcap",

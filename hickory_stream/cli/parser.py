@@ -24,6 +24,7 @@ from hickory_stream.cli import (
     explain,
     export,
     inspect,
+    live,
     merge,
     models,
     plan,
@@ -44,6 +45,7 @@ Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 _COMMANDS = (
     demo,
     play,
+    live,
     resume,
     replay,
     doctor,

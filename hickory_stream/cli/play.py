@@ -17,6 +17,7 @@ from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Callable
 
     from hickory_stream.cli.parser import Commands
     from hickory_stream.engine.session import MapFolder
@@ -48,21 +49,26 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     )
     play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="which frames have faults")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
-    play.add_argument(
+    add_run_options(play)
+    add_source_options(play)
+
+
+def add_run_options(command: argparse.ArgumentParser) -> None:
+    """Add what may be said of a run, whatever is mapped: its workers, and where it is shown."""
+    command.add_argument(
         "--workers",
         metavar="N",
         help="child processes that build shapes, or dask=tcp://HOST:PORT; they do not change the map",
     )
-    play.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
-    add_output(play, "--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
+    command.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
+    add_output(command, "--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
     add_output(
-        play, "--costmap", type=Path, metavar="FILE", help="write the growing grid as ROS 2 messages (MCAP) for Nav2"
+        command, "--costmap", type=Path, metavar="FILE", help="write the growing grid as ROS 2 messages (MCAP) for Nav2"
     )
-    play.add_argument(
+    command.add_argument(
         "--costmap-robot", metavar="NAME|FILE", help="at whose heights obstacles count there; --costmap needs it"
     )
-    play.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
-    add_source_options(play)
+    command.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -98,14 +104,8 @@ def run(options: argparse.Namespace) -> int:
         sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
 
-    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
-        made = make_sinks(folder, settings, viewer, options.rrd)
-        handed_over = [(sink, False) for sink in beside]
-        beside.clear()
-        return [*made, *handed_over]
-
     # What cannot be had is refused before a map that is there is replaced.
-    beside = _sinks_beside(options, settings)
+    beside = sinks_beside(options, settings)
     printer = ProgressPrinter(style, clock.describe)
     keys = Keys(clock)
     if style == "bar" and sys.stdin.isatty():
@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
                 settings.mapper,
                 out=out,
                 overwrite=options.overwrite,
-                sinks=sinks,
+                sinks=all_sinks(options, settings, viewer, beside),
                 rate=None,  # the clock of the source keeps it
                 mode="live" if options.live else "playback",
                 source_note=note,
@@ -133,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
     return finish(options, out, played)
 
 
-def _sinks_beside(options: argparse.Namespace, settings: Settings) -> list[Sink]:
+def sinks_beside(options: argparse.Namespace, settings: Settings) -> list[Sink]:
     """Return the sinks of `--metrics-port` and `--costmap`; raises `InputError`."""
     made: list[Sink] = []
     if options.metrics_port is not None:
@@ -149,6 +149,20 @@ def _sinks_beside(options: argparse.Namespace, settings: Settings) -> list[Sink]
 
         made.append(CostmapSink(robot_of_option(options.costmap_robot, "--costmap-robot"), path=options.costmap))
     return made
+
+
+def all_sinks(
+    options: argparse.Namespace, settings: Settings, viewer: Any, beside: list[Sink]
+) -> Callable[[MapFolder], list[tuple[Sink, bool]]]:
+    """Return what makes the sinks of a run; it hands over those `beside`, which until then are the caller's."""
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        made = make_sinks(folder, settings, viewer, options.rrd)
+        handed_over = [(sink, False) for sink in beside]
+        beside.clear()
+        return [*made, *handed_over]
+
+    return sinks
 
 
 def make_style(options: argparse.Namespace) -> Style:

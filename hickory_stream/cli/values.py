@@ -120,6 +120,13 @@ def positive(number: int, option: str) -> int:
     return number
 
 
+def seconds(value: float, option: str, *, least: float) -> float:
+    """Return seconds, which are `least` or more and not endless; raises `InputError`, which names the option."""
+    if not least <= value < float("inf"):
+        raise InputError(f"found {option} {value:g}, expected seconds, {least:g} or more")
+    return value
+
+
 def parse_nanoseconds(tolerance_ms: float | None) -> int | None:
     """Return milliseconds as nanoseconds; raises `InputError` below 0."""
     if tolerance_ms is None:

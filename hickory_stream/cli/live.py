@@ -1,0 +1,144 @@
+"""`hickory-stream live`: map a robot while it moves."""
+
+from __future__ import annotations
+
+import re
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.cli.finish import finish
+from hickory_stream.cli.play import add_run_options, all_sinks, make_style, sinks_beside
+from hickory_stream.cli.source_options import add_source_options, source_options
+from hickory_stream.cli.unfinished import resume_command
+from hickory_stream.cli.values import read_settings, seconds
+from hickory_stream.outputs import output
+from hickory_stream.terminal import clear_line
+
+if TYPE_CHECKING:
+    import argparse
+    from types import TracebackType
+
+    from hickory_stream.cli.parser import Commands
+    from players.live import LiveMapSource
+    from players.live.status import LiveStatus
+
+_PATIENCE_S = 60.0
+_STATUS_S = 10.0
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    live = commands.add_parser("live", parents=[common, configured], help="map a robot while it moves")
+    live.set_defaults(run=run)
+    live.add_argument("uri", metavar="URI", help="mcap:PIPE, or - for an MCAP stream on standard input")
+    live.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
+    live.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
+    live.add_argument("--for", type=float, dest="most_s", metavar="S", help="map for so many seconds, then save")
+    live.add_argument(
+        "--wait", type=float, default=_PATIENCE_S, metavar="S", help="give up if nothing can be mapped for so long (60)"
+    )
+    live.add_argument(
+        "--status", type=float, default=_STATUS_S, metavar="S", help="show the table of topics so often (10); 0: never"
+    )
+    add_run_options(live)
+    add_source_options(live)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from hickory_stream.engine.play import play
+    from hickory_stream.progress import ProgressPrinter
+    from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
+    from players.live import open_live
+
+    settings = read_settings(options)
+    viewer = parse_viewer(options.viewer)
+    check_viewer(viewer)
+    for value, name, least in ((options.wait, "--wait", 0.0), (options.status, "--status", 0.0)):
+        seconds(value, name, least=least)
+    if options.most_s is not None:
+        seconds(options.most_s, "--for", least=0.1)
+    out = options.out or Path(f"{default_name(options.uri)}.map")
+    # What cannot be had is refused before a map that is there is replaced.
+    beside = sinks_beside(options, settings)
+    printer = ProgressPrinter(make_style(options))
+    options.resumed_by = resume_command(out)
+    source: LiveMapSource | None = None
+    try:
+        source = open_live(
+            options.uri,
+            source_options(options),
+            patience_s=options.wait,
+            most_s=options.most_s,
+            tell=lambda text: _say(text, as_json=options.json),
+        )
+        if not options.json:
+            sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
+            sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
+        with _StatusPrinter(source, options.status, as_json=options.json):
+            played = play(
+                source,
+                settings.mapper,
+                out=out,
+                overwrite=options.overwrite,
+                sinks=all_sinks(options, settings, viewer, beside),
+                mode="live",
+                source_note={"live": options.uri},
+                progress=printer,
+            )
+    finally:
+        printer.close()
+        if source is not None:
+            source.close()
+        for sink in beside:
+            sink.close()
+    return finish(options, out, played)
+
+
+def default_name(uri: str) -> str:
+    """Return the name of a map for an address: its letters and digits, `live` where it has none."""
+    return re.sub(r"[^A-Za-z0-9.]+", "-", uri.rpartition("/")[2] or uri).strip("-.") or "live"
+
+
+def _say(text: str, *, as_json: bool) -> None:
+    told = output("live-waiting", {"event": "waiting", "text": text}) if as_json else text
+    sys.stderr.write(f"{told}\n")
+
+
+class _StatusPrinter:
+    """While entered: writes the table of topics to standard error, now and then and at the end."""
+
+    def __init__(self, source: LiveMapSource, every_s: float, *, as_json: bool) -> None:
+        self._source = source
+        self._every_s = every_s
+        self._as_json = as_json
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="live-status", daemon=True)
+
+    def __enter__(self) -> None:
+        if self._every_s > 0:
+            self._thread.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_over.set()
+        if self._every_s > 0:
+            self._thread.join()
+            self._print(self._source.status())
+
+    def _run(self) -> None:
+        while not self._is_over.wait(self._every_s):
+            self._print(self._source.status())
+
+    def _print(self, status: LiveStatus) -> None:
+        from players.live.status import status_table
+
+        if self._as_json:
+            sys.stderr.write(f"{output('live-status', {'event': 'status', **status.as_dict()})}\n")
+            return
+        if sys.stderr.isatty():
+            clear_line()
+        sys.stderr.write(f"{status_table(status)}\n")

@@ -1,0 +1,219 @@
+"""What has arrived and was not taken yet: bounded in bytes, and every message that does not fit is counted.
+
+Small messages (poses, transforms, calibrations) have room of their own, so that images never push them out; of each
+kind the oldest goes first. A route that can make its peer wait (a pipe) waits instead.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from threading import Condition
+from typing import TYPE_CHECKING
+
+from players.containers import LogMessage
+from players.live.rates import Arrivals
+from players.messages import COMPRESSED_IMAGE, IMAGE, POINT_CLOUD
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from players.containers import Topic
+
+MAX_MESSAGE_BYTES = 64 << 20
+"""A message that is longer is refused: 4K colour takes 25 MB, raw."""
+
+MAX_TOPICS = 5000
+"""So many topics are listed; a robot has some hundred."""
+
+_LARGE = (IMAGE, COMPRESSED_IMAGE, POINT_CLOUD)
+_LARGE_BYTES, _SMALL_BYTES = 128 << 20, 16 << 20
+
+
+class ArrivalClock:
+    """Nanoseconds since 1970 that never step: the wall clock when it was made, and a steady one since."""
+
+    def __init__(self) -> None:
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def __call__(self) -> int:
+        """Return the time now."""
+        return time.monotonic_ns() + self._offset_ns
+
+
+class _Queue:
+    """Messages with the numbers under which they came, up to so many bytes."""
+
+    def __init__(self, most_bytes: int) -> None:
+        self.items: deque[tuple[int, LogMessage]] = deque()
+        self.num_bytes = 0
+        self.most_bytes = most_bytes
+
+    def has_room(self, size: int) -> bool:
+        return not self.items or self.num_bytes + size <= self.most_bytes
+
+    def pop(self) -> LogMessage:
+        _, message = self.items.popleft()
+        self.num_bytes -= len(message.data)
+        return message
+
+
+class Inbox:
+    """Between the threads of a route and the one that reads; `clock` stamps arrivals.
+
+    `tap` is called with every message as it comes (topic, message), before anything is dropped.
+    """
+
+    def __init__(
+        self,
+        clock: Callable[[], int] | None = None,
+        *,
+        large_bytes: int = _LARGE_BYTES,
+        small_bytes: int = _SMALL_BYTES,
+        max_message_bytes: int = MAX_MESSAGE_BYTES,
+        tap: Callable[[Topic, LogMessage], None] | None = None,
+    ) -> None:
+        self.clock = clock or ArrivalClock()
+        self._tap = tap
+        self._max_message_bytes = max_message_bytes
+        self._changed = Condition()
+        self._large, self._small = _Queue(large_bytes), _Queue(small_bytes)
+        self._number = 0
+        self._topics: dict[str, Topic] = {}
+        self._withdrawn: set[str] = set()
+        self._announced_ns = self.clock()
+        self._end: str | None = None
+        self.num_unlisted = 0
+        """How many topics were announced beyond `MAX_TOPICS`."""
+        self.arrivals: dict[str, Arrivals] = {}
+
+    # ---- for routes --------------------------------------------------------------------------------------------------
+
+    def announce(self, topic: Topic) -> None:
+        """Take note of a topic; of two types under one name the first one holds."""
+        with self._changed:
+            self._withdrawn.discard(topic.name)
+            if topic.name in self._topics:
+                return
+            if len(self._topics) >= MAX_TOPICS:
+                self.num_unlisted += 1
+                return
+            self._topics[topic.name] = topic
+            self._announced_ns = self.clock()
+            self._changed.notify_all()
+
+    def withdraw(self, name: str) -> None:
+        """Take note that nobody publishes a topic any more."""
+        with self._changed:
+            if name in self._topics:
+                self._withdrawn.add(name)
+
+    def put(self, name: str, data: bytes | memoryview, *, waits: bool = False) -> None:
+        """Take a message of an announced topic that has just come; where there is no room, the oldest goes.
+
+        `waits`: for room, instead.
+        """
+        with self._changed:
+            topic = self._topics.get(name)
+            if topic is None or self._end is not None:
+                return
+            arrived = self._arrived(name)
+            message = LogMessage(name, self.clock(), data)
+            arrived.add(message.log_ns, len(data))
+            if len(data) > self._max_message_bytes:
+                arrived.fates["too_large"] += 1
+                return
+        if self._tap is not None:
+            self._tap(topic, message)
+        with self._changed:
+            queue = self._large if topic.type_name in _LARGE else self._small
+            if waits:
+                self._changed.wait_for(lambda: queue.has_room(len(data)) or self._end is not None)
+            while not queue.has_room(len(data)):
+                self._arrived(queue.pop().topic).fates["queue_full"] += 1
+            self._number += 1
+            queue.items.append((self._number, message))
+            queue.num_bytes += len(data)
+            self._changed.notify_all()
+
+    def refuse(self, name: str, fate: str) -> None:
+        """Count a message that has come and is of no use, e.g. of another type than its topic."""
+        with self._changed:
+            if self._end is None and name in self._topics:
+                arrived = self._arrived(name)
+                arrived.add(self.clock(), 0)
+                arrived.fates[fate] += 1
+
+    def lost(self, name: str, number: int) -> None:
+        """Count messages that are known to have been sent and never came."""
+        with self._changed:
+            if self._end is None and name in self._topics:
+                self._arrived(name).fates["lost"] += number
+
+    def close(self, reason: str = "") -> None:
+        """Take no more; what is in it can still be taken. `reason` says why, for people, where that is a fault."""
+        with self._changed:
+            self._end = self._end if self._end is not None else reason
+            self._changed.notify_all()
+
+    # ---- for the reader ----------------------------------------------------------------------------------------------
+
+    def take(self, timeout_s: float) -> LogMessage | None:
+        """Return the oldest message; None where none came in time, or none will come."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._large.items or self._small.items or self._end is not None, timeout_s)
+            queues = [queue for queue in (self._large, self._small) if queue.items]
+            if not queues:
+                return None
+            message = min(queues, key=lambda queue: queue.items[0][0]).pop()
+            self._changed.notify_all()
+            return message
+
+    @property
+    def is_over(self) -> bool:
+        """Whether everything was taken, and no more will come."""
+        with self._changed:
+            return self._end is not None and not self._large.items and not self._small.items
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether no more will come; what is in it may still be taken."""
+        return self._end is not None
+
+    @property
+    def end_reason(self) -> str:
+        """Why no more comes, "" where that is no fault, or more may come."""
+        return self._end or ""
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """What was announced, sorted by name; those that were withdrawn may come back."""
+        with self._changed:
+            return tuple(self._topics[name] for name in sorted(self._topics))
+
+    def topic(self, name: str) -> Topic:
+        """Return what was announced of a topic."""
+        return self._topics[name]
+
+    def withdrawn(self) -> frozenset[str]:
+        """Return the topics that nobody publishes now."""
+        with self._changed:
+            return frozenset(self._withdrawn)
+
+    def is_quiet(self, for_s: float) -> bool:
+        """Return whether for some time no new topic was announced."""
+        with self._changed:
+            return self.clock() - self._announced_ns >= for_s * 1e9
+
+    def waiting(self) -> Counter[str]:
+        """Return how many messages of each topic are in it."""
+        with self._changed:
+            return Counter(message.topic for queue in (self._large, self._small) for _, message in queue.items)
+
+    def drop(self, message: LogMessage, fate: str) -> None:
+        """Count a message that was taken and is not passed on."""
+        with self._changed:
+            self._arrived(message.topic).fates[fate] += 1
+
+    def _arrived(self, name: str) -> Arrivals:
+        return self.arrivals.setdefault(name, Arrivals())

@@ -1,0 +1,165 @@
+"""What arrives, as a log: the same opening, synchroniser and poses read it as read a file.
+
+While it is being opened, messages are kept, so that it can be read from its beginning several times: all small ones,
+and of the images the newest. From `begin` on every message is passed on once and forgotten.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from typing import TYPE_CHECKING
+
+from players.flaws import Flaws
+from players.live.clock_offset import ClockOffset
+from players.messages import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
+from players.peek import peek_stamp_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping
+    from pathlib import Path
+
+    from players.containers import LogMessage, Topic
+    from players.live.inbox import Inbox
+    from players.live.transport import LiveSource
+
+_IMAGES = (IMAGE, COMPRESSED_IMAGE)
+_KEPT_IMAGE_BYTES, _KEPT_SMALL_BYTES = 96 << 20, 64 << 20
+_POLL_S = 0.2
+
+
+class LiveLog:
+    """A `Log` of what arrives in an inbox; ends when the route does, after `end`, or after `most_s` of mapping."""
+
+    files: tuple[Path, ...] = ()
+    checksum = ""
+
+    def __init__(self, source: LiveSource, inbox: Inbox, *, most_s: float | None = None) -> None:
+        self.path = source.uri
+        self.kind = source.kind
+        self.flaws = Flaws()
+        self.clock_offset = ClockOffset()
+        self.inbox = inbox
+        self._most_s = most_s
+        self._wanted: frozenset[str] | None = None
+        self._kept: deque[LogMessage] = deque()
+        self._kept_bytes = {True: 0, False: 0}
+        self._pass_ends_s = 0.0
+        self._began_s: float | None = None
+        self._is_ended = False
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """What was announced so far."""
+        return self.inbox.topics
+
+    def declared(self) -> Mapping[str, int]:
+        """Return how many messages of each topic have come."""
+        found = self.inbox.arrivals
+        return {topic.name: found[topic.name].num_received if topic.name in found else 0 for topic in self.topics}
+
+    def left(self) -> Counter[str]:
+        """Return how many messages of each topic have come and were not passed on yet."""
+        return self.inbox.waiting() + Counter(message.topic for message in self._kept)
+
+    # ---- opening -----------------------------------------------------------------------------------------------------
+
+    def want(self, names: Collection[str]) -> None:
+        """Have the images of these topics kept from now on, and of no others; whatever is small is kept in any case."""
+        self._wanted = frozenset(names)
+
+    def attempt(self, seconds: float) -> None:
+        """Begin an attempt at opening: for so long, `messages` waits for more."""
+        self._pass_ends_s = time.monotonic() + seconds
+
+    def idle(self, seconds: float) -> None:
+        """Let messages come for a while, and keep them."""
+        ends_s = time.monotonic() + seconds
+        while not self._is_ended and not self.inbox.is_over and (left_s := ends_s - time.monotonic()) > 0:
+            self._keep(self.inbox.take(min(left_s, _POLL_S)))
+
+    def begin(self) -> None:
+        """End the opening: what is read from now on is passed on once."""
+        self._began_s = time.monotonic()
+
+    def end(self) -> None:
+        """Take no more; whoever waits for a message is woken."""
+        self._is_ended = True
+        self.inbox.close()
+
+    # ---- reading -----------------------------------------------------------------------------------------------------
+
+    def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
+        """Yield the messages of some topics: in an attempt at opening all that were kept and what comes until its end.
+
+        Once it has begun: what was kept, then what comes, until there is no more.
+        """
+        wanted = set(topics)
+        if self._began_s is not None:
+            yield from self._running(wanted)
+            return
+        for message in list(self._kept):
+            if message.topic in wanted:
+                yield message
+        while not self._is_ended and not self.inbox.is_over and time.monotonic() < self._pass_ends_s:
+            kept = self._keep(self.inbox.take(_POLL_S))
+            if kept is not None and kept.topic in wanted:
+                yield kept
+
+    def _running(self, wanted: set[str]) -> Iterator[LogMessage]:
+        self._wanted = frozenset(wanted)
+        try:
+            while not self._is_ended and self._kept:
+                message = self._kept.popleft()
+                if message.topic in wanted:
+                    yield message
+            while not self._is_ended and not self.inbox.is_over and not self._is_long_enough():
+                taken = self.inbox.take(_POLL_S)
+                if taken is not None:
+                    self._note(taken)
+                if taken is not None and taken.topic in wanted:
+                    yield taken
+        finally:
+            self.inbox.close()
+
+    def _is_long_enough(self) -> bool:
+        assert self._began_s is not None
+        return self._most_s is not None and time.monotonic() - self._began_s >= self._most_s
+
+    def _keep(self, message: LogMessage | None) -> LogMessage | None:
+        """Keep a message while the log is being opened; None where it is of no use."""
+        if message is None:
+            return None
+        topic = self._note(message)
+        is_image = topic.type_name in _IMAGES
+        is_chosen = self._wanted is None or message.topic in self._wanted
+        if not (is_chosen if is_image else topic.type_name in (*TF, *POSE_TYPES, CAMERA_INFO)):
+            return None
+        self._kept.append(message)
+        self._kept_bytes[is_image] += len(message.data)
+        if self._kept_bytes[is_image] > (_KEPT_IMAGE_BYTES if is_image else _KEPT_SMALL_BYTES):
+            self._forget(is_image)
+        return message
+
+    def _forget(self, is_image: bool) -> None:
+        """Drop the older half of what is kept of one kind: an opening that takes long is not to take memory."""
+        types = {topic.name: topic.type_name in _IMAGES for topic in self.topics}
+        surplus = self._kept_bytes[is_image] // 2
+        rest: deque[LogMessage] = deque()
+        for message in self._kept:
+            if surplus > 0 and types[message.topic] is is_image and not message.topic.endswith("tf_static"):
+                surplus -= len(message.data)
+                self._kept_bytes[is_image] -= len(message.data)
+                self.inbox.drop(message, "before_opening")
+            else:
+                rest.append(message)
+        self._kept = rest
+
+    def _note(self, message: LogMessage) -> Topic:
+        """Take the clock's offset from an image, whose header lies at its beginning."""
+        topic = self.inbox.topic(message.topic)
+        if topic.type_name in _IMAGES and not topic.foreign_type:
+            stamp_ns = peek_stamp_ns(topic, message.data)
+            if stamp_ns is not None:
+                self.clock_offset.add(message.log_ns, stamp_ns)
+        return topic

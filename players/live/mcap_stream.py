@@ -1,0 +1,174 @@
+"""An MCAP stream that is being written: a pipe, standard input, or a file that grows.
+
+Records are read one after another; a chunk is a message's worth of delay. A pipe ends with its writer; of a file that
+grows the end is its footer. What stands still makes its writer wait: nothing is dropped before it is read.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from players.live.inbox import MAX_MESSAGE_BYTES
+from players.live.transport import Health
+from players.mcap_records import (
+    CHANNEL,
+    CHUNK_OP,
+    FOOTER,
+    HEAD,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_OP,
+    SCHEMA,
+    Described,
+    is_record,
+    learn,
+    topic_of,
+    unpacked_chunk,
+)
+from players.unpack import UnpackError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+    from pathlib import Path
+
+    from players.live.inbox import Inbox
+
+_READ_BYTES = 1 << 18
+_MAX_RECORD_BYTES = 4 * MAX_MESSAGE_BYTES
+_POLL_S = 0.05
+
+
+class _NotMcapError(Exception):
+    """The bytes are no MCAP; says what was found."""
+
+
+class McapStream:
+    """The `LiveSource` of `mcap:PATH` and `-`."""
+
+    kind = "MCAP stream"
+
+    def __init__(self, uri: str, path: Path | None) -> None:
+        """Prepare to read a path, or standard input where there is none."""
+        self.uri = uri
+        self._path = path
+        self._described = Described()
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._health = Health(is_connected=False, problem=f"nothing was written to {path or 'standard input'} yet")
+
+    def start(self, inbox: Inbox) -> None:
+        """Read in a thread of its own."""
+        self._thread = threading.Thread(target=self._run, args=(inbox,), name="mcap-stream", daemon=True)
+        self._thread.start()
+
+    def subscribe(self, names: Collection[str]) -> None:
+        """Do nothing: the writer sends everything."""
+
+    def health(self) -> Health:
+        """Return whether something has been read, or why nothing is read any more."""
+        return self._health
+
+    def stop(self) -> None:
+        """End the reading thread."""
+        self._stopped.set()
+        if self._thread is not None:
+            self._thread.join(2.0)
+
+    def _run(self, inbox: Inbox) -> None:
+        reason = ""
+        try:
+            for opcode, content in self._records():
+                self._health = Health(is_connected=True)
+                self._take(inbox, opcode, content)
+            self._health = Health(is_connected=False, problem="the stream has ended")
+        except (_NotMcapError, UnpackError, OSError) as error:
+            reason = f"{self.uri}: {error}"
+            self._health = Health(is_connected=False, problem=str(error))
+        inbox.close(reason)
+
+    def _take(self, inbox: Inbox, opcode: int, content: memoryview) -> None:
+        if opcode == CHUNK_OP:
+            records = memoryview(unpacked_chunk(content, 0, len(content)))
+            at = 0
+            while at + HEAD.size <= len(records):
+                inner, length = HEAD.unpack_from(records, at)
+                at += HEAD.size
+                if inner != CHUNK_OP:
+                    self._take(inbox, inner, records[at : at + length])
+                at += length
+        elif opcode in (SCHEMA, CHANNEL):
+            learn(self._described, opcode, bytes(content))
+            for channel in self._described.channels:
+                inbox.announce(topic_of(self._described, channel, None))
+        elif opcode == MESSAGE_OP and len(content) >= MESSAGE.size:
+            channel = MESSAGE.unpack_from(content, 0)[0]
+            known = self._described.channels.get(channel)
+            if known is not None and not self._stopped.is_set():
+                inbox.put(known[1], content[MESSAGE.size :], waits=True)
+
+    def _records(self) -> Iterator[tuple[int, memoryview]]:
+        """Yield kind and content of each record until the footer or the end of the stream."""
+        buffer, at = bytearray(), 0
+        pieces = self._pieces()
+        is_first = True
+        for piece in pieces:
+            buffer += piece
+            if is_first:
+                if len(buffer) < len(MAGIC):
+                    continue
+                if bytes(buffer[: len(MAGIC)]) != MAGIC:
+                    raise _NotMcapError(f"begins with {bytes(buffer[:8]).hex(' ')}; expected an MCAP stream")
+                at, is_first = len(MAGIC), False
+            while at + HEAD.size <= len(buffer):
+                opcode, length = HEAD.unpack_from(buffer, at)
+                if length > _MAX_RECORD_BYTES or not is_record(opcode, length, length):
+                    raise _NotMcapError(f"holds what is no record (kind {opcode}, {length} bytes); write it anew")
+                if at + HEAD.size + length > len(buffer):
+                    break
+                if opcode == FOOTER:
+                    return
+                begin = at + HEAD.size
+                yield opcode, memoryview(bytes(buffer[begin : begin + length]))
+                at = begin + length
+            del buffer[:at]
+            at = 0
+
+    def _pieces(self) -> Iterator[bytes]:
+        """Yield what can be read, as it comes."""
+        if self._path is None:
+            yield from self._piped(sys.stdin.fileno())
+            return
+        is_pipe = not self._path.is_file()
+        # A pipe is opened without waiting for its writer, so that it can be given up.
+        descriptor = os.open(self._path, os.O_RDONLY | (os.O_NONBLOCK if is_pipe else 0))
+        try:
+            yield from self._piped(descriptor) if is_pipe else self._grown(descriptor)
+        finally:
+            os.close(descriptor)
+
+    def _piped(self, descriptor: int) -> Iterator[bytes]:
+        has_begun = False
+        while not self._stopped.is_set():
+            if not select.select([descriptor], [], [], _POLL_S)[0]:
+                continue
+            piece = os.read(descriptor, _READ_BYTES)
+            if piece:
+                has_begun = True
+                yield piece
+            elif has_begun or self._path is None:
+                return
+            else:
+                time.sleep(_POLL_S)  # no writer yet
+
+    def _grown(self, descriptor: int) -> Iterator[bytes]:
+        while not self._stopped.is_set():
+            piece = os.read(descriptor, _READ_BYTES)
+            if piece:
+                yield piece
+            else:
+                time.sleep(_POLL_S)

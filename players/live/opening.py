@@ -1,0 +1,192 @@
+"""Opening a live route: wait until what is needed has come, always saying for what, and map from there on.
+
+What is missing is told by the same code that refuses a log: an attempt at opening fails with its reason, and is made
+again while there is time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from hickory_stream.errors import InputError, RecordingError
+from hickory_stream.ports import SourceAround
+from players.discover import camera_infos, choose_images, pose_topics, tf_topics
+from players.live.inbox import Inbox
+from players.live.live_log import LiveLog
+from players.live.routes import route_of
+from players.live.status import LiveStatus, status_of
+from players.log_opening import choose_profile, open_log
+from players.options import SourceOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from hickory_stream.records import RawFrame, SourceInfo
+    from players.account import Account, TopicAccount
+    from players.live.transport import LiveSource
+    from players.log_source import LogSource
+
+DEFAULT_PATIENCE_S = 60.0
+DEFAULT_ATTEMPT_S = 2.0
+
+_QUIET_S = 0.5
+_BETWEEN_S = 0.25
+
+
+class LiveMapSource(SourceAround):
+    """The `Source` of a live route, once it is known what to map; `frames` can be asked for once."""
+
+    def __init__(self, route: LiveSource, log: LiveLog, source: LogSource) -> None:
+        super().__init__(source)
+        self._route = route
+        self._log = log
+        self._log_source = source
+
+    @property
+    def info(self) -> SourceInfo:
+        """What was found when the route was opened; no two sessions have one identity."""
+        session = f"{self._log.path}\0{self._source.info.start_ns}"
+        return replace(self._source.info, identity=hashlib.sha256(session.encode()).hexdigest())
+
+    def frames(self) -> Iterator[RawFrame]:
+        """Yield the frames as they come, until the route ends or `interrupt` is called."""
+        self._log.begin()
+        return self._source.frames()
+
+    def ledger(self) -> Mapping[str, int]:
+        """Return that of the messages that were read, and how often the robot's clock was set."""
+        steps = self._log.clock_offset.num_steps
+        return {**self._source.ledger(), **({"clock_steps": steps} if steps else {})}
+
+    def account(self) -> Account:
+        """Return where every message that came has ended; what was lost on the way never came."""
+        kept: Account = self._log_source.account()
+        left = self._log.left()
+        entries = [self._entry(entry, left[entry.topic]) for entry in kept.topics]
+        return replace(kept, topics=tuple(entries), explanation=self._log.inbox.end_reason)
+
+    def status(self) -> LiveStatus:
+        """Return how the route and its topics are now."""
+        return status_of(self._route, self._log, self._log_source.setup)
+
+    def interrupt(self) -> None:
+        """End the frames: the run is to end."""
+        self._log.end()
+
+    def close(self) -> None:
+        """End the route."""
+        self._log.end()
+        self._route.stop()
+
+    def _entry(self, entry: TopicAccount, num_left: int) -> TopicAccount:
+        """Return an entry with what never reached the log: dropped for want of room, or still waiting."""
+        arrived = self._log.inbox.arrivals.get(entry.topic)
+        dropped = {fate: n for fate, n in arrived.fates.items() if fate != "lost"} if arrived is not None else {}
+        not_needed = max(0, entry.not_needed - sum(dropped.values()))
+        is_needed = not entry.not_needed
+        return replace(
+            entry,
+            not_needed=not_needed,
+            not_played=num_left if is_needed else 0,
+            rejected={**entry.rejected, **dropped},
+        )
+
+
+def open_live(
+    uri: str,
+    options: SourceOptions | None = None,
+    *,
+    patience_s: float = DEFAULT_PATIENCE_S,
+    attempt_s: float = DEFAULT_ATTEMPT_S,
+    most_s: float | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+    route: LiveSource | None = None,
+    inbox: Inbox | None = None,
+) -> LiveMapSource:
+    """Return the source that maps a live route as soon as colour, depth, calibration and poses have come.
+
+    `patience_s` is how long that may take, `attempt_s` how long after the first images topics are waited for that are
+    announced and silent; `tell` is told what is waited for, whenever that changes. Frames end after `most_s` of them.
+    `route` and `inbox` stand in for those of the address.
+
+    Raises:
+        RecordingError: the address names no route, the route has ended, or patience is over: says what is missing.
+        CalibrationError: intrinsics or extrinsics are still missing then, or contradict the images.
+    """
+    options = options or SourceOptions()
+    route = route or route_of(uri)
+    log = LiveLog(route, inbox or Inbox(), most_s=most_s)
+    try:
+        route.start(log.inbox)
+        source = _opened(route, log, options, _Patience(patience_s, attempt_s), tell)
+    except BaseException:
+        log.end()
+        route.stop()
+        raise
+    return LiveMapSource(route, log, source)
+
+
+class _Patience(NamedTuple):
+    """How long an opening may take, and each attempt at it."""
+
+    most_s: float
+    attempt_s: float
+
+
+def _opened(
+    route: LiveSource, log: LiveLog, options: SourceOptions, patience: _Patience, tell: Callable[[str], None]
+) -> LogSource:
+    ends_s = time.monotonic() + patience.most_s
+    told = ""
+    while True:
+        is_over = log.inbox.is_over  # before the attempt: it may be the last one that can succeed
+        try:
+            subscribe(route, log, options)
+            log.attempt(max(0.0, min(patience.attempt_s, ends_s - time.monotonic())))
+            return open_log(log, options)
+        except InputError as error:
+            reason = _missing(route, log, error)
+            if is_over or log.inbox.end_reason:
+                raise type(error)(log.inbox.end_reason or f"{error}; the stream has ended") from error
+            if time.monotonic() >= ends_s:
+                waited = f"waited {patience.most_s:g} s for {log.path}"
+                raise type(error)(f"{reason}; {waited}: `hickory-stream doctor {log.path}` shows its topics") from error
+        if reason != told:
+            tell(f"waiting: {reason}")
+            told = reason
+        log.idle(_BETWEEN_S)
+
+
+def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
+    """Ask a route for the topics that mapping needs of those announced so far, once no more of them come in a row.
+
+    Raises:
+        RecordingError: colour, depth or poses are not announced.
+        CalibrationError: there is no such profile or robot.
+    """
+    log.idle(_BETWEEN_S)
+    while not log.inbox.is_quiet(_QUIET_S) and not log.inbox.is_over:
+        log.idle(_BETWEEN_S)
+    topics = log.topics
+    if not topics:
+        raise RecordingError(f"{log.path} has announced no topics")
+    profile, _ = choose_profile(topics, options)
+    # What is there is asked for even where something else is missing: it may come later than that.
+    small = {topic.name for topic in [*tf_topics(topics), *camera_infos(topics)]}
+    try:
+        poses = [] if options.pose_file else pose_topics(log.path, topics, options, profile.topics.get("pose", ()))
+        images = choose_images(log.path, topics, options, profile.topics)
+    finally:
+        route.subscribe(small)
+    wanted = small | {topic.name for topic in (*poses, images.color, images.depth)}
+    route.subscribe(wanted)
+    log.want(wanted)
+
+
+def _missing(route: LiveSource, log: LiveLog, error: InputError) -> str:
+    """Return what is missing: a route that is down, and may come back, explains everything else."""
+    health = route.health()
+    return health.problem if health.problem and not health.is_connected and not log.inbox.is_closed else str(error)

@@ -1,0 +1,37 @@
+"""Which route an address names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import RecordingError
+
+if TYPE_CHECKING:
+    from players.live.transport import LiveSource
+
+KNOWN = "mcap:PIPE, - (an MCAP stream on standard input)"
+
+
+def is_live(uri: str) -> bool:
+    """Return whether an address names a live route rather than a log: it has a scheme, and no file has its name."""
+    return uri == "-" or (uri.startswith("mcap:") and not Path(uri).exists()) or "://" in uri
+
+
+def route_of(uri: str) -> LiveSource:
+    """Return the route that an address names, not started yet.
+
+    Raises:
+        RecordingError: it names none.
+    """
+    from players.live.mcap_stream import McapStream
+
+    if uri == "-":
+        return McapStream("-", None)
+    if uri.startswith("mcap:"):
+        path = Path(uri.removeprefix("mcap:"))
+        if not path.exists() or path.is_dir():
+            found = "a folder" if path.is_dir() else "no such file or pipe"
+            raise RecordingError(f"{uri}: found {found}, expected a pipe (mkfifo {path}) or a file that grows")
+        return McapStream(uri, path)
+    raise RecordingError(f"found {uri}, expected one of {KNOWN}")

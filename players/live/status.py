@@ -1,0 +1,159 @@
+"""How a live route and its topics are: rates, ages, losses, what is missing, and the likely reason."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from players.live.rates import Arrivals
+from players.messages import TF
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from players.containers import Topic
+    from players.live.live_log import LiveLog
+    from players.live.transport import LiveSource
+    from players.log_source import LogSetup
+
+_SILENT_S = 2.0
+_ROLES = ("color", "depth", "color_info", "depth_info", "pose")
+_OFF_S = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicStatus:
+    """One topic now: `role` in the map ("" for none), `age_s` since its last message (None: none came).
+
+    `lost` never came as far as sequence numbers tell, `dropped` came and was not passed on. `problem` says what is
+    missing and the likely reason, "" where nothing is.
+    """
+
+    topic: str
+    type_name: str
+    role: str
+    rate_hz: float
+    age_s: float | None
+    bytes_per_s: float
+    received: int
+    dropped: int
+    lost: int
+    problem: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LiveStatus:
+    """A route now; `clock_offset_s` is our clock less the robot's, None before the first image."""
+
+    uri: str
+    kind: str
+    is_connected: bool
+    problem: str
+    clock_offset_s: float | None
+    clock_steps: int
+    unlisted_topics: int
+    topics: tuple[TopicStatus, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        return asdict(self)
+
+
+def status_of(route: LiveSource, log: LiveLog, setup: LogSetup | None = None) -> LiveStatus:
+    """Return the status of a route; `setup` says which topics are mapped, where that is known."""
+    health, inbox = route.health(), log.inbox
+    now_ns = inbox.clock()
+    roles = {name: role for role, name in (setup.streams if setup is not None else ()) if role in _ROLES}
+    withdrawn = inbox.withdrawn()
+    entries = []
+    for topic in inbox.topics:
+        arrived = inbox.arrivals.get(topic.name, Arrivals())
+        role = roles.get(topic.name, "tf" if topic.type_name in TF else "")
+        rate, speed = arrived.rate(now_ns)
+        age_s = (now_ns - arrived.last_ns) / 1e9 if arrived.last_ns is not None else None
+        lost = arrived.fates["lost"]
+        entries.append(
+            TopicStatus(
+                topic=topic.name,
+                type_name=topic.type_name,
+                role=role,
+                rate_hz=round(rate, 2),
+                age_s=None if age_s is None else round(age_s, 2),
+                bytes_per_s=round(speed),
+                received=arrived.num_received,
+                dropped=arrived.fates.total() - lost,
+                lost=lost,
+                problem=_problem(topic, role, age_s, arrived.fates, withdrawn),
+            )
+        )
+    offset_ns = log.clock_offset.offset_ns
+    return LiveStatus(
+        uri=route.uri,
+        kind=route.kind,
+        is_connected=health.is_connected,
+        problem=health.problem,
+        clock_offset_s=None if offset_ns is None else round(offset_ns / 1e9, 3),
+        clock_steps=log.clock_offset.num_steps,
+        unlisted_topics=inbox.num_unlisted,
+        topics=tuple(entries),
+    )
+
+
+def _problem(topic: Topic, role: str, age_s: float | None, fates: Mapping[str, int], withdrawn: Collection[str]) -> str:
+    """Return what is wrong with a topic and the likely reason; only of topics that the map needs."""
+    if not role:
+        return ""
+    if topic.name in withdrawn:
+        return "nobody publishes it any more: the node has ended, or the robot is away"
+    is_latched = topic.name.endswith("tf_static")
+    if age_s is None:
+        if is_latched:
+            return "nothing has come: it is sent once, and whoever sends it keeps nothing for late comers"
+        return "announced, but nothing has come: the camera or its driver may be off, or sends on demand only"
+    if not is_latched and role not in ("color_info", "depth_info") and age_s > _SILENT_S:
+        return f"silent for {age_s:.0f} s"
+    told = ", ".join(f"{number} {_FATES.get(fate, fate)}" for fate, number in sorted(fates.items()) if number)
+    return told
+
+
+_FATES = {
+    "queue_full": "dropped: more came than was read",
+    "before_opening": "dropped: they came before all that is needed was there",
+    "too_large": "refused: longer than 64 MB",
+    "other_type": "refused: somebody publishes another type under this name",
+    "lost": "lost on the way",
+}
+
+
+def status_table(status: LiveStatus) -> str:
+    """Return a status as lines of text: the topics that the map uses, then what is announced beside them."""
+    clock = ""
+    if status.clock_offset_s is not None and abs(status.clock_offset_s) > _OFF_S:
+        clock = f"; the robot's clock is {_span(status.clock_offset_s)} ours, its stamps are kept"
+    if status.clock_steps:
+        clock += f"; it was set {status.clock_steps} times"
+    state = "connected" if status.is_connected else f"not connected: {status.problem}"
+    note = f"; {status.problem}" if status.is_connected and status.problem else ""
+    lines = [f"{status.uri} ({status.kind}): {state}{note}{clock}"]
+    shown = [entry for entry in status.topics if entry.role or entry.received]
+    width = max((len(entry.topic) for entry in shown), default=0)
+    for entry in shown:
+        age = "never" if entry.age_s is None else f"{entry.age_s:.1f} s ago"
+        lines.append(
+            f"  {entry.topic.ljust(width)}  {entry.role or '-':<10} {entry.rate_hz:7.1f} Hz "
+            f"{entry.bytes_per_s / 1e6:7.2f} MB/s {age:>12} {entry.received:>8} came"
+            + (f", {entry.dropped} dropped" if entry.dropped else "")
+            + (f", {entry.lost} lost" if entry.lost else "")
+            + (f"  <- {entry.problem}" if entry.problem else "")
+        )
+    others = len(status.topics) - len(shown) + status.unlisted_topics
+    if others:
+        lines.append(f"  and {others} topics that mapping does not need")
+    return "\n".join(lines)
+
+
+def _span(seconds: float) -> str:
+    """Return how a clock lies to ours; `seconds` is ours less the other."""
+    side = "behind" if seconds > 0 else "ahead of"
+    size = abs(seconds)
+    return f"{size:.1f} s {side}" if size < 300 else f"{size / 60:.0f} min {side}"

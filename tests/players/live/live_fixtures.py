@@ -1,0 +1,86 @@
+"""A live route that a test writes itself: announces topics, and sends what it is told to."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cache
+from typing import TYPE_CHECKING
+
+from players.containers import Topic
+from players.live.transport import Health
+from tests.player_scenes import Messages, make_scene, png_images, scene_messages
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+
+    from players.live.inbox import Inbox
+
+
+@dataclass(frozen=True, kw_only=True)
+class Packet:
+    """A message as it lies on the wire, and what is known of its topic."""
+
+    topic: Topic
+    stamp_ns: int
+    data: bytes
+
+
+def scene_packets(num_frames: int = 6) -> list[Packet]:
+    """Return the small scene of the players' tests as packets in the order of time."""
+    return list(_packets(num_frames))
+
+
+@cache
+def _packets(num_frames: int) -> tuple[Packet, ...]:
+    m = Messages(2)
+    packets = []
+    for entry in scene_messages(m, make_scene(num_frames=num_frames), png_images):
+        name = entry.message.__msgtype__
+        topic = Topic(
+            name=entry.topic, type_name=name, num_messages=None, wire="cdr", definition_format="none", definition=""
+        )
+        packets.append(
+            Packet(topic=topic, stamp_ns=entry.stamp_ns, data=bytes(m.store.serialize_cdr(entry.message, name)))
+        )
+    return tuple(packets)
+
+
+@dataclass
+class ScriptedRoute:
+    """A `LiveSource` without a network; `sent` counts what it put into the inbox, by topic."""
+
+    uri: str = "script://robot"
+    kind: str = "script"
+    at_start: list[Packet] = field(default_factory=list)
+    announced: list[Topic] = field(default_factory=list)
+    state: Health = field(default_factory=lambda: Health(is_connected=True))
+    sent: Counter[str] = field(default_factory=Counter)
+    asked: set[str] = field(default_factory=set)
+    inbox: Inbox | None = None
+
+    def start(self, inbox: Inbox) -> None:
+        self.inbox = inbox
+        for topic in self.announced:
+            inbox.announce(topic)
+        self.send(self.at_start)
+
+    def send(self, packets: Iterable[Packet]) -> None:
+        assert self.inbox is not None
+        for packet in packets:
+            self.inbox.announce(packet.topic)
+            self.inbox.put(packet.topic.name, packet.data)
+            self.sent[packet.topic.name] += 1
+
+    def end(self) -> None:
+        assert self.inbox is not None
+        self.inbox.close()
+
+    def subscribe(self, names: Collection[str]) -> None:
+        self.asked |= set(names)
+
+    def health(self) -> Health:
+        return self.state
+
+    def stop(self) -> None:
+        self.state = Health(is_connected=False, problem="stopped")

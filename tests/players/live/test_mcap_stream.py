@@ -1,0 +1,106 @@
+"""An MCAP stream that is being written: a pipe, a file that grows, standard input, and what is none of them."""
+
+from __future__ import annotations
+
+import os
+import sys
+from threading import Thread
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hickory_stream.errors import RecordingError
+from players.live import open_live
+from players.live.routes import is_live
+from players.opening import open_source
+from tests.player_scenes import NUM_FRAMES, Messages, make_scene, png_images, scene_messages, write_mcap
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def scene_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    m = Messages(2)
+    path = tmp_path_factory.mktemp("stream") / "scene.mcap"
+    return write_mcap(path, m, scene_messages(m, make_scene(), png_images), chunk_size=4000)
+
+
+def write_in_thread(path: Path, data: bytes) -> Thread:
+    def write() -> None:
+        with path.open("wb") as stream:
+            for at in range(0, len(data), 999):
+                stream.write(data[at : at + 999])
+                stream.flush()
+
+    thread = Thread(target=write, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_a_pipe_is_mapped_until_its_writer_ends(scene_log: Path, tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    writer = write_in_thread(pipe, scene_log.read_bytes())
+    source = open_live(f"mcap:{pipe}", attempt_s=0.3)
+    stamps = [frame.stamp_ns for frame in source.frames()]
+    writer.join(5.0)
+    assert stamps == [frame.stamp_ns for frame in open_source(scene_log).frames()]
+    assert source.account().as_dict()["difference"] == 0
+    assert source.account().as_dict()["declared"] == sum(
+        topic.num_messages or 0 for topic in open_source(scene_log)._log.topics
+    )
+    source.close()
+
+
+def test_a_file_that_grows_is_followed_beyond_its_end(scene_log: Path, tmp_path: Path) -> None:
+    data = scene_log.read_bytes()
+    path = tmp_path / "growing.mcap"
+    path.write_bytes(data[: len(data) // 2])
+    source = open_live(f"mcap:{path}", attempt_s=0.3)
+    frames = source.frames()
+    seen = [next(frames)]
+    with path.open("ab") as stream:
+        stream.write(data[len(data) // 2 :])
+    seen += list(frames)
+    assert len(seen) == NUM_FRAMES
+    source.close()
+
+
+def test_standard_input_is_read(scene_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene_log.open("rb") as stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        source = open_live("-", attempt_s=0.3)
+        assert len(list(source.frames())) == NUM_FRAMES
+        source.close()
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"GET / HTTP/1.1\r\n\r\n", "begins with 47 45 54 20 .* expected an MCAP stream"),
+        (
+            b"\x89MCAP0\r\n" + b"\x05" + (1 << 40).to_bytes(8, "little") + bytes(100),
+            "what is no record .*1099511627776",
+        ),
+        (b"\x89MCAP0\r\n", "announced no topics; the stream has ended"),
+    ],
+)
+def test_what_is_no_mcap_ends_in_one_line(content: bytes, told: str, tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    write_in_thread(pipe, content)
+    with pytest.raises(RecordingError, match=told):
+        open_live(f"mcap:{pipe}", attempt_s=0.3)
+
+
+def test_an_address_that_names_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no such file or pipe, expected a pipe"):
+        open_live(f"mcap:{tmp_path / 'none'}")
+    with pytest.raises(RecordingError, match="a folder, expected"):
+        open_live(f"mcap:{tmp_path}")
+    with pytest.raises(RecordingError, match="found gopher://robot, expected one of mcap:PIPE"):
+        open_live("gopher://robot")
+    assert [is_live(uri) for uri in ("-", "mcap:x", "zenoh://b2", "log.mcap", str(tmp_path))] == [True] * 3 + [
+        False
+    ] * 2

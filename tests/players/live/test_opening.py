@@ -1,0 +1,152 @@
+"""A live route is opened when all that mapping needs has come, and says what it waits for until then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.errors import CalibrationError, RecordingError
+from players.live import open_live
+from players.live.transport import Health
+from players.opening import open_source
+from tests.player_scenes import Messages, make_scene, png_images, scene_messages, write_mcap
+from tests.players.live.live_fixtures import ScriptedRoute, scene_packets
+from tools.robot.stamps import restamped
+
+if TYPE_CHECKING:
+    from players.live.inbox import Inbox
+
+INFOS = "camera_info"
+
+
+def opened(route: ScriptedRoute, *, inbox: Inbox | None = None, patience_s: float = 5.0, **options):
+    return open_live(route.uri, route=route, inbox=inbox, patience_s=patience_s, attempt_s=0.3, **options)
+
+
+def unaccounted(source, route: ScriptedRoute) -> dict[str, int]:
+    """Return, by topic, how many of the messages that a route sent are in no bucket of the ledger."""
+    entries = {entry.topic: entry for entry in source.account().topics}
+    return {name: number - entries[name].total for name, number in route.sent.items() if number != entries[name].total}
+
+
+def test_what_arrives_gives_the_frames_that_the_same_log_gives(tmp_path) -> None:
+    m = Messages(2)
+    path = write_mcap(tmp_path / "scene.mcap", m, scene_messages(m, make_scene(), png_images))
+    route = ScriptedRoute(at_start=scene_packets())
+    source = opened(route)
+    route.end()
+    live, logged = list(source.frames()), list(open_source(path).frames())
+    assert [frame.stamp_ns for frame in live] == [frame.stamp_ns for frame in logged]
+    for a, b in zip(live, logged, strict=True):
+        assert np.array_equal(a.world_from_camera, b.world_from_camera)
+        assert np.array_equal(a.decode().depth_m, b.decode().depth_m, equal_nan=True)
+    assert unaccounted(source, route) == {}
+    assert source.account().as_dict()["difference"] == 0
+    assert source.info.uri == route.uri
+
+
+def test_only_what_mapping_needs_is_asked_for() -> None:
+    beside = replace(scene_packets()[0].topic, name="/other/image", type_name="sensor_msgs/msg/Imu")
+    route = ScriptedRoute(at_start=scene_packets(), announced=[beside])
+    source = opened(route)
+    assert "/other/image" not in route.asked
+    assert {"/odom", "/tf_static", "/cam/color/image_rect/compressed"} <= route.asked
+    source.close()
+
+
+def test_calibration_that_comes_late_is_waited_for_by_name() -> None:
+    late = [packet for packet in scene_packets() if INFOS in packet.topic.name]
+    route = ScriptedRoute(at_start=[packet for packet in scene_packets() if INFOS not in packet.topic.name])
+    told: list[str] = []
+
+    def tell(text: str) -> None:
+        told.append(text)
+        route.send(late)
+
+    source = opened(route, tell=tell, patience_s=20.0)
+    route.end()
+    assert "no intrinsics for /cam/color/image_rect/compressed" in told[0]
+    # The images that came before it were kept: all frames are there.
+    assert len(list(source.frames())) == 6
+    assert unaccounted(source, route) == {}
+
+
+def test_topics_that_appear_one_after_the_other_are_told_one_after_the_other() -> None:
+    packets = scene_packets()
+    parts = [
+        [packet for packet in packets if word in packet.topic.name] for word in ("tf_static", "odom", "color", "depth")
+    ]
+    route = ScriptedRoute()
+    told: list[str] = []
+
+    def tell(text: str) -> None:
+        told.append(text)
+        if parts:
+            route.send(parts.pop(0))
+
+    source = opened(route, tell=tell, patience_s=30.0)
+    route.end()
+    assert "announced no topics" in told[0]
+    assert [any(word in text for text in told) for word in ("no images", "no depth topic")] == [True, True]
+    assert len(list(source.frames())) == 6
+
+
+def test_a_route_that_gives_nothing_says_what_is_missing() -> None:
+    topics = [packet.topic for packet in scene_packets()]
+    route = ScriptedRoute(announced=topics)
+    with pytest.raises(RecordingError, match=r"image_rect.* holds no image.*waited 0\.2 s for script://robot"):
+        opened(route, patience_s=0.2)
+    assert route.state.problem == "stopped"
+    down = ScriptedRoute(state=Health(is_connected=False, problem="robot:7447 does not answer"))
+    with pytest.raises(RecordingError, match="robot:7447 does not answer; waited"):
+        opened(down, patience_s=0.2)
+
+
+def test_a_link_that_nobody_publishes_is_named() -> None:
+    route = ScriptedRoute(at_start=[packet for packet in scene_packets() if "tf_static" not in packet.topic.name])
+    with pytest.raises(CalibrationError, match=r"base_link.*cam_optical"):
+        opened(route, patience_s=0.3)
+
+
+def test_a_robot_that_restarts_with_its_clock_at_zero_is_mapped_on() -> None:
+    packets = scene_packets()
+    first_ns = packets[0].stamp_ns
+    again = [replace(packet, data=restamped(packet.topic, packet.data, 5_000_000_000 - first_ns)) for packet in packets]
+    route = ScriptedRoute(at_start=packets + again)
+    source = opened(route)
+    route.end()
+    stamps = [frame.stamp_ns for frame in source.frames()]
+    assert len([stamp_ns for stamp_ns in stamps if stamp_ns > first_ns]) == 6
+    assert len([stamp_ns for stamp_ns in stamps if stamp_ns < 10_000_000_000]) == 6
+    assert source.ledger()["clock_steps"] == 1
+    assert unaccounted(source, route) == {}
+
+
+def test_doubled_and_reordered_messages_are_counted_and_do_no_harm() -> None:
+    packets = scene_packets(12)
+    swapped = [packets[i ^ 1] if (i ^ 1) < len(packets) else packets[i] for i in range(len(packets))]
+    doubled = [packet for i, packet in enumerate(swapped) for _ in range(1 + (i % 5 == 0))]
+    route = ScriptedRoute(at_start=doubled)
+    source = opened(route)
+    route.end()
+    stamps = [frame.stamp_ns for frame in source.frames()]
+    assert stamps == sorted(set(stamps))
+    assert len(stamps) == 12
+    assert source.ledger()["duplicate_color"] >= 1
+    assert unaccounted(source, route) == {}
+
+
+def test_frames_end_when_the_run_is_to_end_and_the_rest_is_counted() -> None:
+    route = ScriptedRoute(at_start=scene_packets(12))
+    source = opened(route)
+    frames = source.frames()
+    next(frames)
+    source.interrupt()
+    assert len(list(frames)) < 11
+    account = source.account().as_dict()
+    assert account["not_played"] > 0
+    assert account["difference"] == 0
+    assert unaccounted(source, route) == {}
