@@ -9,7 +9,7 @@ TEXTS: dict[str, tuple[str, str]] = {
     ),
     "live": (
         "Map a robot while it moves: what arrives is mapped, what is missing is said, and nothing of ROS is installed.",
-        "live mcap:/tmp/robot.pipe --out robot.map --for 60",
+        "live zenoh://b2.local --out robot.map --for 60",
     ),
     "resume": (
         "Go on with a playback that was killed, stopped or broken off, to the map that it would have become.",

@@ -32,7 +32,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     """Add the command to the command line."""
     live = commands.add_parser("live", parents=[common, configured], help="map a robot while it moves")
     live.set_defaults(run=run)
-    live.add_argument("uri", metavar="URI", help="mcap:PIPE, or - for an MCAP stream on standard input")
+    live.add_argument(
+        "uri", metavar="URI", help="zenoh://HOST[/NAMESPACE], mcap:PIPE, or - for an MCAP stream on standard input"
+    )
     live.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
     live.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
     live.add_argument("--for", type=float, dest="most_s", metavar="S", help="map for so many seconds, then save")

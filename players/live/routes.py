@@ -10,7 +10,7 @@ from hickory_stream.errors import RecordingError
 if TYPE_CHECKING:
     from players.live.transport import LiveSource
 
-KNOWN = "mcap:PIPE, - (an MCAP stream on standard input)"
+KNOWN = "zenoh://HOST[:7447][/NAMESPACE], mcap:PIPE, or - for an MCAP stream on standard input"
 
 
 def is_live(uri: str) -> bool:
@@ -34,4 +34,8 @@ def route_of(uri: str) -> LiveSource:
             found = "a folder" if path.is_dir() else "no such file or pipe"
             raise RecordingError(f"{uri}: found {found}, expected a pipe (mkfifo {path}) or a file that grows")
         return McapStream(uri, path)
+    if uri.startswith("zenoh://"):
+        from players.live.zenoh_route import ZenohRoute
+
+        return ZenohRoute(uri)
     raise RecordingError(f"found {uri}, expected one of {KNOWN}")

@@ -156,4 +156,7 @@ def _span(seconds: float) -> str:
     """Return how a clock lies to ours; `seconds` is ours less the other."""
     side = "behind" if seconds > 0 else "ahead of"
     size = abs(seconds)
-    return f"{size:.1f} s {side}" if size < 300 else f"{size / 60:.0f} min {side}"
+    for unit, length in (("days", 86400.0), ("min", 60.0)):
+        if size > 5 * length:
+            return f"{size / length:.0f} {unit} {side}"
+    return f"{size:.1f} s {side}"

@@ -23,7 +23,7 @@ def restamped(topic: Topic, data: bytes, by_ns: int) -> bytes:
         sec, nanosec = _STAMP.unpack_from(data, 4)
         return data[:4] + _STAMP.pack(*_moved(sec, nanosec, by_ns)) + data[4 + _STAMP.size :]
     if topic.type_name in TF:
-        store = _store()
+        store = humble()
         message = store.deserialize_cdr(data, TF[0])
         for transform in message.transforms:
             stamp = transform.header.stamp
@@ -38,7 +38,8 @@ def _moved(sec: int, nanosec: int, by_ns: int) -> tuple[int, int]:
 
 
 @cache
-def _store() -> Any:
+def humble() -> Any:
+    """Return the types of ROS 2 Humble."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_HUMBLE)

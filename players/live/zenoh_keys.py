@@ -1,0 +1,136 @@
+"""What Zenoh's keys and liveliness tokens say of ROS 2 topics: the layouts of zenoh-bridge-ros2dds and of rmw_zenoh.
+
+The bridge: messages under NAMESPACE/TOPIC; publishers have tokens @/ZID/@ros2_lv/MP/KEY/TYPE/QOS, with § for the
+slashes in KEY and TYPE, before version 1.0 without the first two characters.
+
+rmw_zenoh: messages under DOMAIN/TOPIC/TYPE/HASH; tokens, with % for slashes, are
+@ros2_lv/DOMAIN/ZID/NODE/ENTITY/MP/ENCLAVE/NAMESPACE/NODE/TOPIC/TYPE/HASH/QOS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Layout = Literal["bridge", "rmw"]
+
+TOKENS = ("@/*/@ros2_lv/**", "@ros2_lv/**")
+"""The tokens of both layouts, in any version."""
+
+HASHED_KEYS = ("*/**/RIHS01_$*", "*/**/TypeHashNotSupported")
+"""Keys of messages that say their type themselves: rmw_zenoh's."""
+
+_TRANSIENT_LOCAL = "1"
+_NO_HASH = "TypeHashNotSupported"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Publication:
+    """A ROS topic that somebody publishes: its absolute name, its type as package/msg/Name.
+
+    `is_latched`: the last messages are kept for those who come late.
+    """
+
+    name: str
+    type_name: str
+    layout: Layout
+    is_latched: bool
+    domain: str = "0"
+    hash: str = _NO_HASH
+
+    @property
+    def key(self) -> str:
+        """The key expression of its messages; rmw's of any domain and type, so that another type is noticed."""
+        return self.name.lstrip("/") if self.layout == "bridge" else f"*/{self.name.lstrip('/')}/*/*"
+
+
+def publication_of_token(token: str) -> Publication | None:
+    """Return what a liveliness token announces; None for nodes, subscribers, services, and what is none of ROS's."""
+    parts = token.split("/")
+    if parts[0] == "@":
+        parts = parts[2:]
+        return _of_bridge(parts[2:]) if parts[:2] == ["@ros2_lv", "MP"] else None
+    if parts[0] != "@ros2_lv":
+        return None
+    if len(parts) == 6 and parts[2] == "MP":
+        return _of_bridge(parts[3:])
+    if "MP" not in parts[3:6]:
+        return None
+    has_hash = _is_hash(parts[-2])
+    name, type_name = parts[-4 if has_hash else -3], parts[-3 if has_hash else -2]
+    return Publication(
+        name=_absolute(name.replace("%", "/")),
+        type_name=_ros_type(type_name),
+        layout="rmw",
+        is_latched=_field(parts[-1], 1) == _TRANSIENT_LOCAL,
+        domain=parts[1],
+        hash=parts[-2] if has_hash else _NO_HASH,
+    )
+
+
+def publication_of_key(key: str) -> Publication | None:
+    """Return what the key of a message of rmw_zenoh says; None for others, which do not say their type."""
+    parts = key.split("/")
+    if len(parts) < 4 or not _is_hash(parts[-1]):
+        return None
+    name = _absolute("/".join(parts[1:-2]))
+    return Publication(
+        name=name,
+        type_name=_ros_type(parts[-2]),
+        layout="rmw",
+        is_latched=name.endswith("tf_static"),
+        domain=parts[0],
+        hash=parts[-1],
+    )
+
+
+def subscription_token(publication: Publication, zid: str, entity: int) -> str | None:
+    """Return the token by which a publisher of rmw_zenoh that sends on demand sees us; the bridge needs none."""
+    if publication.layout == "bridge":
+        return None
+    package, _, name = publication.type_name.partition("/msg/")
+    topic = publication.name.replace("/", "%")
+    durability = _TRANSIENT_LOCAL if publication.is_latched else ""
+    return (
+        f"@ros2_lv/{publication.domain}/{zid}/0/{entity}/MS/%/%/hickory_stream/{topic}/"
+        f"{package}::msg::dds_::{name}_/{publication.hash}/:{durability}:,10:,:,:,,"
+    )
+
+
+def within(publication: Publication, namespace: str) -> str | None:
+    """Return a topic's name as those in a namespace see it; None for one of another robot."""
+    if not namespace:
+        return publication.name
+    prefix = f"/{namespace.strip('/')}/"
+    return f"/{publication.name.removeprefix(prefix)}" if publication.name.startswith(prefix) else None
+
+
+def _of_bridge(parts: list[str]) -> Publication | None:
+    if len(parts) != 3:
+        return None
+    key, type_name, qos = parts
+    return Publication(
+        name=_absolute(key.replace("§", "/")),
+        type_name=type_name.replace("§", "/"),
+        layout="bridge",
+        is_latched=_field(qos, 2) == _TRANSIENT_LOCAL,
+    )
+
+
+def _ros_type(name: str) -> str:
+    """Return a type as package/msg/Name; DDS writes package::msg::dds_::Name_."""
+    parts = [part for part in name.split("::") if part != "dds_"]
+    return "/".join([*parts[:-1], parts[-1].removesuffix("_")])
+
+
+def _is_hash(text: str) -> bool:
+    return text.startswith("RIHS") or text == _NO_HASH
+
+
+def _absolute(name: str) -> str:
+    return "/" + name.strip("/")
+
+
+def _field(qos: str, number: int) -> str:
+    fields = qos.split(":")
+    return fields[number] if number < len(fields) else ""

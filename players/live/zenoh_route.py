@@ -1,0 +1,261 @@
+"""ROS 2 over Zenoh: robots that run zenoh-bridge-ros2dds or rmw_zenoh, joined as a client.
+
+A client neither listens nor scouts: what is talked to is the address that was named, this machine if none was.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import threading
+from collections import defaultdict
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.errors import RecordingError
+from hickory_stream.json_text import dumps
+from players.containers import Topic
+from players.live.transport import Health
+from players.live.zenoh_keys import (
+    HASHED_KEYS,
+    TOKENS,
+    Publication,
+    publication_of_key,
+    publication_of_token,
+    subscription_token,
+    within,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from players.live.inbox import Inbox
+
+_PORT = 7447
+_AGAIN_S = 0.5
+_OPEN_MS = 3000
+_TOKENLESS_S = 3.0
+_ADDRESS = re.compile(r"zenoh://(?P<host>\[[^]]+\]|[^:/]*)(?::(?P<port>\d+))?(?:/(?P<namespace>.*))?")
+_ATTACHMENT = struct.Struct("<qqB16s")
+
+
+class ZenohRoute:
+    """The `LiveSource` of `zenoh://HOST[:PORT][/NAMESPACE]`."""
+
+    kind = "ROS 2 over Zenoh"
+
+    def __init__(self, uri: str) -> None:
+        """Parse the address.
+
+        Raises:
+            RecordingError: it is none.
+        """
+        found = _ADDRESS.fullmatch(uri)
+        if found is None or not 0 < int(found["port"] or _PORT) < 65536:
+            raise RecordingError(
+                f"found {uri}, expected zenoh://HOST[:{_PORT}][/NAMESPACE]; without a HOST, this machine"
+            )
+        self.uri = uri
+        self._peer = f"{found['host'] or '127.0.0.1'}:{found['port'] or _PORT}"
+        self._namespace = (found["namespace"] or "").strip("/")
+        self._inbox: Inbox | None = None
+        self._session: Any = None
+        self._problem = f"{self._peer} was not reached yet"
+        self._lock = threading.RLock()
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._publications: dict[str, Publication] = {}
+        self._tokens: defaultdict[str, set[str]] = defaultdict(set)
+        self._other_types: dict[str, str] = {}
+        self._wanted: set[str] = set()
+        self._declared: dict[str, list[Any]] = {}
+        self._watching: list[Any] = []
+        self._listening: list[Any] = []
+        self._sequences: dict[tuple[str, bytes], int] = {}
+
+    def start(self, inbox: Inbox) -> None:
+        """Connect in a thread of its own, again and again until it is answered; Zenoh itself reconnects later."""
+        self._inbox = inbox
+        self._thread = threading.Thread(target=self._connect, name="zenoh-connect", daemon=True)
+        self._thread.start()
+
+    def subscribe(self, names: Collection[str]) -> None:
+        """Ask for topics; those that are kept for late comers with what came before us."""
+        with self._lock:
+            self._wanted |= set(names)
+            self._declare_wanted()
+
+    def health(self) -> Health:
+        """Return whether a router or a peer is there, and what is odd about the topics."""
+        session = self._session
+        if session is None:
+            return Health(is_connected=False, problem=self._problem)
+        if not (session.info.routers_zid() or session.info.peers_zid()):
+            return Health(is_connected=False, problem=f"the connection to {self._peer} is lost; it is tried again")
+        with self._lock:
+            notes = [f"{name} is published as {other}, too" for name, other in sorted(self._other_types.items())]
+            if not self._publications:
+                where = f" in the namespace {self._namespace}" if self._namespace else ""
+                notes.append(f"nobody there publishes a ROS topic{where}: is the bridge's or rmw_zenoh's domain right?")
+        return Health(is_connected=True, problem="; ".join(notes))
+
+    def stop(self) -> None:
+        """Close the session."""
+        self._stopped.set()
+        if self._thread is not None:
+            self._thread.join(12.0)
+        session, self._session = self._session, None
+        if session is not None:
+            self._problem = "closed"
+            session.close()
+
+    # ---- connection --------------------------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        import zenoh
+
+        zenoh.init_log_from_env_or("off")
+        config = zenoh.Config()
+        for key, value in (
+            ("mode", "client"),
+            ("connect/endpoints", [f"tcp/{self._peer}"]),
+            ("listen/endpoints", []),
+            ("scouting/multicast/enabled", False),
+            ("scouting/gossip/enabled", False),
+            ("transport/unicast/open_timeout", _OPEN_MS),
+            ("connect/retry", {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5}),
+        ):
+            config.insert_json5(key, dumps(value))
+        while not self._stopped.is_set():
+            try:
+                session = zenoh.open(config)
+            except zenoh.ZError:
+                self._problem = f"{self._peer} does not answer as a Zenoh router or bridge (tcp, usually port {_PORT})"
+                self._stopped.wait(_AGAIN_S)
+                continue
+            with self._lock:
+                self._session = session
+                liveliness = session.liveliness()
+            self._watching = [liveliness.declare_subscriber(tokens, self._on_token, history=True) for tokens in TOKENS]
+            if not self._stopped.wait(_TOKENLESS_S):
+                self._listen_to_keys()
+            return
+
+    def _listen_to_keys(self) -> None:
+        """Where no token came, learn of topics from the keys of messages, until topics are asked for."""
+        with self._lock:
+            if not self._publications and not self._wanted:
+                self._listening = [self._session.declare_subscriber(keys, self._on_key) for keys in HASHED_KEYS]
+
+    # ---- topics ------------------------------------------------------------------------------------------------------
+
+    def _on_token(self, sample: Any) -> None:
+        import zenoh
+
+        token = str(sample.key_expr)
+        publication = publication_of_token(token)
+        if publication is None:
+            return
+        name = within(publication, self._namespace)
+        if name is None:
+            return
+        assert self._inbox is not None
+        if sample.kind == zenoh.SampleKind.DELETE:
+            with self._lock:
+                self._tokens[name].discard(token)
+                is_gone = not self._tokens[name]
+            if is_gone:
+                self._inbox.withdraw(name)
+            return
+        with self._lock:
+            self._tokens[name].add(token)
+        self._learn(name, publication)
+
+    def _on_key(self, sample: Any) -> None:
+        publication = publication_of_key(str(sample.key_expr))
+        name = within(publication, self._namespace) if publication is not None else None
+        if publication is not None and name is not None:
+            self._learn(name, publication)
+
+    def _learn(self, name: str, publication: Publication) -> None:
+        assert self._inbox is not None
+        with self._lock:
+            known = self._publications.setdefault(name, publication)
+            if known.type_name != publication.type_name:
+                self._other_types[name] = publication.type_name
+                return
+        self._inbox.announce(
+            Topic(
+                name=name,
+                type_name=publication.type_name,
+                num_messages=None,
+                wire="cdr",
+                definition_format="none",
+                definition="",
+            )
+        )
+        with self._lock:
+            self._declare_wanted()
+
+    # ---- messages ----------------------------------------------------------------------------------------------------
+
+    def _declare_wanted(self) -> None:
+        """Subscribe to what is wanted and was announced; called with the lock."""
+        if self._session is None or not self._wanted:
+            return
+        import zenoh
+
+        for subscriber in self._listening:
+            subscriber.undeclare()
+        self._listening = []
+        for name in sorted(self._wanted & self._publications.keys() - self._declared.keys()):
+            publication = self._publications[name]
+            self._declared[name] = declared = []
+
+            def take(sample: Any, name: str = name) -> None:
+                self._take(name, sample)
+
+            if publication.is_latched:
+                history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+                declared.append(
+                    zenoh.ext.declare_advanced_subscriber(self._session, publication.key, take, history=history)
+                )
+                self._ask_cache(publication, name)
+            else:
+                declared.append(self._session.declare_subscriber(publication.key, take))
+            token = subscription_token(publication, str(self._session.zid()), len(self._declared))
+            if token is not None:
+                declared.append(self._session.liveliness().declare_token(token))
+
+    def _ask_cache(self, publication: Publication, name: str) -> None:
+        """Ask bridges before 1.5, which have no advanced publishers, for what they keep."""
+        if publication.layout != "bridge":
+            return
+
+        def answered(reply: Any) -> None:
+            if reply.ok is not None:
+                self._take(name, reply.ok)
+
+        self._session.get(f"@/*/@ros2_pub_cache/{publication.key}?_anyke", answered)
+
+    def _take(self, name: str, sample: Any) -> None:
+        assert self._inbox is not None
+        publication = self._publications[name]
+        if publication.layout == "rmw":
+            found = publication_of_key(str(sample.key_expr))
+            if found is not None and found.type_name != publication.type_name:
+                self._inbox.refuse(name, "other_type")
+                return
+            self._count_lost(name, sample.attachment)
+        self._inbox.put(name, sample.payload.to_bytes())
+
+    def _count_lost(self, name: str, attachment: Any) -> None:
+        """Note a gap in the numbers of a publisher of rmw_zenoh; a message that comes late fills one."""
+        if attachment is None or len(data := attachment.to_bytes()) != _ATTACHMENT.size:
+            return
+        sequence, _, _, publisher = _ATTACHMENT.unpack(data)
+        assert self._inbox is not None
+        with self._lock:
+            last = self._sequences.get((name, publisher))
+            self._sequences[name, publisher] = sequence if last is None else max(last, sequence)
+        if last is not None and sequence != last + 1:
+            self._inbox.lost(name, sequence - last - 1 if sequence > last else -1)

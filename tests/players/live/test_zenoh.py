@@ -1,0 +1,234 @@
+"""ROS 2 over Zenoh, in the layouts of the bridge and of rmw_zenoh, through a real router on the loopback address."""
+
+from __future__ import annotations
+
+import socket
+from contextlib import closing
+from dataclasses import replace
+from threading import Thread
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.errors import RecordingError
+from players.live import open_live
+from players.live.inbox import Inbox
+from players.live.zenoh_keys import publication_of_key, publication_of_token, subscription_token, within
+from players.live.zenoh_route import ZenohRoute
+from players.opening import open_source
+from tests.players.live.robot_fixtures import eventually, free_port, mapped, scene_log
+from tools.robot.drive import drive
+from tools.robot.link import Faults, plan
+from tools.robot.prepared import prepared
+from tools.robot.zenoh_publishers import RmwZenoh, ZenohBridge
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return scene_log(tmp_path_factory.mktemp("zenoh") / "scene.mcap")
+
+
+@pytest.fixture
+def address() -> str:
+    return f"127.0.0.1:{free_port()}"
+
+
+# The tokens and keys are those in the documents of both projects.
+
+
+@pytest.mark.parametrize(
+    ("token", "name", "type_name", "layout", "is_latched"),
+    [
+        (
+            "@/5a/@ros2_lv/MP/bot1§cam§image/sensor_msgs§msg§Image/:1:0:0,10",
+            "/bot1/cam/image",
+            "sensor_msgs/msg/Image",
+            "bridge",
+            False,
+        ),
+        (
+            "@/5a/@ros2_lv/MP/tf_static/tf2_msgs§msg§TFMessage/:1:1:0,1",
+            "/tf_static",
+            "tf2_msgs/msg/TFMessage",
+            "bridge",
+            True,
+        ),
+        ("@ros2_lv/5a/MP/chatter/std_msgs§msg§String/:::", "/chatter", "std_msgs/msg/String", "bridge", False),
+        (
+            f"@ros2_lv/2/8b20917502ee955a/0/10/MP/%/%/talker/%chatter/std_msgs::msg::dds_::String_/{HASH}/::,7:,:,:,,",
+            "/chatter",
+            "std_msgs/msg/String",
+            "rmw",
+            False,
+        ),
+        (
+            "@ros2_lv/0/8b/0/3/MP/%/%/tf/%bot%tf_static/tf2_msgs::msg::dds_::TFMessage_/TypeHashNotSupported/:1:,1:,:,:,,",
+            "/bot/tf_static",
+            "tf2_msgs/msg/TFMessage",
+            "rmw",
+            True,
+        ),
+    ],
+)
+def test_tokens_say_name_type_and_durability(
+    token: str, name: str, type_name: str, layout: str, is_latched: bool
+) -> None:
+    found = publication_of_token(token)
+    assert found is not None
+    assert (found.name, found.type_name, found.layout, found.is_latched) == (name, type_name, layout, is_latched)
+
+
+@pytest.mark.parametrize(
+    "token",
+    [
+        "@/5a/@ros2_lv/MS/tf/tf2_msgs§msg§TFMessage/:::",
+        "@ros2_lv/2/8b/0/0/NN/%/%/talker",
+        f"@ros2_lv/2/8b/0/11/MS/%/%/listener/%chatter/std_msgs::msg::dds_::String_/{HASH}/::,10:,:,:,,",
+        "@/5a/router/config",
+        "@",
+    ],
+)
+def test_what_announces_no_publisher_is_left_alone(token: str) -> None:
+    assert publication_of_token(token) is None
+
+
+def test_keys_of_rmw_zenoh_say_their_type_and_those_of_the_bridge_do_not() -> None:
+    found = publication_of_key(f"0/cam/image/sensor_msgs::msg::dds_::Image_/{HASH}")
+    assert found is not None
+    assert (found.name, found.type_name, found.key) == ("/cam/image", "sensor_msgs/msg/Image", "*/cam/image/*/*")
+    assert publication_of_key("cam/image") is None
+    assert within(found, "cam") == "/image"
+    assert within(found, "ca") is None
+    token = subscription_token(found, "5a", 3)
+    assert (
+        token
+        == f"@ros2_lv/0/5a/0/3/MS/%/%/hickory_stream/%cam%image/sensor_msgs::msg::dds_::Image_/{HASH}/::,10:,:,:,,"
+    )
+    assert publication_of_token(token) is None
+
+
+# ---- robots ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["bridge", "old bridge", "rmw"])
+def test_a_robot_is_mapped_with_what_it_sent_before_we_came_and_nothing_is_unaccounted(
+    kind: str, log: Path, address: str
+) -> None:
+    publisher = RmwZenoh(address, domain=7) if kind == "rmw" else ZenohBridge(address, is_old=kind == "old bridge")
+    found = mapped(log, publisher, f"zenoh://{address}")
+    expected = list(open_source(log).frames())
+    assert [frame.stamp_ns for frame in found.frames] == [frame.stamp_ns for frame in expected]
+    assert np.allclose(found.frames[-1].world_from_camera, expected[-1].world_from_camera)
+    assert found.unaccounted() == {}
+    assert sum(found.report.sent.values()) == sum(topic.num_messages or 0 for topic in open_source(log)._log.topics)
+
+
+def test_losses_are_counted_by_their_sequence_numbers_and_the_rest_is_mapped(tmp_path: Path, address: str) -> None:
+    log = scene_log(tmp_path / "scene.mcap", num_frames=20)
+    found = mapped(log, RmwZenoh(address), f"zenoh://{address}", Faults(loss=0.2, seed=3))
+    assert sum(found.plan.lost.values()) > 20
+    assert found.unaccounted() == {}
+    expected = {}
+    for name in found.report.sent:
+        numbers = [s.sequence for s in found.plan.sendings if s.due.topic.name == name]
+        # Those before the first and after the last nobody can miss.
+        expected[name] = max(numbers) - min(numbers) + 1 - len(numbers)
+    assert {entry.topic: entry.lost for entry in found.source.status().topics} == expected
+    assert 8 <= len(found.frames) < 20
+
+
+def test_a_robot_that_was_away_is_mapped_on(tmp_path: Path, address: str) -> None:
+    log = scene_log(tmp_path / "scene.mcap", num_frames=35)
+    found = mapped(log, ZenohBridge(address), f"zenoh://{address}", Faults(disconnects=((0.8, 0.7),)))
+    gaps_ns = np.diff([frame.stamp_ns for frame in found.frames])
+    assert gaps_ns.max() >= 700_000_000
+    assert found.frames[-1].stamp_ns - found.frames[int(gaps_ns.argmax())].stamp_ns > gaps_ns.max()
+    assert found.source.account().as_dict()["difference"] == 0
+
+
+def test_of_two_robots_the_one_is_mapped_whose_namespace_is_named(log: Path, address: str) -> None:
+    publisher = ZenohBridge(address, namespace="b2")
+    found = mapped(log, publisher, f"zenoh://{address}/b2")
+    assert len(found.frames) == 6
+    assert {entry.topic for entry in found.source.status().topics} == set(found.report.sent)
+    route = ZenohRoute(f"zenoh://{address}/other")
+    robot = Thread(target=drive, args=(plan(prepared([log]), Faults()), publisher, Faults()), daemon=True)
+    robot.start()
+    inbox = Inbox()
+    route.start(inbox)
+    assert eventually(lambda: "in the namespace other" in route.health().problem)
+    assert inbox.topics == ()
+    route.stop()
+    robot.join(10.0)
+
+
+def test_another_type_under_the_same_topic_is_refused_and_named(log: Path, address: str) -> None:
+    made = plan(prepared([log]), Faults())
+    odd = replace(made.sendings[0].due.topic, name="/odom", type_name="geometry_msgs/msg/PoseStamped")
+    publisher = RmwZenoh(address)
+    publisher.connect([*{sending.due.topic.name: sending.due.topic for sending in made.sendings}.values()])
+    token = publisher.session.liveliness().declare_token(publisher.token(odd, 99, is_latched=False))
+    route, inbox = ZenohRoute(f"zenoh://{address}"), Inbox()
+    route.start(inbox)
+    assert eventually(lambda: "/odom is published as" in route.health().problem)
+    route.subscribe(["/odom"])
+    assert eventually(lambda: publisher.is_heard("/odom"))
+    typed = next(topic for topic in inbox.topics if topic.name == "/odom").type_name
+    other = odd if typed != odd.type_name else replace(odd, type_name="nav_msgs/msg/Odometry")
+    publisher.session.put(publisher.key(other), b"no odometry")
+    assert eventually(lambda: "/odom" in inbox.arrivals)
+    assert inbox.arrivals["/odom"].fates == {"other_type": 1}
+    assert inbox.take(0) is None
+    token.undeclare()
+    route.stop()
+    publisher.disconnect()
+
+
+def test_where_no_token_is_seen_the_types_are_learnt_from_the_keys_of_messages(
+    log: Path, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("players.live.zenoh_route._TOKENLESS_S", 0.1)
+    monkeypatch.setattr(RmwZenoh, "token", lambda self, topic, number, is_latched: f"@elsewhere/{number}")
+    publisher = RmwZenoh(address)
+    made = plan(prepared([log]), Faults())
+    robot = Thread(target=drive, args=(made, publisher, Faults()), kwargs={"waits": True}, daemon=True)
+    robot.start()
+    route, inbox = ZenohRoute(f"zenoh://{address}"), Inbox()
+    route.start(inbox)
+    sent = {sending.due.topic.name for sending in made.sendings if not sending.due.is_latched}
+    assert eventually(lambda: {topic.name for topic in inbox.topics} >= sent)
+    assert {topic.type_name for topic in inbox.topics} >= {"nav_msgs/msg/Odometry", "sensor_msgs/msg/CameraInfo"}
+    route.stop()
+    robot.join(10.0)
+
+
+# ---- bad input ------------------------------------------------------------------------------------------------------
+
+
+def test_a_host_that_does_not_answer_and_a_port_that_speaks_something_else_are_said(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(RecordingError, match=f"{address} does not answer as a Zenoh router.*waited 0.7 s"):
+        open_live(f"zenoh://{address}", patience_s=0.7)
+    monkeypatch.setattr("players.live.zenoh_route._OPEN_MS", 300)
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        port = server.getsockname()[1]
+        with pytest.raises(RecordingError, match=f"127.0.0.1:{port} (does not answer as a Zenoh|was not reached)"):
+            open_live(f"zenoh://127.0.0.1:{port}", patience_s=0.7)
+
+
+@pytest.mark.parametrize("uri", ["zenoh://robot:0", "zenoh://robot:port", "zenoh://robot:99999"])
+def test_an_address_that_is_none_is_refused(uri: str) -> None:
+    with pytest.raises(RecordingError, match=r"expected zenoh://HOST"):
+        open_live(uri, patience_s=0.1)
+
+
+def test_without_a_host_this_machine_is_asked() -> None:
+    assert ZenohRoute("zenoh://")._peer == "127.0.0.1:7447"
+    assert ZenohRoute("zenoh://b2.local/b2")._peer == "b2.local:7447"

@@ -1,0 +1,112 @@
+"""The fake robot: what its link does to messages, and what it says of them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from threading import Thread
+from typing import TYPE_CHECKING
+
+import pytest
+
+from players.opening import open_container, open_source
+from players.peek import peek_stamp_ns
+from tests.player_scenes import (
+    NUM_FRAMES,
+    START_NS,
+    Messages,
+    make_scene,
+    png_images,
+    scene_messages,
+    write_mcap,
+    write_ros1,
+)
+from tools.robot.command import main
+from tools.robot.link import Faults, plan
+from tools.robot.prepared import prepared
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    m = Messages(2)
+    path = tmp_path_factory.mktemp("robot") / "scene.mcap"
+    return write_mcap(path, m, scene_messages(m, make_scene(), png_images))
+
+
+def test_without_faults_everything_is_sent_as_it_was_recorded(log: Path) -> None:
+    messages = prepared([log])
+    made = plan(messages, Faults())
+    assert [sending.data for sending in made.sendings] == [message.data for message in messages]
+    assert not made.lost
+    assert messages[0].is_latched
+    assert [sending.at_ns for sending in made.sendings] == sorted(message.due_ns for message in messages)
+
+
+def test_loss_and_disconnection_take_what_they_say_from_a_seed(log: Path) -> None:
+    messages = prepared([log], loops=20)
+    made = plan(messages, Faults(loss=0.1, disconnects=((1.0, 2.0),), seed=1))
+    reasons = Counter(reason for _, reason in made.lost.elements())
+    away = sum(1.0 <= message.due_ns / 1e9 < 3.0 for message in messages)
+    assert reasons["offline"] == away
+    assert 0.07 < reasons["loss"] / (len(messages) - away) < 0.13
+    assert len(made.sendings) + made.lost.total() == len(messages)
+    assert plan(messages, Faults(loss=0.1, disconnects=((1.0, 2.0),), seed=1)).lost == made.lost
+    assert plan(messages, Faults(loss=0.1, disconnects=((1.0, 2.0),), seed=2)).lost != made.lost
+
+
+def test_jitter_lets_messages_overtake_and_a_narrow_link_queues_and_drops(log: Path) -> None:
+    messages = prepared([log], loops=5)
+    late = plan(messages, Faults(delay_s=0.05, jitter_s=0.2))
+    numbers = [sending.sequence for sending in late.sendings if sending.due.topic.name == "/odom"]
+    assert numbers != sorted(numbers)
+    assert all(0.05 <= (s.at_ns - s.due.due_ns) / 1e9 <= 0.25 for s in late.sendings)
+    narrow = plan(messages, Faults(bandwidth_mbit=0.1))
+    assert {reason for _, reason in narrow.lost} == {"link_full"}
+    carried = sum(len(sending.data) for sending in narrow.sendings)
+    assert carried * 8 / 0.1e6 <= max(sending.at_ns for sending in narrow.sendings) / 1e9 + 0.01
+
+
+def test_a_restart_begins_all_stamps_at_zero_and_an_offset_moves_them(log: Path) -> None:
+    made = plan(prepared([log], loops=2), Faults(restart_s=0.8, clock_offset_s=-120.0))
+    for sending in made.sendings:
+        stamp_ns = peek_stamp_ns(sending.due.topic, sending.data)
+        assert stamp_ns is not None
+        if sending.due.due_ns >= 0.8e9:
+            assert 0 < stamp_ns < 10e9
+        elif stamp_ns:  # the static transforms of the scene are stamped zero
+            assert abs(stamp_ns - START_NS + 120e9) < 2e9
+
+
+def test_a_bag_of_ros_1_is_published_as_ros_2(tmp_path: Path) -> None:
+    m = Messages(1)
+    messages = prepared([write_ros1(tmp_path / "scene.bag", m, scene_messages(m, make_scene(), png_images))])
+    assert {message.topic.wire for message in messages} == {"cdr"}
+    image = next(message for message in messages if message.topic.name.endswith("image_rect/compressed"))
+    assert peek_stamp_ns(image.topic, image.data) == START_NS
+
+
+def test_the_command_writes_a_stream_and_says_what_it_sent(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    pipe, copy = tmp_path / "pipe", tmp_path / "copy.mcap"
+    os.mkfifo(pipe)
+    reader = Thread(target=lambda: copy.write_bytes(pipe.read_bytes()), daemon=True)
+    reader.start()
+    assert main([str(log), "--via", "mcap", "--listen", str(pipe), "--rate", "5"]) == 0
+    reader.join(5.0)
+    said = json.loads(capsys.readouterr().out)
+    found = {topic.name: topic.num_messages for topic in open_container(copy).topics}
+    assert said["sent"] == found
+    assert len(list(open_source(copy).frames())) == NUM_FRAMES
+    for wrong, told in (
+        (["--via", "mcap"], "--listen PIPE"),
+        (["--via", "mcap", "--listen", "x", "--loss", "2"], "expected a share of 0 to 1"),
+        (["--via", "mcap", "--listen", "x", "--disconnect", "soon"], "expected AT:FOR"),
+    ):
+        assert main([str(log), *wrong]) == 2
+        assert told in capsys.readouterr().err

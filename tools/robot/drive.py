@@ -1,0 +1,115 @@
+"""Plays a plan in real time through a publisher, and says what it sent."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tools.robot.link import Faults, Plan
+    from tools.robot.publishers import Publisher
+
+_POLL_S = 0.02
+_SETTLED_S = 0.4
+
+
+@dataclass(slots=True)
+class Report:
+    """What a robot says it did: messages by topic that were sent to somebody, and that nobody had asked for."""
+
+    sent: Counter[str] = field(default_factory=Counter)
+    unheard: Counter[str] = field(default_factory=Counter)
+    lost: Counter[tuple[str, str]] = field(default_factory=Counter)
+    num_bytes: int = 0
+    cpu_s: float = 0.0
+    wall_s: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        lost: dict[str, dict[str, int]] = {}
+        for (topic, reason), number in sorted(self.lost.items()):
+            lost.setdefault(topic, {})[reason] = number
+        return {
+            "sent": dict(sorted(self.sent.items())),
+            "unheard": dict(sorted(self.unheard.items())),
+            "lost": lost,
+            "bytes": self.num_bytes,
+            "cpu_s": round(self.cpu_s, 3),
+            "wall_s": round(self.wall_s, 3),
+        }
+
+
+def drive(
+    made: Plan,
+    publisher: Publisher,
+    faults: Faults,
+    *,
+    rate: float = 1.0,
+    waits: bool = False,
+    stopped: threading.Event | None = None,
+) -> Report:
+    """Publish what was planned, `rate` times as fast as it was recorded, and return what was sent.
+
+    `waits`: until somebody has asked for topics, and asks for no more of them. Messages of a time at which the robot is
+    disconnected are not in the plan; here it is then gone for as long.
+    """
+    stopped = stopped or threading.Event()
+    topics = {sending.due.topic.name: sending.due.topic for sending in made.sendings}
+    latched = [sending for sending in made.sendings if sending.due.is_latched]
+    report = Report(lost=made.lost)
+    publisher.connect(topics.values())
+    cpu_s, began_s = time.process_time(), time.monotonic()
+    try:
+        for sending in latched:
+            _send(publisher, sending, report)
+        if waits:
+            _await_subscribers(publisher, [name for name in topics if not name.endswith("tf_static")], stopped)
+        cpu_s, began_s = time.process_time(), time.monotonic()
+        gone = sorted(faults.disconnects)
+        for sending in made.sendings:
+            if sending.due.is_latched:
+                continue
+            if gone and sending.at_ns / 1e9 >= gone[0][0]:
+                at_s, for_s = gone.pop(0)
+                _wait(began_s + at_s / rate, stopped)
+                publisher.disconnect()
+                _wait(began_s + (at_s + for_s) / rate, stopped)
+                publisher.connect(topics.values())
+                for kept in latched:
+                    _send(publisher, kept, report)
+            if not _wait(began_s + sending.at_ns / 1e9 / rate, stopped):
+                break
+            _send(publisher, sending, report)
+        report.cpu_s, report.wall_s = time.process_time() - cpu_s, time.monotonic() - began_s
+        stopped.wait(_SETTLED_S)  # what was handed over last is on its way
+    finally:
+        publisher.disconnect()
+    return report
+
+
+def _send(publisher: Publisher, sending: Any, report: Report) -> None:
+    name = sending.due.topic.name
+    is_heard = publisher.is_heard(name)
+    publisher.send(sending)
+    (report.sent if is_heard else report.unheard)[name] += 1
+    report.num_bytes += len(sending.data) * is_heard
+
+
+def _await_subscribers(publisher: Publisher, names: list[str], stopped: threading.Event) -> None:
+    """Return when somebody listens to some topics, and to no more of them for a while."""
+    heard, since_s = 0, time.monotonic()
+    while not stopped.wait(_POLL_S):
+        number = sum(publisher.is_heard(name) for name in names)
+        if number != heard:
+            heard, since_s = number, time.monotonic()
+        elif heard and time.monotonic() - since_s > _SETTLED_S:
+            return
+
+
+def _wait(until_s: float, stopped: threading.Event) -> bool:
+    """Wait for a moment; return False where the robot was stopped before."""
+    left_s = until_s - time.monotonic()
+    return not (stopped.wait(left_s) if left_s > 0 else stopped.is_set())

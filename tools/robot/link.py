@@ -1,0 +1,106 @@
+"""A link that behaves badly to order: what becomes of each message, and when it is sent, drawn beforehand."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tools.robot.stamps import restamped
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tools.robot.prepared import Due
+
+_MOST_QUEUED_S = 2.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Faults:
+    """What is wrong with a robot and its network.
+
+    `loss` is the share of messages that never arrive, `delay_s` and `jitter_s` (uniform, by which messages overtake
+    each other) how late they do, `bandwidth_mbit` what the link carries (None: everything; what would wait for over
+    2 s is dropped). `disconnects` are (at, for) in seconds. `clock_offset_s` moves all stamps; from `restart_s` on
+    they begin at zero.
+    """
+
+    loss: float = 0.0
+    delay_s: float = 0.0
+    jitter_s: float = 0.0
+    bandwidth_mbit: float | None = None
+    disconnects: tuple[tuple[float, float], ...] = ()
+    clock_offset_s: float = 0.0
+    restart_s: float | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sending:
+    """A message as it is sent: `sequence` is its number among those of its topic, lost ones included."""
+
+    at_ns: int
+    due: Due
+    data: bytes
+    sequence: int
+
+
+@dataclass(slots=True)
+class Plan:
+    """What is sent, in the order of time, and how many messages of each topic are lost for which reason."""
+
+    sendings: list[Sending] = field(default_factory=list)
+    lost: Counter[tuple[str, str]] = field(default_factory=Counter)
+
+
+def plan(messages: Sequence[Due], faults: Faults) -> Plan:
+    """Return what becomes of every message; latched ones are delayed, but never lost."""
+    rng = np.random.default_rng(faults.seed)
+    made = Plan()
+    sequences: Counter[str] = Counter()
+    first_of: dict[str, int] = {}
+    free_ns = 0
+    for due in messages:
+        name = due.topic.name
+        sequences[name] += 1
+        draw, wobble = rng.random(2)
+        reason = _loss(due, faults, draw)
+        at_ns = due.due_ns + round((faults.delay_s + wobble * faults.jitter_s) * 1e9)
+        if reason is None and faults.bandwidth_mbit is not None:
+            begins_ns = max(free_ns, at_ns)
+            if begins_ns - at_ns > _MOST_QUEUED_S * 1e9 and not due.is_latched:
+                reason = "link_full"
+            else:
+                free_ns = at_ns = begins_ns + round(len(due.data) * 8e3 / faults.bandwidth_mbit)
+        if reason is not None:
+            made.lost[name, reason] += 1
+            continue
+        by_ns = round(faults.clock_offset_s * 1e9)
+        if faults.restart_s is not None and due.due_ns >= faults.restart_s * 1e9:
+            # The clock begins anew for all topics at one moment, which the first stamp after it tells.
+            by_ns = first_of.setdefault("", _zero(due))
+        made.sendings.append(
+            Sending(at_ns=at_ns, due=due, data=restamped(due.topic, due.data, by_ns), sequence=sequences[name])
+        )
+    made.sendings.sort(key=lambda sending: sending.at_ns)
+    return made
+
+
+def _loss(due: Due, faults: Faults, draw: float) -> str | None:
+    """Return why a message is lost, None where it is not."""
+    if due.is_latched:
+        return None
+    if any(at_s <= due.due_ns / 1e9 < at_s + for_s for at_s, for_s in faults.disconnects):
+        return "offline"
+    return "loss" if draw < faults.loss else None
+
+
+def _zero(due: Due) -> int:
+    """Return by how much stamps move for this message's to be one second after zero."""
+    from players.peek import peek_stamp_ns
+
+    stamp_ns = peek_stamp_ns(due.topic, due.data)
+    return 1_000_000_000 - (stamp_ns or 0)

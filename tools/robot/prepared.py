@@ -1,0 +1,80 @@
+"""The messages of a log as a robot publishes them: CDR bytes with their definitions, and when each is due."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import RecordingError
+from players.messages import TF
+from players.opening import open_container
+from tools.robot.stamps import humble
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from players.containers import Topic
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Due:
+    """A message and when it is due, in nanoseconds since the first one."""
+
+    due_ns: int
+    topic: Topic
+    data: bytes
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether a robot keeps it for those who come late."""
+        return self.topic.name.endswith("tf_static")
+
+
+def prepared(paths: Sequence[Path], *, most_s: float | None = None, loops: int = 1) -> list[Due]:
+    """Return the messages of a log in order, `loops` times one after the other with stamps that begin again.
+
+    Messages of ROS 1 become those of ROS 2; what is latched comes first, as a robot sends it when it starts.
+
+    Raises:
+        RecordingError: there is no log, or nothing in it can be published.
+    """
+    log = open_container(*paths)
+    topics = {topic.name: topic for topic in log.topics if _can_be_published(topic)}
+    published = {name: _published(topic) for name, topic in topics.items()}
+    first_ns: int | None = None
+    found: list[Due] = []
+    for message in log.messages(list(topics)):
+        first_ns = message.log_ns if first_ns is None else first_ns
+        due_ns = max(0, message.log_ns - first_ns)
+        if most_s is not None and due_ns > most_s * 1e9:
+            break
+        topic, data = topics[message.topic], bytes(message.data)
+        if topic.wire == "ros1":
+            data = bytes(humble().ros1_to_cdr(data, published[message.topic].type_name))
+        found.append(Due(due_ns=due_ns, topic=published[message.topic], data=data))
+    if not found:
+        raise RecordingError(f"{log.path} holds no messages that a robot could publish")
+    found.sort(key=lambda due: (not due.is_latched, due.due_ns))
+    length_ns = max(due.due_ns for due in found) + 100_000_000
+    return [
+        replace(due, due_ns=due.due_ns + i * length_ns)
+        for i in range(loops)
+        for due in found
+        if not (i and due.is_latched)
+    ]
+
+
+def _can_be_published(topic: Topic) -> bool:
+    """Return whether a message can be sent as it is, or its type is also one of ROS 2."""
+    known = topic.type_name in (*TF, *humble().types)
+    return topic.wire in ("cdr", "protobuf", "json") or (topic.wire == "ros1" and known)
+
+
+def _published(topic: Topic) -> Topic:
+    """Return a topic as ROS 2 publishes it."""
+    if topic.wire != "ros1":
+        return topic
+    type_name = TF[0] if topic.type_name in TF else topic.type_name
+    definition = humble().generate_msgdef(type_name, ros_version=2)[0]
+    return replace(topic, type_name=type_name, wire="cdr", definition_format="msg", definition=definition)

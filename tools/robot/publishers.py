@@ -1,0 +1,95 @@
+"""How a robot publishes: what every way has in common, and the stream of an MCAP writer."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+    from pathlib import Path
+
+    from players.containers import Topic
+    from tools.robot.link import Sending
+
+SCHEMA_ENCODINGS = {"msg": "ros2msg", "idl": "ros2idl", "protobuf": "protobuf", "jsonschema": "jsonschema", "none": ""}
+
+
+class Publisher(Protocol):
+    """A way to publish; `connect` and `disconnect` may be called several times."""
+
+    def connect(self, topics: Collection[Topic]) -> None:
+        """Be reachable, and announce topics."""
+        ...
+
+    def disconnect(self) -> None:
+        """Be gone."""
+        ...
+
+    def is_heard(self, name: str) -> bool:
+        """Return whether somebody has asked for a topic."""
+        ...
+
+    def send(self, sending: Sending) -> None:
+        """Publish a message."""
+        ...
+
+
+class McapPublisher:
+    """Writes an MCAP stream into a pipe or a file, message by message."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def connect(self, topics: Collection[Topic]) -> None:
+        """Open the pipe (waits for a reader) and write the channels; a stream has no second beginning."""
+        from mcap.writer import Writer
+
+        # A pipe cannot tell where it is, which the writer asks for.
+        self._stream = os.fdopen(os.open(self._path, os.O_WRONLY | os.O_CREAT), "wb", buffering=0)
+        self._position = 0
+        self._writer = Writer(self, use_chunking=False)  # type: ignore[arg-type]
+        self._writer.start(profile="ros2")
+        self._channels = {}
+        for topic in topics:
+            name = topic.foreign_type or topic.type_name
+            schema = self._writer.register_schema(
+                name, SCHEMA_ENCODINGS[topic.definition_format], definition_bytes(topic)
+            )
+            self._channels[topic.name] = self._writer.register_channel(topic.name, topic.wire, schema)
+
+    def disconnect(self) -> None:
+        """End the stream."""
+        self._writer.finish()
+        self._stream.close()
+
+    def is_heard(self, name: str) -> bool:
+        """Return True: who reads the stream reads everything."""
+        return True
+
+    def send(self, sending: Sending) -> None:
+        """Write a message under the time at which it is due."""
+        channel = self._channels[sending.due.topic.name]
+        self._writer.add_message(channel, sending.at_ns, sending.data, sending.at_ns, sending.sequence)
+
+    # What the writer needs of a stream.
+
+    def write(self, data: bytes) -> int:
+        """Write all of some bytes."""
+        view = memoryview(data)
+        while view:
+            view = view[self._stream.write(view) :]
+        self._position += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        """Return how much was written."""
+        return self._position
+
+    def flush(self) -> None:
+        """Do nothing: nothing is held back."""
+
+
+def definition_bytes(topic: Topic) -> bytes:
+    """Return the definition of a topic's type as its container held it."""
+    return topic.definition.encode("latin-1" if topic.definition_format == "protobuf" else "utf-8")
