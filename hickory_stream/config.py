@@ -30,12 +30,19 @@ T = TypeVar("T")
 
 _ONE_LATTICE = "the one lattice of perception and mapping"
 _MOVED = {
-    "perception.observe.voxel_m": "mapping.lattice.points_m",
-    "mapping.track.voxel_m": "mapping.lattice.points_m",
-    "perception.space.voxel_m": "mapping.lattice.space_m",
-    "mapping.space_voxel_m": "mapping.lattice.space_m",
+    "perception.observe.voxel_m": ("mapping.lattice.points_m", _ONE_LATTICE),
+    "mapping.track.voxel_m": ("mapping.lattice.points_m", _ONE_LATTICE),
+    "perception.space.voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
+    "mapping.space_voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
+    "perception.known": ("perception.map_guided_merge", "its new name"),
+    "perception.geometric.shades": ("perception.geometric.color_split", "its new name"),
+    "perception.geometric.hidden_area_px": ("perception.geometric.occluded_area_px", "its new name"),
+    "perception.geometric.hidden_share": ("perception.geometric.occluded_share", "its new name"),
+    "perception.geometric.structure.relief": ("perception.geometric.structure.raised_patches", "its new name"),
+    "perception.geometric.join.hidden": ("perception.geometric.join.bridging", "its new name"),
+    "perception.masks.hidden_share": ("perception.masks.occluded_share", "its new name"),
 }
-"""Each of the two lattices was set twice."""
+"""Keys of earlier versions: what to set instead, and why."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -129,7 +136,7 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
         if key not in fields:
             if (moved := _MOVED.get(f"{where}{key}".removeprefix("mapper."))) is not None:
                 root = "mapper." if where.startswith("mapper.") else ""
-                raise ConfigError(f"{where}{key} is no setting any more: set {root}{moved}, {_ONE_LATTICE}")
+                raise ConfigError(f"{where}{key} is no setting any more: set {root}{moved[0]}, {moved[1]}")
             near = difflib.get_close_matches(key, fields, n=1)
             hint = f"did you mean {where}{near[0]}?" if near else f"known keys: {', '.join(sorted(fields))}"
             raise ConfigError(f"unknown configuration key {where}{key}; {hint}")

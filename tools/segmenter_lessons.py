@@ -15,7 +15,7 @@ from hickory_stream.evaluation.worlds.clutter.frames import frames_of
 from hickory_stream.evaluation.worlds.depth_camera import sensed_depth
 from hickory_stream.perception.fragment_odds import fragment_odds
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
-from hickory_stream.perception.join import JoinConfig, measured
+from hickory_stream.perception.join import JoinConfig, region_graph_of
 from hickory_stream.perception.masks import enlarged_mask
 from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
 from hickory_stream.perception.trees import Trees
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.perception.fragment_odds import FragmentOdds
     from hickory_stream.perception.geometric import Fragments
-    from hickory_stream.perception.parts import Measures
     from hickory_stream.perception.pixel_network import PixelNetwork
+    from hickory_stream.perception.region_graph import RegionGraph
     from hickory_stream.records import ObservedSpace
     from tools.network_training.frames import Scene, TrueFrame
 
@@ -50,7 +50,7 @@ class Lesson:
     `odds`: what the network of affinities says of the fragments, where it was asked.
     """
 
-    measures: Measures
+    measures: RegionGraph
     shown: NDArray[np.float64]
     owners: NDArray[np.int64]
     in_image: NDArray[np.int64]
@@ -90,12 +90,12 @@ class TrueMasks:
         shown = true_instances(self._truth, int(np.argmin(np.abs(self._stamps - frame.stamp_ns))))
         self.lessons += lesson_of_pieces(pieces, shown, self._network)
         size = (frame.camera.width, frame.camera.height)
-        structure = enlarged_mask(pieces.scenery.structure, pieces.surface.factor, size)
+        structure = enlarged_mask(pieces.room.structure, pieces.surface.factor, size)
         _, instances = np.unique(np.where(structure | (shown <= 0), 0, shown), return_inverse=True)
         return Segmentation(
             instances=instances.reshape(shown.shape).astype(np.int32),
             structure=structure,
-            floor_z_m=pieces.scenery.floor_z_m,
+            floor_z_m=pieces.room.floor_z_m,
             rejected=(),
         )
 
@@ -187,13 +187,13 @@ def lesson_of_pieces(pieces: Fragments, shown: NDArray[np.int32], network: Pixel
     said = None if network is None else network.odds(pieces.surface, None)
     if said is not None:
         pieces = replace(pieces, labels=divided_by_odds(pieces.labels, said, SplitConfig()))
-    measures = measured(pieces.surface, pieces.labels, pieces.supports, pieces.scenery, JoinConfig())
+    measures = region_graph_of(pieces.surface, pieces.labels, pieces.supports, pieces.room, JoinConfig())
     if measures is None:
         return []
     labels, factor = pieces.labels, pieces.surface.factor
     height, width = labels.shape
     owners, place = np.unique(shown[::factor, ::factor][:height, :width], return_inverse=True)
-    count = len(measures.parts.pixels)
+    count = len(measures.regions.pixels)
     key = labels.ravel().astype(np.int64) * len(owners) + place.ravel()
     pixels = np.bincount(key, minlength=count * len(owners)).reshape(count, len(owners)).astype(np.float64)
     in_image = pixels.sum(axis=0).astype(np.int64)

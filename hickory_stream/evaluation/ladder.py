@@ -91,13 +91,13 @@ class TrueSegmenter:
             return self._ours.segmentation(frame, pieces, truly_joined(pieces, shown))
         if self._rung == "masks":
             size = (frame.camera.width, frame.camera.height)
-            structure = enlarged_mask(pieces.scenery.structure, pieces.surface.factor, size)
+            structure = enlarged_mask(pieces.room.structure, pieces.surface.factor, size)
         else:
             structure = shown == 0
         return Segmentation(
             instances=_dense(np.where(structure | (shown <= 0), 0, shown)),
             structure=structure,
-            floor_z_m=pieces.scenery.floor_z_m,
+            floor_z_m=pieces.room.floor_z_m,
         )
 
 

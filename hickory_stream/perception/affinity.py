@@ -1,9 +1,9 @@
-"""How two parts of a frame look beside each other: the numbers from which trees tell whether they are one thing.
+"""Features of pairs of regions, from which boosted trees estimate whether the two are one object.
 
-Of two parts, "large" is the one with more pixels and "small" the other one. Sizes are ratios, distances are multiples
-of a size of the pair or of the standard deviation of depth, colours are differences: metres, heights above the floor,
-pixels and colours as such tell which furniture the trees were grown on, and have names of their own (`sizes`). What
-cannot be measured of a pair (the seam of parts that do not touch) is NaN.
+Of two regions, "large" is the one with more pixels and "small" the other. These features are relative: sizes are
+ratios, distances are multiples of a size of the pair or of the standard deviation of depth, colours are differences.
+Absolute metres, heights, pixels and colours depend on the furniture of the training data; they are separate features
+(`sizes`). What is undefined for a pair (the contact of regions that do not touch) is NaN.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from hickory_stream.geometry import portable
 from hickory_stream.perception.bodies import LEAST_M, bodies_of, union_of
 from hickory_stream.perception.features import Features, of_both
 from hickory_stream.perception.pair_geometry import pair_geometry
-from hickory_stream.perception.parts import grouped_pairs, grouped_parts
+from hickory_stream.perception.region_graph import merged_pairs, merged_regions
 from hickory_stream.perception.sizes import size_features
-from hickory_stream.perception.standing import standing_of
+from hickory_stream.perception.support_contacts import support_contacts_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,70 +26,70 @@ if TYPE_CHECKING:
     from hickory_stream.perception.bodies import Bodies
     from hickory_stream.perception.features import Makers
     from hickory_stream.perception.pair_geometry import PairGeometry
-    from hickory_stream.perception.parts import Measures, Pairs, Parts
-    from hickory_stream.perception.standing import Standing
+    from hickory_stream.perception.region_graph import RegionGraph, RegionPairs, Regions
+    from hickory_stream.perception.support_contacts import SupportContacts
 
 
-def pair_features(measures: Measures, numbers: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], Features]:
-    """Return the (K, 2) pairs of groups large and small, and by name (K,) how they look beside each other.
+def pair_features(graph: RegionGraph, numbers: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], Features]:
+    """Return the (K, 2) pairs of merged regions, large and small, and their features (K,) by name.
 
-    `numbers` (n,) names the group 0..count - 1 of each fragment.
+    `numbers` (n,) gives the merged region 0..count - 1 of each fragment.
     """
-    parts, pairs = grouped_parts(measures.parts, numbers, count), grouped_pairs(measures.pairs, numbers)
-    standing = standing_of(measures.contacts, np.append(numbers, count), measures.heights_m, measures.level)
-    is_turned = parts.pixels[pairs.a] < parts.pixels[pairs.b]
+    regions, pairs = merged_regions(graph.regions, numbers, count), merged_pairs(graph.pairs, numbers)
+    support = support_contacts_of(graph.contacts, np.append(numbers, count), graph.heights_m, graph.level)
+    is_turned = regions.pixels[pairs.a] < regions.pixels[pairs.b]
     large, small = np.where(is_turned, pairs.b, pairs.a), np.where(is_turned, pairs.a, pairs.b)
-    bodies = bodies_of(parts, measures.bottom_m)
-    union = union_of(parts, bodies, large, small)
-    geometry = pair_geometry(parts, pairs, large, small)
+    bodies = bodies_of(regions, graph.bottom_m)
+    union = union_of(regions, bodies, large, small)
+    geometry = pair_geometry(regions, pairs, large, small)
     features = Features(
         {
-            **of_both({**_shapes(parts, bodies), **_colors(parts), **_carried(standing)}, large, small),
-            **_relations(parts, geometry, bodies, union, large, small),
-            **_colors_of_pairs(parts, large, small),
-            **_standing_of_pairs(standing, large, small),
-            **_seams(pairs, parts, geometry, measures, bodies, union, large, small, is_turned),
-            **size_features(measures, parts, pairs, geometry, bodies, union, large, small),
+            **of_both({**_shapes(regions, bodies), **_colors(regions), **_support_features(support)}, large, small),
+            **_relations(regions, geometry, bodies, union, large, small),
+            **_colors_of_pairs(regions, large, small),
+            **_mutual_support_features(support, large, small),
+            **_contact_features(pairs, regions, geometry, graph, bodies, union, large, small, is_turned),
+            **size_features(graph, regions, pairs, geometry, bodies, union, large, small),
         }
     )
     return np.stack([large, small], axis=1), features
 
 
-def _shapes(parts: Parts, bodies: Bodies) -> Makers:
-    """Return how flat, slim, upright and level each part is, and how much of its outline the image cuts."""
-    per = np.maximum(parts.pixels, 1)
+def _shapes(regions: Regions, bodies: Bodies) -> Makers:
+    """Return the shape of each region: flatness, slenderness, orientation, and the share of its outline cut off."""
+    per = np.maximum(regions.pixels, 1)
     axes_m = np.maximum(bodies.axes_m, 1e-4)
     return {
-        "in_plane": lambda: 1 - parts.planes[:, 0] / per,
-        "level": lambda: parts.normals[:, 2] / per,
-        "flat": lambda: np.linalg.norm(parts.normals, axis=1) / per,
+        "in_plane": lambda: 1 - regions.planes[:, 0] / per,
+        "level": lambda: regions.normals[:, 2] / per,
+        "flat": lambda: np.linalg.norm(regions.normals, axis=1) / per,
         "thickness_sigmas": lambda: portable.log1p(axes_m[:, 0] / bodies.sigma_m),
         "thickness_of_breadth": lambda: axes_m[:, 0] / axes_m[:, 1],
         "breadth_of_length": lambda: axes_m[:, 1] / axes_m[:, 2],
         "height_of_width": lambda: bodies.height_m / (bodies.height_m + bodies.width_m),
-        "filled": lambda: portable.log((parts.area_m2 + 1e-4) / (axes_m[:, 1] * axes_m[:, 2] + 1e-4)),
-        "cut": lambda: parts.cut / np.maximum(parts.outline, 1),
-        "rugged": lambda: parts.outline / np.sqrt(per),
+        "filled": lambda: portable.log((regions.area_m2 + 1e-4) / (axes_m[:, 1] * axes_m[:, 2] + 1e-4)),
+        "cut": lambda: regions.cut / np.maximum(regions.outline, 1),
+        "rugged": lambda: regions.outline / np.sqrt(per),
     }
 
 
-def _colors(parts: Parts) -> Makers:
-    """Return how colour varies over each part: as a whole, and from one pixel to the next."""
-    per = np.maximum(parts.pixels, 1)[:, None]
-    mean = parts.lab / per
-    spread = np.sqrt(np.maximum(parts.lab_squares / per - mean * mean, 0))
+def _colors(regions: Regions) -> Makers:
+    """Return the colour variation of each region: overall, and between neighbouring pixels."""
+    per = np.maximum(regions.pixels, 1)[:, None]
+    mean = regions.lab / per
+    spread = np.sqrt(np.maximum(regions.lab_squares / per - mean * mean, 0))
     return {
         "light_spread": lambda: spread[:, 0],
         "chroma_spread": lambda: portable.hypot(spread[:, 1], spread[:, 2]),
-        "grain": lambda: parts.grain[:, 0] / np.maximum(parts.grain[:, 1], 1),
+        "grain": lambda: regions.grain[:, 0] / np.maximum(regions.grain[:, 1], 1),
     }
 
 
-def _colors_of_pairs(parts: Parts, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
-    """Return how two parts differ in colour, in CIE Lab and in multiples of how much they vary."""
-    per = np.maximum(parts.pixels, 1)[:, None]
-    mean = parts.lab / per
-    variance = np.maximum(parts.lab_squares / per - mean * mean, 0)
+def _colors_of_pairs(regions: Regions, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
+    """Return the colour difference of two regions, in CIE Lab and in multiples of their standard deviation."""
+    per = np.maximum(regions.pixels, 1)[:, None]
+    mean = regions.lab / per
+    variance = np.maximum(regions.lab_squares / per - mean * mean, 0)
     shade, spread = np.abs(mean[small] - mean[large]), np.sqrt((variance[large] + variance[small]) / 2 + 1)
     return {
         "light_difference": lambda: shade[:, 0],
@@ -99,19 +99,19 @@ def _colors_of_pairs(parts: Parts, large: NDArray[np.int64], small: NDArray[np.i
     }
 
 
-def _carried(standing: Standing) -> Makers:
-    """Return which share of each part's foot is on structure, on anything, and over nothing near."""
-    foot = np.maximum(standing.outline, 1)
+def _support_features(support: SupportContacts) -> Makers:
+    """Return the share of each region's foot that rests on structure, on anything, and that is unsupported."""
+    foot = np.maximum(support.outline, 1)
     return {
-        "on_structure": lambda: standing.on[:, -1] / foot,
-        "on_any": lambda: standing.on.sum(axis=1) / foot,
-        "free": lambda: standing.free / foot,
+        "on_structure": lambda: support.on[:, -1] / foot,
+        "on_any": lambda: support.on.sum(axis=1) / foot,
+        "free": lambda: support.free / foot,
     }
 
 
-def _standing_of_pairs(standing: Standing, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
-    """Return how much of either stands on the other, and of both on the same."""
-    on = standing.on / np.maximum(standing.outline, 1)[:, None]
+def _mutual_support_features(support: SupportContacts, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
+    """Return how much of either region rests on the other, and of both on the same support."""
+    on = support.on / np.maximum(support.outline, 1)[:, None]
     return {
         "large_on_small": lambda: on[large, small],
         "small_on_large": lambda: on[small, large],
@@ -120,24 +120,24 @@ def _standing_of_pairs(standing: Standing, large: NDArray[np.int64], small: NDAr
 
 
 def _relations(
-    parts: Parts,
+    regions: Regions,
     geometry: PairGeometry,
     bodies: Bodies,
     union: Bodies,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
 ) -> Makers:
-    """Return how two parts lie to each other and what their union would be: ratios, angles, multiples of sigma.
+    """Return relative poses and the shape of the union of two regions: ratios, angles, multiples of sigma.
 
-    "Before" is the sine of the angle at which one part's middle lies over the other's plane: positive for both where
-    they make a hollow, negative where they make an edge (the convexity of Stein et al. 2014).
+    "Before" is the sine of the elevation of one region's centroid over the other's plane: positive for both regions of
+    a concave pair, negative for both of a convex one (Stein et al. 2014).
     """
-    normal = parts.normals / np.maximum(np.linalg.norm(parts.normals, axis=1), 1e-9)[:, None]
-    most = parts.planes.argmax(axis=1)
+    normal = regions.normals / np.maximum(np.linalg.norm(regions.normals, axis=1), 1e-9)[:, None]
+    most = regions.planes.argmax(axis=1)
     aside, overlap, inset = geometry.aside_m, geometry.overlap_m, geometry.inset_m
     away = np.maximum(np.sqrt((aside * aside).sum(axis=1)), 1e-4)
     over_large, over_small = (aside * normal[large]).sum(axis=1), -(aside * normal[small]).sum(axis=1)
-    sides = np.maximum(parts.high - parts.low, LEAST_M)
+    sides = np.maximum(regions.high - regions.low, LEAST_M)
     foot = np.clip(overlap[:, :2], 0, None).prod(axis=1) / np.maximum(sides[small, 0] * sides[small, 1], 1e-4)
     volume = np.prod(sides + LEAST_M, axis=1)
     joined = np.prod(union.box_high_m - union.box_low_m + 2 * LEAST_M, axis=1)
@@ -145,8 +145,10 @@ def _relations(
     thickness = np.maximum(own_m[large, 0], own_m[small, 0])
     height_m = union.height_m
     return {
-        "pixels_ratio": lambda: portable.log(np.maximum(parts.pixels[small], 1) / np.maximum(parts.pixels[large], 1)),
-        "area_ratio": lambda: portable.log((parts.area_m2[small] + 1e-4) / (parts.area_m2[large] + 1e-4)),
+        "pixels_ratio": lambda: portable.log(
+            np.maximum(regions.pixels[small], 1) / np.maximum(regions.pixels[large], 1)
+        ),
+        "area_ratio": lambda: portable.log((regions.area_m2[small] + 1e-4) / (regions.area_m2[large] + 1e-4)),
         "width_ratio": lambda: portable.log(bodies.width_m[small] / bodies.width_m[large]),
         "height_ratio": lambda: portable.log(bodies.height_m[small] / bodies.height_m[large]),
         "length_ratio": lambda: portable.log(own_m[small, 2] / own_m[large, 2]),
@@ -182,22 +184,22 @@ def _relations(
 
 
 def _signed_log(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return log(1 + |x|) with the sign of x: what is many sigmas is many, however many."""
+    """Return log(1 + |x|) with the sign of x: differences between large multiples of sigma matter little."""
     return np.asarray(np.sign(values) * portable.log1p(np.abs(values)))
 
 
-def _seams(
-    pairs: Pairs,
-    parts: Parts,
+def _contact_features(
+    pairs: RegionPairs,
+    regions: Regions,
     geometry: PairGeometry,
-    measures: Measures,
+    graph: RegionGraph,
     bodies: Bodies,
     union: Bodies,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
     is_turned: NDArray[np.bool_],
 ) -> Makers:
-    """Return how two parts meet: how much of their outlines, how sharply, where, and which is before the other."""
+    """Return the contact of two regions: its length, sharpness and place, and which region occludes the other."""
     meet, touch = np.maximum(pairs.meet, 1), np.maximum(pairs.touch, 1)
 
     def of_meeting(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -207,16 +209,18 @@ def _seams(
         return np.where(pairs.touch > 0, values / touch, np.nan)
 
     nearer, above = (np.where(is_turned[:, None], v[:, ::-1], v) for v in (pairs.nearer, pairs.above))
-    at_m, spread = geometry.seam_m[:, 2] + measures.middle[2], geometry.seam_spread_m
+    at_m, spread = geometry.contact_m[:, 2] + graph.middle[2], geometry.contact_spread_m
     away = pairs.meet - pairs.touch
-    grain = parts.grain[:, 0] / np.maximum(parts.grain[:, 1], 1)
+    grain = regions.grain[:, 0] / np.maximum(regions.grain[:, 1], 1)
     width_m = np.minimum(bodies.width_m[large], bodies.width_m[small])
     height_m = np.minimum(bodies.height_m[large], bodies.height_m[small])
-    across = np.sqrt(np.maximum(parts.pixels[small], 1))
+    across = np.sqrt(np.maximum(regions.pixels[small], 1))
     gap_m = np.where(np.isfinite(pairs.gap_m), pairs.gap_m, np.nan)
     return {
-        "meet_of_lesser": lambda: pairs.meet / np.maximum(np.minimum(parts.outline[large], parts.outline[small]), 1),
-        "meet_of_small": lambda: pairs.meet / np.maximum(parts.outline[small], 1),
+        "meet_of_lesser": lambda: (
+            pairs.meet / np.maximum(np.minimum(regions.outline[large], regions.outline[small]), 1)
+        ),
+        "meet_of_small": lambda: pairs.meet / np.maximum(regions.outline[small], 1),
         "touch_of_size": lambda: pairs.touch / across,
         "touch_share": lambda: of_meeting(pairs.touch),
         "lean": lambda: of_touching(pairs.lean),

@@ -1,4 +1,4 @@
-"""What groups of fragments are in space: their main axes, boxes and heights, and those of two groups as one."""
+"""The extent of regions in space: principal axes, boxes and heights, also of the union of two regions."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.perception.parts import HEIGHT_BIN_M
+from hickory_stream.perception.region_graph import HEIGHT_BIN_M
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.parts import Parts
+    from hickory_stream.perception.region_graph import Regions
 
 LEAST_M = 0.01
-"""Nothing is taken for smaller: a ratio to less would be one to noise."""
+"""Lower bound of sizes: ratios to anything smaller would be ratios to noise."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Bodies:
-    """What n groups are in space; all arrays (n, ...).
+    """The extent of n regions in space; all arrays (n, ...).
 
-    `axes_m` (n, 3): standard deviations along the main axes, the least first; `low_m`, `high_m`: the 5th and 95th
-    percentile of the heights; `box_low_m`, `box_high_m` (n, 3); `sigma_m`: mean standard deviation of depth. From
-    these follow `width_m`, the diagonal of the box seen from above, and `height_m`, between the percentiles.
+    `axes_m` (n, 3): standard deviations along the principal axes, smallest first; `low_m`, `high_m`: 5th and 95th
+    percentile of the heights; `box_low_m`, `box_high_m` (n, 3); `sigma_m`: mean standard deviation of depth. Derived:
+    `width_m`, the horizontal diagonal of the box, and `height_m`, between the percentiles.
     """
 
     axes_m: NDArray[np.float64]
@@ -44,46 +44,46 @@ class Bodies:
         object.__setattr__(self, "height_m", np.maximum(self.high_m - self.low_m, LEAST_M))
 
 
-def bodies_of(parts: Parts, bottom_m: float) -> Bodies:
-    """Return what groups are in space; heights count from `bottom_m`."""
-    low_m, high_m = _heights(parts, bottom_m)
+def bodies_of(regions: Regions, bottom_m: float) -> Bodies:
+    """Return the extent of regions; heights count from `bottom_m`."""
+    low_m, high_m = _heights(regions, bottom_m)
     return Bodies(
-        axes_m=_axes(parts.pixels, parts.place, parts.place_products),
+        axes_m=_axes(regions.pixels, regions.place, regions.place_products),
         low_m=low_m,
         high_m=high_m,
-        box_low_m=parts.low,
-        box_high_m=parts.high,
-        sigma_m=np.maximum(parts.sigma_m / np.maximum(parts.pixels, 1), 1e-4),
+        box_low_m=regions.low,
+        box_high_m=regions.high,
+        sigma_m=np.maximum(regions.sigma_m / np.maximum(regions.pixels, 1), 1e-4),
     )
 
 
-def union_of(parts: Parts, bodies: Bodies, large: NDArray[np.int64], small: NDArray[np.int64]) -> Bodies:
-    """Return what the two groups of each pair would be as one."""
+def union_of(regions: Regions, bodies: Bodies, large: NDArray[np.int64], small: NDArray[np.int64]) -> Bodies:
+    """Return the extent of the union of the two regions of each pair."""
     return Bodies(
         axes_m=_axes(
-            parts.pixels[large] + parts.pixels[small],
-            parts.place[large] + parts.place[small],
-            parts.place_products[large] + parts.place_products[small],
+            regions.pixels[large] + regions.pixels[small],
+            regions.place[large] + regions.place[small],
+            regions.place_products[large] + regions.place_products[small],
         ),
         low_m=np.minimum(bodies.low_m[large], bodies.low_m[small]),
         high_m=np.maximum(bodies.high_m[large], bodies.high_m[small]),
-        box_low_m=np.minimum(parts.low[large], parts.low[small]),
-        box_high_m=np.maximum(parts.high[large], parts.high[small]),
+        box_low_m=np.minimum(regions.low[large], regions.low[small]),
+        box_high_m=np.maximum(regions.high[large], regions.high[small]),
         sigma_m=np.maximum(bodies.sigma_m[large], bodies.sigma_m[small]),
     )
 
 
-def _heights(parts: Parts, bottom_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the 5th and 95th percentile of each part's heights."""
-    below = np.cumsum(parts.heights, axis=1)
-    low, high = ((below < share * parts.pixels[:, None]).sum(axis=1) for share in (0.05, 0.95))
+def _heights(regions: Regions, bottom_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the 5th and 95th percentile of each region's heights."""
+    below = np.cumsum(regions.heights, axis=1)
+    low, high = ((below < share * regions.pixels[:, None]).sum(axis=1) for share in (0.05, 0.95))
     return bottom_m + (low + 0.5) * HEIGHT_BIN_M, bottom_m + (high + 0.5) * HEIGHT_BIN_M
 
 
 def _axes(
     pixels: NDArray[np.float64], place: NDArray[np.float64], products: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return (n, 3) the standard deviations of each part's points along its main axes, the least first."""
+    """Return (n, 3) the standard deviations of each region's points along its main axes, the least first."""
     per = np.maximum(pixels, 1)[:, None]
     mean, second = place / per, products / per
     covariance = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]

@@ -16,8 +16,8 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import arctan2
+from hickory_stream.perception.cielab import lab_of
 from hickory_stream.perception.gradients import gradients
-from hickory_stream.perception.pieces import lab_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -44,12 +44,12 @@ class Features(Mapping[str, "NDArray[np.float64]"]):
 
 
 def of_both(makers: Makers, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
-    """Return what makes the features of the parts `large` and `small` (K,) of pairs from that of (n,) parts."""
-    parts = Features(makers)
+    """Return what makes the features of the regions `large` and `small` (K,) of pairs from that of (n,) regions."""
+    regions = Features(makers)
     out: dict[str, Callable[[], NDArray[np.float64]]] = {}
     for name in makers:
-        out[f"large_{name}"] = partial(_at, parts, name, large)
-        out[f"small_{name}"] = partial(_at, parts, name, small)
+        out[f"large_{name}"] = partial(_at, regions, name, large)
+        out[f"small_{name}"] = partial(_at, regions, name, small)
     return out
 
 

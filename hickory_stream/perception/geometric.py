@@ -1,7 +1,7 @@
 """The segmenter without networks: class-agnostic instances from depth and colour, on a CPU.
 
-Structure is taken away, the rest falls into fragments at depth edges, concave creases and supporting planes, and
-fragments that are one thing are joined again. Works at a reduced size; labels come back at the size of the frame.
+Room structure is removed, the rest is over-segmented into fragments at depth edges, concave creases, support planes and
+colour edges, and fragments of one object are merged. Works at a reduced resolution; labels have that of the frame.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.perception.color_split import ColorSplitConfig, split_by_color
 from hickory_stream.perception.fragments import FragmentConfig, concave_creases, fragments_of, support_labels
 from hickory_stream.perception.join import JoinConfig, join_fragments
-from hickory_stream.perception.masks import enlarged, enlarged_mask, hidden_shares, why_no_object
-from hickory_stream.perception.pieces import label_boxes
-from hickory_stream.perception.scenery import Scenery, scenery_of
-from hickory_stream.perception.shades import ShadeConfig, divided_by_color
+from hickory_stream.perception.label_boxes import label_boxes
+from hickory_stream.perception.masks import enlarged, enlarged_mask, occluded_shares, why_no_object
+from hickory_stream.perception.room_structure import RoomStructure, room_structure_of
 from hickory_stream.perception.structure import StructureConfig
 from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
 from hickory_stream.perception.trees import Trees, embedded_trees
@@ -31,28 +31,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GeometricConfig(Ranged):
-    """The geometric segmenter's parts, and what a mask must be.
+    """The stages of the geometric segmenter, and which masks it rejects.
 
     Attributes:
         min_area_px: masks with fewer working pixels are rejected ...
-        min_side_sigmas: ... and so are those that a square covers whose side is so many sigmas of depth: what they show
-            cannot be told from noise.
-        hidden_area_px: a mask with fewer working pixels ...
-        hidden_share: ... and more of its outline than this behind something nearer is rejected.
-        max_extent_m: masks of longer things are rejected as structure.
-        support_area_m2: the least visible area of a supporting plane ...
-        support_area_px: ... and the fewest working pixels of a piece of it.
+        min_side_sigmas: ... and so are those whose area is less than a square with a side of so many sigmas of depth:
+            they cannot be told from noise.
+        occluded_area_px: a mask with fewer working pixels ...
+        occluded_share: ... and more of its outline than this behind nearer surfaces is rejected.
+        max_extent_m: longer masks are rejected as structure.
+        support_area_m2: minimum visible area of a support plane ...
+        support_area_px: ... and minimum number of working pixels of a connected region of it.
     """
 
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)
     structure: StructureConfig = field(default_factory=StructureConfig)
     fragments: FragmentConfig = field(default_factory=FragmentConfig)
-    shades: ShadeConfig = field(default_factory=ShadeConfig)
+    color_split: ColorSplitConfig = field(default_factory=ColorSplitConfig)
     join: JoinConfig = field(default_factory=JoinConfig)
     min_area_px: int = number(16, 1, 1_000_000, "px")
     min_side_sigmas: float = number(2.5, 0, 100, "sigmas")
-    hidden_area_px: int = number(720, 0, 1_000_000, "px")
-    hidden_share: float = number(0.6, 0, 1, "share")
+    occluded_area_px: int = number(720, 0, 1_000_000, "px")
+    occluded_share: float = number(0.6, 0, 1, "share")
     max_extent_m: float = number(4.0, 0.01, 1000, "m")
     support_area_m2: float = number(0.03, 0, 1000, "m2")
     support_area_px: int = number(60, 1, 1_000_000, "px")
@@ -60,10 +60,10 @@ class GeometricConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Fragments:
-    """A frame in pieces at working resolution (h, w): `labels` 1..n, and the supporting plane of each pixel or 0."""
+    """An over-segmented frame at working resolution (h, w): `labels` 1..n, and the support plane of each pixel or 0."""
 
     surface: Surface
-    scenery: Scenery
+    room: RoomStructure
     supports: NDArray[np.int32]
     labels: NDArray[np.int32]
 
@@ -71,7 +71,7 @@ class Fragments:
 class GeometricSegmenter:
     """Segments frames by geometry and colour; it has no state but its configuration.
 
-    `trees` tell what is one thing; None: those of the package.
+    `trees` rate pairs of regions; None: those of the package.
     """
 
     def __init__(self, config: GeometricConfig, trees: Trees | None = None) -> None:
@@ -86,40 +86,40 @@ class GeometricSegmenter:
         """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
         pieces = self.fragments(frame, prior, prepared)
         join = self._config.join
-        labels = join_fragments(pieces.surface, pieces.labels, pieces.supports, pieces.scenery, self._trees, join)
+        labels = join_fragments(pieces.surface, pieces.labels, pieces.supports, pieces.room, self._trees, join)
         return self.segmentation(frame, pieces, labels)
 
     def segmentation(self, frame: Frame, pieces: Fragments, labels: NDArray[np.int32]) -> Segmentation:
-        """Return what is said of a frame whose fragments were joined into the masks `labels` (h, w), 0 = none."""
+        """Return the segmentation of a frame whose fragments were merged into the masks `labels` (h, w), 0 = none."""
         labels, rejected = _usable(pieces.surface, labels, self._config)
         size, factor = (frame.camera.width, frame.camera.height), pieces.surface.factor
         return Segmentation(
             instances=enlarged(labels, factor, size),
-            structure=enlarged_mask(pieces.scenery.structure, factor, size),
-            structure_shown=enlarged_mask(pieces.scenery.shown, factor, size),
-            floor_z_m=pieces.scenery.floor_z_m,
+            structure=enlarged_mask(pieces.room.structure, factor, size),
+            structure_shown=enlarged_mask(pieces.room.shown, factor, size),
+            floor_z_m=pieces.room.floor_z_m,
             rejected=rejected,
         )
 
     def fragments(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Fragments:
-        """Return the pieces that a frame falls into, before any are joined."""
+        """Return the over-segmentation of a frame, before any fragments are merged."""
         surface = prepared if isinstance(prepared, Surface) else self.prepare(frame)
-        return self.divided(surface, self.scenery(surface, prior))
+        return self.divided(surface, self.room(surface, prior))
 
-    def scenery(self, surface: Surface, prior: ObservedSpace | None) -> Scenery:
-        """Return the room in a frame; `prior` is the space as the map knows it."""
-        return scenery_of(surface, prior, self._config.structure, self._config.support_area_m2)
+    def room(self, surface: Surface, prior: ObservedSpace | None) -> RoomStructure:
+        """Return the room structure in a frame; `prior` is the observed space of the map so far."""
+        return room_structure_of(surface, prior, self._config.structure, self._config.support_area_m2)
 
-    def divided(self, surface: Surface, scenery: Scenery) -> Fragments:
-        """Return the pieces that a surface falls into where it is not structure."""
-        config, floor_z_m = self._config, scenery.floor_z_m
-        heights = np.array([p.z_m for p in scenery.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
+    def divided(self, surface: Surface, room: RoomStructure) -> Fragments:
+        """Return the over-segmentation of a surface without its structure."""
+        config, floor_z_m = self._config, room.floor_z_m
+        heights = np.array([p.z_m for p in room.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
         supports = support_labels(surface, heights, min_pixels=config.support_area_px)
-        creases = concave_creases(surface, scenery.structure, config.fragments)
-        labels = fragments_of(surface, scenery.structure, supports, creases, config.fragments)
+        creases = concave_creases(surface, room.structure, config.fragments)
+        labels = fragments_of(surface, room.structure, supports, creases, config.fragments)
         boxes = label_boxes(labels, int(labels.max()) + 1)
-        labels = divided_by_color(labels, boxes, surface.lab, config.shades)
-        return Fragments(surface=surface, scenery=scenery, supports=supports, labels=labels)
+        labels = split_by_color(labels, boxes, surface.lab, config.color_split)
+        return Fragments(surface=surface, room=room, supports=supports, labels=labels)
 
 
 def _usable(
@@ -128,13 +128,13 @@ def _usable(
     """Return the labels of the masks worth lifting, renumbered, and the others with their reasons."""
     count = int(labels.max()) + 1
     pixels = np.bincount(labels.ravel(), minlength=count)
-    hidden = hidden_shares(surface.depth_m, labels, count)
+    occluded = occluded_shares(surface.depth_m, labels, count)
     keep = np.zeros(count, dtype=np.int32)
     rejected: list[RejectedMask] = []
     kept = 0
     boxes = label_boxes(labels, count)
     for i in range(1, count):
-        reason = _why_not(surface, labels, i, int(pixels[i]), float(hidden[i]), boxes[i], config)
+        reason = _why_not(surface, labels, i, int(pixels[i]), float(occluded[i]), boxes[i], config)
         if reason is None:
             kept += 1
             keep[i] = kept
@@ -151,7 +151,7 @@ def _why_not(
     labels: NDArray[np.int32],
     label: int,
     pixels: int,
-    hidden: float,
+    occluded: float,
     box: NDArray[np.int64],
     config: GeometricConfig,
 ) -> str | None:
@@ -160,8 +160,8 @@ def _why_not(
     side_m, sigma_m = _side_and_sigma_m(surface, labels, label, pixels, box)
     if side_m < config.min_side_sigmas * sigma_m:
         return f"{100 * side_m:.1f} cm in a square, less than {config.min_side_sigmas:g} sigmas of depth"
-    if hidden > config.hidden_share and pixels < config.hidden_area_px:
-        return f"{hidden:.0%} of the outline is hidden by nearer things"
+    if occluded > config.occluded_share and pixels < config.occluded_area_px:
+        return f"{occluded:.0%} of the outline is occluded by nearer surfaces"
     return why_no_object(surface, labels, label, box, config.max_extent_m)
 
 

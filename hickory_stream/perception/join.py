@@ -1,8 +1,8 @@
-"""Joining fragments into things: by rounds, those that learned trees take for one thing.
+"""Region merging: fragments are merged into instances in rounds, by learned trees.
 
-A round looks at every two groups of fragments that meet, nearly meet or are bridged behind what hides them, and joins
-those that are likelier one thing with each other than with any third group. The next round sees the groups. Planes that
-go on behind what hides them prove what trees only guess.
+A round rates all pairs of regions that touch, nearly touch or are bridged behind an occluder, and merges those pairs of
+which each is the other's likeliest partner. The next round rates the merged regions. Planes that continue behind an
+occluder are merged without asking the trees.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.perception.affinity import pair_features
-from hickory_stream.perception.hidden import HiddenConfig, are_one_behind
+from hickory_stream.perception.occlusion_bridging import BridgingConfig, is_bridged
 from hickory_stream.perception.odds_features import odds_features
-from hickory_stream.perception.parts import measure
+from hickory_stream.perception.region_graph import build_region_graph
 from hickory_stream.perception.trees import Forest  # noqa: TC001 (read with the configuration)
 from hickory_stream.ranges import Ranged, number
 
@@ -26,24 +26,25 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.perception.fragment_odds import FragmentOdds
-    from hickory_stream.perception.parts import Measures
-    from hickory_stream.perception.scenery import Scenery
+    from hickory_stream.perception.region_graph import RegionGraph
+    from hickory_stream.perception.room_structure import RoomStructure
     from hickory_stream.perception.surface import Surface
     from hickory_stream.perception.trees import Trees
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JoinConfig(Ranged):
-    """How fragments are joined; the trees were grown with the defaults of `reach_px`, `gap_m` and `hidden`.
+    """How fragments are merged; the trees were grown with the defaults of `reach_px`, `gap_m` and `bridging`.
 
     Attributes:
-        forest: which trees say so; those of `mixed` make fewer false objects in rooms by others and find fewer things,
-            from a `probability` of 0.5.
-        probability: two groups are joined from this probability of being one thing; over a half, for a map joins what
-            was in pieces, but hardly divides what was joined.
-        rounds: at most so many.
-        reach_px: pixels are neighbours across fewer than this many pixels without a label.
-        gap_m: fragments that do not meet are looked at together up to this distance.
+        forest: the trees that rate pairs; `mixed`, from a `probability` of 0.5, makes fewer false objects in unfamiliar
+            rooms and finds fewer objects.
+        probability: minimum probability for a merge; over a half, since the map repairs over-segmentation more easily
+            than under-segmentation.
+        rounds: maximum number of rounds.
+        reach_px: pixels are neighbours across fewer than this many unlabelled pixels.
+        gap_m: maximum distance of fragments that are rated without touching in the image.
+        bridging: when a plane continues behind an occluder.
     """
 
     forest: Forest = "sizes"
@@ -51,7 +52,7 @@ class JoinConfig(Ranged):
     rounds: int = number(12, 0, 1000, "rounds")
     reach_px: int = number(3, 1, 100, "px")
     gap_m: float = number(0.2, 0, 10, "m")
-    hidden: HiddenConfig = field(default_factory=HiddenConfig)
+    bridging: BridgingConfig = field(default_factory=BridgingConfig)
 
 
 class Groups:
@@ -80,7 +81,7 @@ class Groups:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Round:
-    """What a round of joining looks at: `numbers` (n,) the group of each fragment, `pairs` (K, 2) of groups."""
+    """The input of a round: `numbers` (n,) the region of each fragment, `pairs` (K, 2) of regions, their features."""
 
     numbers: NDArray[np.int64]
     pairs: NDArray[np.int64]
@@ -91,61 +92,61 @@ def join_fragments(
     surface: Surface,
     labels: NDArray[np.int32],
     supports: NDArray[np.int32],
-    scenery: Scenery,
+    room: RoomStructure,
     trees: Trees,
     config: JoinConfig,
 ) -> NDArray[np.int32]:
     """Return (h, w) instance labels 1..n: joined fragments, numbered in the order of their first fragment."""
-    measures = measured(surface, labels, supports, scenery, config)
-    if measures is None:
+    graph = region_graph_of(surface, labels, supports, room, config)
+    if graph is None:
         return labels
-    numbers = np.arange(len(measures.parts.pixels))
-    for step in rounds(measures, trees.probabilities, config):
+    numbers = np.arange(len(graph.regions.pixels))
+    for step in rounds(graph, trees.probabilities, config):
         numbers = step.numbers
     return numbers.astype(np.int32)[labels]
 
 
-def measured(
-    surface: Surface, labels: NDArray[np.int32], supports: NDArray[np.int32], scenery: Scenery, config: JoinConfig
-) -> Measures | None:
-    """Return what is measured of fragments before they are joined; None where there are none."""
+def region_graph_of(
+    surface: Surface, labels: NDArray[np.int32], supports: NDArray[np.int32], room: RoomStructure, config: JoinConfig
+) -> RegionGraph | None:
+    """Return the region graph of the fragments `labels` (h, w) before any are merged; None if there are none."""
     if not labels.any():
         return None
-    return measure(
+    return build_region_graph(
         surface,
         labels,
         supports,
-        scenery.areas_m2,
-        scenery.structure,
-        scenery.floor_z_m,
+        room.areas_m2,
+        room.structure,
+        room.floor_z_m,
         reach_px=config.reach_px,
         gap_m=config.gap_m,
-        hidden=config.hidden,
+        bridging=config.bridging,
     )
 
 
 def rounds(
-    measures: Measures,
+    graph: RegionGraph,
     probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]],
     config: JoinConfig,
     odds: FragmentOdds | None = None,
 ) -> Iterator[Round]:
-    """Yield the rounds of joining by the `probabilities` of features, from single fragments to the final groups.
+    """Yield the rounds of merging by the `probabilities` of features, from single fragments to the final regions.
 
-    What a network says of the groups, its `odds`, is among the features; None: nothing (`odds_features`).
+    The `odds` of a network, if any, are among the features (`odds_features`).
     """
-    groups = Groups(len(measures.parts.pixels))
+    groups = Groups(len(graph.regions.pixels))
     for i in range(config.rounds + 1):
         numbers, names = groups.numbers()
-        pairs, features = pair_features(measures, numbers, len(names))
+        pairs, features = pair_features(graph, numbers, len(names))
         features |= odds_features(None if odds is None else odds.of_groups(numbers, len(names)), pairs, len(names))
         yield Round(numbers=numbers, pairs=pairs, features=features)
-        # Seen so rarely that trees learn little of it, and certain.
-        proven = are_one_behind(
+        # Certain, but too rare in the training data for the trees to learn it.
+        proven = is_bridged(
             features["bridged_level"],
             features["bridged_upright"],
             portable.exp(features["small_pixels"]),
-            config.hidden,
+            config.bridging,
         )
         chosen = _closest(pairs, np.where(proven, 1.0, probabilities(features)), len(names), config.probability)
         if len(chosen) == 0 or i == config.rounds:
@@ -154,7 +155,7 @@ def rounds(
 
 
 def _closest(pairs: NDArray[np.int64], probability: NDArray[np.float64], count: int, least: float) -> NDArray[np.int64]:
-    """Return the (M, 2) pairs that are likely enough, and for both of which no other pair is likelier."""
+    """Return the (M, 2) pairs that are likely enough, and the likeliest one of both of their regions."""
     best = np.zeros(count)
     for side in (0, 1):
         np.maximum.at(best, pairs[:, side], probability)

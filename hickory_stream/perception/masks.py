@@ -17,7 +17,7 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.perception.pieces import label_boxes
+from hickory_stream.perception.label_boxes import label_boxes
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask
 
@@ -63,7 +63,7 @@ class MaskConfig(Ranged):
         flat_area_m2: ... and so is something flat on a level surface, from this area on.
         visible_share: a mask of which less than this is left by the smaller ones on it is made up of them.
         max_extent_m: longer things are no objects.
-        hidden_share: a small mask with more of its outline than this behind something nearer is rejected.
+        occluded_share: a small mask with more of its outline than this behind something nearer is rejected.
     """
 
     min_area_px: int = number(240, 0, 1_000_000, "px")
@@ -75,7 +75,7 @@ class MaskConfig(Ranged):
     flat_area_m2: float = number(0.008, 0, 100, "m2")
     visible_share: float = number(0.25, 0, 1, "share")
     max_extent_m: float = number(4.0, 0.01, 1000, "m")
-    hidden_share: float = number(0.6, 0, 1, "share")
+    occluded_share: float = number(0.6, 0, 1, "share")
 
 
 def compose(
@@ -131,17 +131,17 @@ def _extent_m(points, labels, label):  # type: ignore[no-untyped-def] # pragma: 
     return max((high - low).max(), np.float32(0.0))
 
 
-def hidden_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
     """Return the share of each label's outline where the neighbour is nearer: where something hides the rest of it."""
-    outline, hidden = _outlines(depth_m, labels, count)
-    return np.asarray(hidden / np.maximum(outline, 1))
+    outline, occluded = _outlines(depth_m, labels, count)
+    return np.asarray(occluded / np.maximum(outline, 1))
 
 
 @numba.njit(cache=True, nogil=True)
 def _outlines(depth, labels, count):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (count,) how many neighbours of another label each label has, and how many of them are nearer."""
     height, width = labels.shape
-    outline, hidden = np.zeros(count), np.zeros(count)
+    outline, occluded = np.zeros(count), np.zeros(count)
     for y in range(height):
         for x in range(width):
             for side in range(2):
@@ -151,11 +151,11 @@ def _outlines(depth, labels, count):  # type: ignore[no-untyped-def] # pragma: n
                 here, there = labels[y, x], labels[yy, xx]
                 if here > 0:
                     outline[here] += 1.0
-                    hidden[here] += depth[yy, xx] < depth[y, x] * np.float32(0.97) - np.float32(0.01)
+                    occluded[here] += depth[yy, xx] < depth[y, x] * np.float32(0.97) - np.float32(0.01)
                 if there > 0:
                     outline[there] += 1.0
-                    hidden[there] += depth[y, x] < depth[yy, xx] * np.float32(0.97) - np.float32(0.01)
-    return outline, hidden
+                    occluded[there] += depth[y, x] < depth[yy, xx] * np.float32(0.97) - np.float32(0.01)
+    return outline, occluded
 
 
 def enlarged(labels: NDArray[np.int32], factor: int, size: tuple[int, int]) -> NDArray[np.int32]:
@@ -349,15 +349,15 @@ def _why_no_objects(labels: NDArray[np.int32], surface: Surface, config: MaskCon
     middle = factor // 2
     small = np.ascontiguousarray(labels[middle::factor, middle::factor][:height, :width])
     count = int(labels.max()) + 1
-    hidden = hidden_shares(surface.depth_m, small, count)
+    occluded = occluded_shares(surface.depth_m, small, count)
     pixels = np.bincount(small.ravel(), minlength=count)
     boxes = label_boxes(small, count)
     small_area = 12 * config.min_area_px / (factor * factor)
     found = []
     for label in map(int, np.flatnonzero(pixels[1:]) + 1):
         why = why_no_object(surface, small, label, boxes[label], config.max_extent_m)
-        if hidden[label] > config.hidden_share and pixels[label] < small_area:
-            why = f"{hidden[label]:.0%} of the outline is hidden by nearer things"
+        if occluded[label] > config.occluded_share and pixels[label] < small_area:
+            why = f"{occluded[label]:.0%} of the outline is occluded by nearer surfaces"
         if why is not None:
             found.append((label, why))
     return found

@@ -16,7 +16,7 @@ from hickory_stream.geometry import portable
 from hickory_stream.perception.average_linkage import averaged
 from hickory_stream.perception.fragment_odds import fragment_odds
 from hickory_stream.perception.geometric import GeometricSegmenter
-from hickory_stream.perception.join import measured, rounds
+from hickory_stream.perception.join import region_graph_of, rounds
 from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
 from hickory_stream.perception.pixel_network import ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
 from hickory_stream.perception.trees import embedded_trees
@@ -113,9 +113,9 @@ class NetworkSegmenter:
     def fragments(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Fragments:
         """Return the pieces that a frame falls into, before any are joined."""
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
-        scenery = self._geometric.scenery(found.surface, prior)
-        structure = corrected_structure(scenery.structure, found, self._config)
-        pieces = self._geometric.divided(found.surface, replace(scenery, structure=structure))
+        room = self._geometric.room(found.surface, prior)
+        structure = corrected_structure(room.structure, found, self._config)
+        pieces = self._geometric.divided(found.surface, replace(room, structure=structure))
         return replace(pieces, labels=divided_by_odds(pieces.labels, found.odds, self._config.split))
 
     def _joined(self, pieces: Fragments, odds: PixelOdds) -> NDArray[np.int32]:
@@ -134,10 +134,10 @@ class NetworkSegmenter:
             by_trees = self._trees.probabilities(features)
             return combined(by_trees, features, config) if config.join == "both" else by_trees
 
-        measures = measured(pieces.surface, labels, pieces.supports, pieces.scenery, self._join)
-        assert measures is not None, "there are fragments"
-        numbers = np.arange(len(measures.parts.pixels))
-        for step in rounds(measures, probabilities, self._join, odds):
+        graph = region_graph_of(pieces.surface, labels, pieces.supports, pieces.room, self._join)
+        assert graph is not None, "there are fragments"
+        numbers = np.arange(len(graph.regions.pixels))
+        for step in rounds(graph, probabilities, self._join, odds):
             numbers = step.numbers
         return numbers.astype(np.int32)[labels]
 

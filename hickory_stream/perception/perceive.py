@@ -11,7 +11,7 @@ from hickory_stream.events import FrameObserved
 from hickory_stream.perception.coarse import coarse_frame
 from hickory_stream.perception.descriptor import mask_feature
 from hickory_stream.perception.geometric import GeometricConfig
-from hickory_stream.perception.known import KnownConfig, with_known
+from hickory_stream.perception.map_guided_merge import MapGuidedMergeConfig, merged_by_map
 from hickory_stream.perception.masks import MaskConfig
 from hickory_stream.perception.models.dinov2 import DinoConfig
 from hickory_stream.perception.models.fastsam import FastSamConfig
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PerceptionConfig:
-    """The segmenter, the lifting of masks, the rays of the observed space, and the objects that the map knows.
+    """The segmenter, the lifting of masks to 3D, the observed space, and the merging of masks guided by the map.
 
     Attributes:
         segmenter: `network` divides and joins with a network of our own, whose weights come with the package; without
@@ -63,7 +63,7 @@ class PerceptionConfig:
     masks: MaskConfig = field(default_factory=MaskConfig)
     observe: ObserveConfig = field(default_factory=ObserveConfig)
     space: SpaceConfig = field(default_factory=SpaceConfig)
-    known: KnownConfig = field(default_factory=KnownConfig)
+    map_guided_merge: MapGuidedMergeConfig = field(default_factory=MapGuidedMergeConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -94,15 +94,16 @@ def perceive(
     prepared: object,
     segmenter: Segmenter,
     config: PerceptionConfig,
-    known: Sequence[TrackedObject] = (),
+    mapped: Sequence[TrackedObject] = (),
     *,
     lattice: Lattice,
 ) -> Perceived:
-    """Return what a keyframe shows, seen with the space and the objects that the map knows so far.
+    """Return what a keyframe shows.
 
-    `lattice` is the map's; `prepared` is what the segmenter's `prepare` gave for this frame, None if it was not called.
+    `prior` is the observed space of the map so far, `mapped` are its objects, `lattice` its voxel sizes; `prepared` is
+    what the segmenter's `prepare` gave for this frame, None if it was not called.
     """
-    segmentation = with_known(frame, segmenter.segment(frame, prior, prepared), known, config.known)
+    segmentation = merged_by_map(frame, segmenter.segment(frame, prior, prepared), mapped, config.map_guided_merge)
     observations, rejected = observe(frame, segmentation, config.observe, lattice)
     return Perceived(
         segmentation=segmentation,

@@ -1,7 +1,7 @@
-"""Two parts of a frame in metres, pixels and colours as such: what tells furniture as large as that of the training.
+"""Absolute features of pairs of regions: metres, pixels and colours.
 
-People's rooms are alike in size, so that this helps in most of them; where it misleads, `affinity` has the same in
-ratios, sigmas and angles, and the trees of the package are grown half on these alone.
+They help in rooms with furniture of about the size in the training data, which most rooms have. `affinity` has relative
+features for the others; half of the packaged trees are grown on those alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hickory_stream.perception.bodies import Bodies
     from hickory_stream.perception.features import Makers
     from hickory_stream.perception.pair_geometry import PairGeometry
-    from hickory_stream.perception.parts import Measures, Pairs, Parts
+    from hickory_stream.perception.region_graph import RegionGraph, RegionPairs, Regions
 
 _FAR_M = 0.3
 _UNITS = ("_m", "_m2", "_m3")
@@ -33,53 +33,53 @@ def is_size(name: str) -> bool:
 
 
 def size_features(
-    measures: Measures,
-    parts: Parts,
-    pairs: Pairs,
+    graph: RegionGraph,
+    regions: Regions,
+    pairs: RegionPairs,
     geometry: PairGeometry,
     bodies: Bodies,
     union: Bodies,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
 ) -> Makers:
-    """Return by name (K,) the sizes of the parts `large` and `small` of each pair, and how they lie to each other."""
-    of_parts = of_both(_of_parts(measures, parts, bodies), large, small)
-    return {**of_parts, **_of_pairs(parts, pairs, geometry, bodies, union, large, small)}
+    """Return by name (K,) the sizes of the regions `large` and `small` of each pair, and how they lie to each other."""
+    of_regions = of_both(_of_regions(graph, regions, bodies), large, small)
+    return {**of_regions, **_of_pairs(regions, pairs, geometry, bodies, union, large, small)}
 
 
-def _of_parts(measures: Measures, parts: Parts, bodies: Bodies) -> Makers:
-    per = np.maximum(parts.pixels, 1)
-    extent = parts.high - parts.low
-    mean = parts.lab / per[:, None]
+def _of_regions(graph: RegionGraph, regions: Regions, bodies: Bodies) -> Makers:
+    per = np.maximum(regions.pixels, 1)
+    extent = regions.high - regions.low
+    mean = regions.lab / per[:, None]
     return {
-        "pixels": lambda: portable.log(np.maximum(parts.pixels, 1)),
-        "area_m2": lambda: portable.log(parts.area_m2 + 1e-4),
-        "depth_m": lambda: parts.depth_m / per,
+        "pixels": lambda: portable.log(np.maximum(regions.pixels, 1)),
+        "area_m2": lambda: portable.log(regions.area_m2 + 1e-4),
+        "depth_m": lambda: regions.depth_m / per,
         "width_m": lambda: portable.hypot(extent[:, 0], extent[:, 1]),
         "thickness_m": lambda: bodies.axes_m[:, 0],
         "breadth_m": lambda: bodies.axes_m[:, 1],
         "length_m": lambda: bodies.axes_m[:, 2],
-        "members": lambda: parts.members,
+        "members": lambda: regions.members,
         "light": lambda: mean[:, 0],
         "chroma": lambda: portable.hypot(mean[:, 1], mean[:, 2]),
         "height_m": lambda: bodies.high_m - bodies.low_m,
-        "low_m": lambda: bodies.low_m - measures.floor_z_m,
-        "high_m": lambda: bodies.high_m - measures.floor_z_m,
+        "low_m": lambda: bodies.low_m - graph.floor_z_m,
+        "high_m": lambda: bodies.high_m - graph.floor_z_m,
     }
 
 
 def _of_pairs(
-    parts: Parts,
-    pairs: Pairs,
+    regions: Regions,
+    pairs: RegionPairs,
     geometry: PairGeometry,
     bodies: Bodies,
     union: Bodies,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
 ) -> Makers:
-    aside, overlap, inset, spread = geometry.aside_m, geometry.overlap_m, geometry.inset_m, geometry.seam_spread_m
+    aside, overlap, inset, spread = geometry.aside_m, geometry.overlap_m, geometry.inset_m, geometry.contact_spread_m
     joined = union.box_high_m - union.box_low_m
-    volume = np.prod(parts.high - parts.low + 0.01, axis=1)
+    volume = np.prod(regions.high - regions.low + 0.01, axis=1)
     touch = np.maximum(pairs.touch, 1)
 
     def of_touching(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
-from hickory_stream.perception.relief import NearPlane, ReliefConfig
+from hickory_stream.perception.raised_patches import NearPlane, RaisedPatchConfig
 from hickory_stream.perception.structure_kernels import (
     along,
     areas_m2,
@@ -53,7 +53,7 @@ class StructureConfig(Ranged):
             wall even where something is seen behind it ...
         furniture_depth_m, backing_m2: ... but for a parallel surface of this area this close behind it: then it is the
             front of a cupboard, and that is the wall.
-        relief: what stands off a floor or a wall by less than its tolerance.
+        raised_patches: which pixels within the tolerance of a plane belong to objects.
     """
 
     floor_area_m2: float = number(0.25, 0, 1000, "m2")
@@ -67,7 +67,7 @@ class StructureConfig(Ranged):
     wall_width_m: float = number(0.9, 0, 100, "m")
     furniture_depth_m: float = number(0.75, 0, 100, "m")
     backing_m2: float = number(0.15, 0, 1000, "m2")
-    relief: ReliefConfig = field(default_factory=ReliefConfig)
+    raised_patches: RaisedPatchConfig = field(default_factory=RaisedPatchConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.perception.pieces import lab_of
+from hickory_stream.perception.cielab import lab_of
 from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from perception_scenes import Block, Cylinder, floor, looking, render
 
 from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
-from hickory_stream.perception.join import Groups, JoinConfig, measured, rounds
+from hickory_stream.perception.join import Groups, JoinConfig, region_graph_of, rounds
 from hickory_stream.perception.odds_features import ODDS_FEATURES
-from hickory_stream.perception.parts import grouped_pairs, grouped_parts
+from hickory_stream.perception.region_graph import merged_pairs, merged_regions
 from hickory_stream.perception.sizes import is_size
 from hickory_stream.perception.trees import EMBEDDED, embedded_trees
 
@@ -29,41 +29,41 @@ def pieces():
 
 
 def measures_of(pieces, labels):
-    return measured(pieces.surface, labels, pieces.supports, pieces.scenery, JoinConfig())
+    return region_graph_of(pieces.surface, labels, pieces.supports, pieces.room, JoinConfig())
 
 
 @pytest.fixture(scope="module")
-def measures(pieces):
+def graph(pieces):
     return measures_of(pieces, pieces.labels)
 
 
 @settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_groups_are_measured_as_if_they_had_been_one_fragment(pieces, measures, seed):
-    count = len(measures.parts.pixels)
+def test_groups_are_measured_as_if_they_had_been_one_fragment(pieces, graph, seed):
+    count = len(graph.regions.pixels)
     drawn = np.random.default_rng(seed).integers(1, count, count - 1)
     numbers = np.append(0, np.unique(drawn, return_inverse=True)[1] + 1)
     groups = int(numbers.max()) + 1
     anew = measures_of(pieces, numbers.astype(np.int32)[pieces.labels])
-    parts = grouped_parts(measures.parts, numbers, groups)
+    regions = merged_regions(graph.regions, numbers, groups)
     for name in ("pixels", "area_m2", "lab", "place", "place_products", "normals", "planes", "heights", "low", "high"):
-        np.testing.assert_allclose(getattr(parts, name), getattr(anew.parts, name), atol=1e-6, err_msg=name)
-    # What only `anew` measures is between pixels that were of one fragment before.
-    pairs, direct = grouped_pairs(measures.pairs, numbers), anew.pairs
+        np.testing.assert_allclose(getattr(regions, name), getattr(anew.regions, name), atol=1e-6, err_msg=name)
+    # What only `anew` graph is between pixels that were of one fragment before.
+    pairs, direct = merged_pairs(graph.pairs, numbers), anew.pairs
     np.testing.assert_array_equal(pairs.a * groups + pairs.b, direct.a * groups + direct.b)
     for name in ("meet", "touch", "lean", "parallel", "contrast", "nearer", "above", "step_m"):
         np.testing.assert_allclose(getattr(pairs, name), getattr(direct, name), atol=1e-6, err_msg=name)
 
 
-def test_what_large_and_small_are_does_not_depend_on_the_order_of_labels(pieces, measures):
-    count = len(measures.parts.pixels)
-    pairs, features = pair_features(measures, np.arange(count), count)
+def test_what_large_and_small_are_does_not_depend_on_the_order_of_labels(pieces, graph):
+    count = len(graph.regions.pixels)
+    pairs, features = pair_features(graph, np.arange(count), count)
     turned = np.append(0, np.arange(count - 1, 0, -1))
     other_pairs, other = pair_features(
         measures_of(pieces, turned.astype(np.int32)[pieces.labels]), np.arange(count), count
     )
     place = {tuple(turned[pair]): i for i, pair in enumerate(other_pairs.tolist())}
-    uneven = [i for i, (a, b) in enumerate(pairs) if measures.parts.pixels[a] != measures.parts.pixels[b]]
+    uneven = [i for i, (a, b) in enumerate(pairs) if graph.regions.pixels[a] != graph.regions.pixels[b]]
     assert len(uneven) >= 5
     order = [place[tuple(pairs[i])] for i in uneven]
     for name, values in features.items():
@@ -71,8 +71,8 @@ def test_what_large_and_small_are_does_not_depend_on_the_order_of_labels(pieces,
             np.testing.assert_allclose(other[name][order], values[uneven], atol=1e-5, err_msg=name)
 
 
-def test_but_for_sizes_neither_colours_as_such_nor_heights_above_the_floor_tell_what_is_one_thing(pieces, measures):
-    count = len(measures.parts.pixels)
+def test_but_for_sizes_neither_colours_as_such_nor_heights_above_the_floor_tell_what_is_one_thing(pieces, graph):
+    count = len(graph.regions.pixels)
     surface = pieces.surface
     elsewhere = replace(
         surface,
@@ -80,7 +80,7 @@ def test_but_for_sizes_neither_colours_as_such_nor_heights_above_the_floor_tell_
         points_world=surface.points_world + np.array([0, 0, 1], np.float32),
     )
     moved = measures_of(replace(pieces, surface=elsewhere), pieces.labels)
-    pairs, before = pair_features(measures, np.arange(count), count)
+    pairs, before = pair_features(graph, np.arange(count), count)
     other_pairs, after = pair_features(moved, np.arange(count), count)
     np.testing.assert_array_equal(other_pairs, pairs)
     bins = ("lows", "highs", "over_", "height", "seam_in")
@@ -89,45 +89,45 @@ def test_but_for_sizes_neither_colours_as_such_nor_heights_above_the_floor_tell_
             np.testing.assert_allclose(after[name], values, atol=0.06, err_msg=name)
 
 
-def test_a_darker_neighbour_is_as_many_grains_away_as_its_surface_is_rough(pieces, measures):
-    count = len(measures.parts.pixels)
+def test_a_darker_neighbour_is_as_many_grains_away_as_its_surface_is_rough(pieces, graph):
+    count = len(graph.regions.pixels)
     rng = np.random.default_rng(0)
     noisy = pieces.surface.lab + rng.normal(0, 8, pieces.surface.lab.shape).astype(np.float32)
     rough = measures_of(replace(pieces, surface=replace(pieces.surface, lab=noisy)), pieces.labels)
-    _, smooth_seams = pair_features(measures, np.arange(count), count)
+    _, smooth_seams = pair_features(graph, np.arange(count), count)
     _, rough_seams = pair_features(rough, np.arange(count), count)
     sharp = smooth_seams["seam_contrast"] > 20
     assert sharp.sum() >= 3
     assert (rough_seams["seam_grains"][sharp] < 0.3 * smooth_seams["seam_grains"][sharp]).all()
 
 
-def test_each_round_joins_what_is_likeliest_for_both_sides(measures):
-    steps = list(rounds(measures, lambda features: np.ones(len(features["aside"])), JoinConfig(rounds=50)))
+def test_each_round_joins_what_is_likeliest_for_both_sides(graph):
+    steps = list(rounds(graph, lambda features: np.ones(len(features["aside"])), JoinConfig(rounds=50)))
     assert (np.diff([step.numbers.max() for step in steps]) < 0).all()
     assert len(steps[-1].pairs) == 0 or steps[-1].numbers.max() == 1
 
 
 @pytest.mark.parametrize("forest", EMBEDDED)
-def test_every_forest_of_the_package_asks_only_for_what_a_round_tells(measures, forest):
+def test_every_forest_of_the_package_asks_only_for_what_a_round_tells(graph, forest):
     trees = embedded_trees(forest)
-    step = next(rounds(measures, trees.probabilities, JoinConfig(rounds=0)))
+    step = next(rounds(graph, trees.probabilities, JoinConfig(rounds=0)))
     assert set(trees.features) <= set(step.features)
     assert (forest == "odds") == (not set(ODDS_FEATURES).isdisjoint(trees.features))
     found = trees.probabilities(step.features)
     assert ((found > 0) & (found < 1)).all()
 
 
-def test_nothing_is_joined_that_is_not_likely(measures):
-    steps = list(rounds(measures, lambda features: np.full(len(features["aside"]), 0.3), JoinConfig(probability=0.31)))
+def test_nothing_is_joined_that_is_not_likely(graph):
+    steps = list(rounds(graph, lambda features: np.full(len(features["aside"]), 0.3), JoinConfig(probability=0.31)))
     assert len(steps) == 1
-    np.testing.assert_array_equal(steps[0].numbers, np.arange(len(measures.parts.pixels)))
+    np.testing.assert_array_equal(steps[0].numbers, np.arange(len(graph.regions.pixels)))
 
 
-def test_no_more_rounds_than_asked_for(measures):
+def test_no_more_rounds_than_asked_for(graph):
     def by_size(features):
         return features["small_pixels"] / 20
 
-    steps = list(rounds(measures, by_size, JoinConfig(rounds=1, probability=0.0)))
+    steps = list(rounds(graph, by_size, JoinConfig(rounds=1, probability=0.0)))
     assert len(steps) == 2
 
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
 
-from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged, enlarged_mask, hidden_shares
+from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged, enlarged_mask, occluded_shares
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 
 WOOD, WHITE, RED = (170, 130, 80), (225, 225, 220), (190, 40, 40)
@@ -121,7 +121,7 @@ def test_what_is_enlarged_repeats_pixels_and_is_nothing_beyond(factor, more_x, m
     assert np.array_equal(enlarged_mask(labels == 1, factor, size), expected == 1)
 
 
-def test_a_hidden_share_is_that_of_the_outline_behind_something_nearer():
+def test_an_occluded_share_is_that_of_the_outline_behind_something_nearer():
     depth = np.full((6, 8), 2.0, dtype=np.float32)
     labels = np.zeros((6, 8), dtype=np.int32)
     labels[2:4, 2:5] = 1
@@ -130,4 +130,4 @@ def test_a_hidden_share_is_that_of_the_outline_behind_something_nearer():
     depth[2, 7] = 1.0
     depth[3, 7] = np.nan
     # 1: ten neighbours, none nearer; 2: eight, of which two of 1 and the one on its right are.
-    assert hidden_shares(depth, labels, 3).tolist() == [0.0, 0.0, 3 / 8]
+    assert occluded_shares(depth, labels, 3).tolist() == [0.0, 0.0, 3 / 8]

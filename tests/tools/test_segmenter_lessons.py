@@ -49,4 +49,4 @@ def test_a_lesson_counts_every_pixel_of_its_image(lessons):
     for lesson in lessons:
         assert lesson.in_image.sum() == lesson.measures.labels.size
         assert (lesson.shown.sum(axis=0) <= lesson.in_image).all()
-        np.testing.assert_array_equal(lesson.shown.sum(axis=1)[1:], lesson.measures.parts.pixels[1:])
+        np.testing.assert_array_equal(lesson.shown.sum(axis=1)[1:], lesson.measures.regions.pixels[1:])

@@ -16,7 +16,7 @@ import numpy as np
 from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged_mask
 from hickory_stream.perception.models.letterbox import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, masks_of
-from hickory_stream.perception.scenery import scenery_of
+from hickory_stream.perception.room_structure import room_structure_of
 from hickory_stream.perception.surface import Surface, surface_of
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask, Segmentation
@@ -154,9 +154,9 @@ class FastSamSegmenter:
         found = prepared if isinstance(prepared, Found) else self.prepare(frame)
         surface = found.surface
         size = (frame.camera.width, frame.camera.height)
-        scenery = scenery_of(surface, prior, self._structure, _SUPPORT_AREA_M2)
-        structure = enlarged_mask(scenery.structure, surface.factor, size)
-        shown = enlarged_mask(scenery.shown, surface.factor, size)
+        room = room_structure_of(surface, prior, self._structure, _SUPPORT_AREA_M2)
+        structure = enlarged_mask(room.structure, surface.factor, size)
+        shown = enlarged_mask(room.shown, surface.factor, size)
         instances, rejected = compose(found.masks, surface, structure, self._masks)
         if found.num_not_finite:
             whole = (0, 0, *size)
@@ -166,7 +166,7 @@ class FastSamSegmenter:
             instances=instances,
             structure=structure & (instances == 0),
             structure_shown=shown & (instances == 0),
-            floor_z_m=scenery.floor_z_m,
+            floor_z_m=room.floor_z_m,
             rejected=rejected,
         )
 

@@ -1,11 +1,11 @@
-"""The sums of parts against NumPy's over each part's pixels."""
+"""The sums of regions against NumPy's over each region's pixels."""
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.perception.part_sums import part_sums
+from hickory_stream.perception.region_sums import region_sums
 from hickory_stream.perception.surface import Surface
 from tests.strategies import seeds
 
@@ -34,7 +34,7 @@ def test_the_sums_are_those_over_the_pixels_of_each_part(seed, count):
         sigma_m=depth,
         world_from_camera=np.eye(4),
     )
-    sums, middle, bottom_m = part_sums(surface, labels, supports, areas, BIN_M)
+    sums, middle, bottom_m = region_sums(surface, labels, supports, areas, BIN_M)
     place = points.astype(np.float64) - middle
     bins = ((points[..., 2].astype(np.float64) - bottom_m) / BIN_M).astype(np.int64)
     assert np.allclose(middle, points[labels > 0].mean(axis=0, dtype=np.float64))

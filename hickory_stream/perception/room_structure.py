@@ -1,4 +1,4 @@
-"""What of a frame is the room and none of its things: every segmenter asks for it, whatever it finds its masks with."""
+"""Room structure (floor, walls, ceiling) in a frame, by the frame itself and by the map; shared by all segmenters."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.voxels import first_not_below, key_of_point
-from hickory_stream.perception.relief import relief
+from hickory_stream.perception.raised_patches import raised_patches
 from hickory_stream.perception.structure import (
     HorizontalPlane,
     StructureConfig,
@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Scenery:
-    """The room in a frame, at working resolution (h, w).
+class RoomStructure:
+    """Room structure in a frame, at working resolution (h, w).
 
-    `areas_m2` (h, w) of the surface in each pixel; `planes`: its level surfaces; `structure` (h, w) bool: floor, walls
-    and ceiling, by this frame or by what the map knows; `shown` (h, w) bool: by this frame alone.
+    `areas_m2` (h, w): surface area of each pixel; `planes`: horizontal planes; `floor_z_m`: height of the floor, None
+    if unknown; `structure` (h, w) bool: floor, walls and ceiling, by this frame or the map; `shown` (h, w) bool: by
+    this frame alone.
     """
 
     areas_m2: NDArray[np.float32]
@@ -41,25 +42,25 @@ class Scenery:
     shown: NDArray[np.bool_]
 
 
-def scenery_of(
+def room_structure_of(
     surface: Surface, prior: ObservedSpace | None, config: StructureConfig, support_area_m2: float
-) -> Scenery:
-    """Return the room in a frame; `prior` is the space as the map knows it."""
+) -> RoomStructure:
+    """Return the structure in a frame; `prior` is the observed space of the map so far, None at the start."""
     areas_m2 = pixel_areas_m2(surface)
     planes = horizontal_planes(surface, areas_m2, min_area_m2=support_area_m2)
     known_floor = prior.floor_z_m if prior is not None else None
     floor_z_m = floor_height_m(surface, planes, known_floor, config)
     shown, planes_near = structure_mask(surface, areas_m2, floor_z_m, config)
-    # By the map too: its voxels are coarser than what stands off a wall.
+    # Raised patches are taken off the map's structure, too: its voxels are coarser than such a patch.
     structure = shown | _known_structure(surface, prior)
-    off = relief(planes_near, structure, surface, config.relief)
-    return Scenery(
+    off = raised_patches(planes_near, structure, surface, config.raised_patches)
+    return RoomStructure(
         areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, structure=structure & ~off, shown=shown & ~off
     )
 
 
 def _known_structure(surface: Surface, prior: ObservedSpace | None) -> NDArray[np.bool_]:
-    """Return (h, w) the pixels in voxels that the map knows as structure: a wall seen in part is still a wall."""
+    """Return (h, w) the pixels in structure voxels of the map: a wall of which a frame shows little is still one."""
     if prior is None or len(prior.structure) == 0:
         return np.zeros(surface.depth_m.shape, dtype=bool)
     mask: NDArray[np.bool_] = _in_voxels(surface.points_world, prior.structure, prior.voxel_m)
@@ -68,7 +69,7 @@ def _known_structure(surface: Surface, prior: ObservedSpace | None) -> NDArray[n
 
 @numba.njit(cache=True, nogil=True)
 def _in_voxels(points, sorted_keys, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) which points lie in voxels of sorted keys; a NaN lies in none. Most lie where the last one does."""
+    """Return (h, w) which points lie in voxels of sorted keys, NaN in none; neighbours mostly share a voxel."""
     height, width, _ = points.shape
     mask = np.zeros((height, width), dtype=np.bool_)
     last, at, is_in = np.int64(-1), 0, False

@@ -1,7 +1,7 @@
-"""What is measured of the fragments of a frame, and of every two of them that meet or nearly do.
+"""The region adjacency graph of a frame: measures of its regions, and of pairs that touch, nearly touch or are bridged.
 
-All measures are sums, least or greatest values: those of a group of fragments follow from those of its members, so that
-joining needs no second look at the image.
+All measures are sums, minima or maxima: those of a merged region follow from those of its fragments, so that merging
+needs no second pass over the image.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.perception.hidden import bridges
-from hickory_stream.perception.part_sums import PartSums, part_sums
-from hickory_stream.perception.seams import contacts_of
+from hickory_stream.perception.contacts import contacts_of
+from hickory_stream.perception.occlusion_bridging import bridges
+from hickory_stream.perception.region_sums import RegionSums, region_sums
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.hidden import HiddenConfig
-    from hickory_stream.perception.seams import Contacts
+    from hickory_stream.perception.contacts import Contacts
+    from hickory_stream.perception.occlusion_bridging import BridgingConfig
     from hickory_stream.perception.surface import Surface
 
 HEIGHT_BIN_M = 0.01
@@ -28,8 +28,8 @@ _CONCAVE = 0.15
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Parts(PartSums):
-    """And of the outline: `outline` all of it, `cut` what the image's border cuts; `members`: fragments in it."""
+class Regions(RegionSums):
+    """With the `outline` in pixels, how much of it the image border cuts (`cut`), and the number of fragments."""
 
     outline: NDArray[np.float64]
     cut: NDArray[np.float64]
@@ -37,16 +37,16 @@ class Parts(PartSums):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Pairs:
-    """Measures of K pairs of parts a < b that are neighbours in the image, near in space or bridged; arrays (K, ...).
+class RegionPairs:
+    """Measures of K pairs of regions a < b: neighbours in the image, close in space, or bridged; arrays (K, ...).
 
-    Sums over neighbouring pixels: `meet` all, `touch` those that meet in 3D, and over these `lean` (how far the normals
-    lean towards each other, per distance), `concave` (how many do), `parallel` (cosine of the normals), `contrast`
-    (Lab, lightness at half weight), `step_m` (distance), `sigma_m` (of depth), `seam` (3) and `seam_squares` (3), the
-    places of the pixels whose label is lower; `far_contrast` over the others. `nearer` (2): pixels where a, where b is
-    before the other; `above` (2): where a, where b is above the other in the image. `bridged` (2): lines that bridge
-    what hides a level and an upright plane of theirs (`hidden`).
-    `gap_m`: the least distance found, infinite beyond reach.
+    Sums over neighbouring pixels: `meet` counts all, `touch` those that touch in 3D. Over the latter: `lean` (concavity
+    of the normals, per distance), `concave` (number of concave ones), `parallel` (cosine of the normals), `contrast`
+    (Lab, lightness at half weight), `step_m` (distance), `sigma_m` (of depth), `contact` (3) and `contact_squares` (3),
+    the positions of the pixels with the lower label and their squares. Over the others: `far_contrast`. `nearer` (2):
+    pixels where a occludes b, and b a; `above` (2): where a is above b in the image, and b above a. `bridged` (2):
+    lines that bridge an occlusion of a horizontal and of a vertical plane (`occlusion_bridging`).
+    `gap_m`: minimum distance of the two, infinite beyond reach.
     """
 
     a: NDArray[np.int64]
@@ -60,30 +60,30 @@ class Pairs:
     far_contrast: NDArray[np.float64]
     step_m: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
-    seam: NDArray[np.float64]
-    seam_squares: NDArray[np.float64]
+    contact: NDArray[np.float64]
+    contact_squares: NDArray[np.float64]
     nearer: NDArray[np.float64]
     above: NDArray[np.float64]
     bridged: NDArray[np.float64]
     gap_m: NDArray[np.float64]
 
 
-_OF_PIXELS = tuple(field.name for field in fields(PartSums))
-_PART_SUMS = tuple(field.name for field in fields(Parts) if field.name not in ("low", "high"))
-_PAIR_SUMS = tuple(name for name in Pairs.__slots__ if name not in ("a", "b", "nearer", "above", "gap_m"))
+_OF_PIXELS = tuple(field.name for field in fields(RegionSums))
+_REGION_SUMS = tuple(field.name for field in fields(Regions) if field.name not in ("low", "high"))
+_PAIR_SUMS = tuple(name for name in RegionPairs.__slots__ if name not in ("a", "b", "nearer", "above", "gap_m"))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Measures:
-    """The fragments of a frame as they were measured: themselves, their pairs, and what they stand on.
+class RegionGraph:
+    """The region adjacency graph of the fragments of a frame.
 
-    `labels` (h, w) the fragments; `middle` (3,) and `bottom_m`: from where places and heights count; `floor_z_m`: NaN
-    where no floor is known; `level` (h, w): pixels on which something can stand, `heights_m` (h, w) above any level.
+    `labels` (h, w): the fragments; `middle` (3,) and `bottom_m`: origin of positions and heights; `floor_z_m`: NaN if
+    no floor is known; `level` (h, w): pixels of surfaces that can support something; `heights_m` (h, w): world z.
     """
 
     labels: NDArray[np.int32]
-    parts: Parts
-    pairs: Pairs
+    regions: Regions
+    pairs: RegionPairs
     contacts: Contacts
     middle: NDArray[np.float64]
     bottom_m: float
@@ -92,7 +92,7 @@ class Measures:
     heights_m: NDArray[np.float32]
 
 
-def measure(
+def build_region_graph(
     surface: Surface,
     labels: NDArray[np.int32],
     supports: NDArray[np.int32],
@@ -102,17 +102,17 @@ def measure(
     *,
     reach_px: int,
     gap_m: float,
-    hidden: HiddenConfig,
-) -> Measures:
-    """Return the measures of the fragments `labels` (h, w), of which there is at least one.
+    bridging: BridgingConfig,
+) -> RegionGraph:
+    """Return the graph of the fragments `labels` (h, w), of which there is at least one.
 
-    Pixels are neighbours across fewer than `reach_px` pixels without a label; parts are near up to `gap_m`.
+    Pixels are neighbours across fewer than `reach_px` unlabelled pixels; fragments are close up to `gap_m`.
     """
-    sums, middle, bottom_m = part_sums(surface, labels, supports, areas_m2, HEIGHT_BIN_M)
+    sums, middle, bottom_m = region_sums(surface, labels, supports, areas_m2, HEIGHT_BIN_M)
     count = len(sums.pixels)
     contacts = contacts_of(surface, np.where(structure, np.int32(count), labels), reach_px)
     ends = np.concatenate([contacts.here, contacts.there, contacts.cut])
-    parts = Parts(
+    regions = Regions(
         outline=np.bincount(ends, minlength=count + 1)[:count].astype(np.float64),
         cut=np.bincount(contacts.cut, minlength=count + 1)[:count].astype(np.float64),
         members=np.minimum(np.arange(count), 1).astype(np.float64),
@@ -120,10 +120,10 @@ def measure(
     )
     reach = np.float32(gap_m * max(surface.camera.fx, surface.camera.fy))
     gaps = _gaps(labels, surface.depth_m, surface.points_world, count, reach, np.float32(gap_m))
-    return Measures(
+    return RegionGraph(
         labels=labels,
-        parts=parts,
-        pairs=_pairs(surface, contacts, count, middle, gaps, bridges(surface, labels, hidden)),
+        regions=regions,
+        pairs=_pairs(surface, contacts, count, middle, gaps, bridges(surface, labels, bridging)),
         contacts=contacts,
         middle=middle,
         bottom_m=bottom_m,
@@ -133,16 +133,18 @@ def measure(
     )
 
 
-def grouped_parts(parts: Parts, numbers: NDArray[np.int64], count: int) -> Parts:
-    """Return the measures of `count` groups; `numbers` (n,) names the group of each part."""
+def merged_regions(regions: Regions, numbers: NDArray[np.int64], count: int) -> Regions:
+    """Return the measures of `count` merged regions; `numbers` (n,) gives the merged region of each region."""
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, numbers, parts.low)
-    np.maximum.at(high, numbers, parts.high)
-    return Parts(low=low, high=high, **{name: _summed(getattr(parts, name), numbers, count) for name in _PART_SUMS})
+    np.minimum.at(low, numbers, regions.low)
+    np.maximum.at(high, numbers, regions.high)
+    return Regions(
+        low=low, high=high, **{name: _summed(getattr(regions, name), numbers, count) for name in _REGION_SUMS}
+    )
 
 
-def grouped_pairs(pairs: Pairs, numbers: NDArray[np.int64]) -> Pairs:
-    """Return the measures of the pairs of groups, in the order of their names; pairs within a group are gone."""
+def merged_pairs(pairs: RegionPairs, numbers: NDArray[np.int64]) -> RegionPairs:
+    """Return the measures of the pairs of merged regions, ordered by number; pairs within one are left out."""
     a, b = numbers[pairs.a], numbers[pairs.b]
     turned = (a > b)[:, None]
     count = int(numbers.max(initial=0)) + 1
@@ -154,7 +156,7 @@ def grouped_pairs(pairs: Pairs, numbers: NDArray[np.int64]) -> Pairs:
 
     gap_m = np.full(len(keys), np.inf)
     np.minimum.at(gap_m, place, pairs.gap_m[apart])
-    return Pairs(
+    return RegionPairs(
         a=keys // count,
         b=keys % count,
         gap_m=gap_m,
@@ -165,7 +167,7 @@ def grouped_pairs(pairs: Pairs, numbers: NDArray[np.int64]) -> Pairs:
 
 
 def _summed(values: NDArray[np.float64], places: NDArray[np.int64], count: int) -> NDArray[np.float64]:
-    """Return (count, ...) the sums of (N, ...) values that have the same place, added as they come."""
+    """Return (count, ...) the sums of (N, ...) values by place, added in order, so that rounding is reproducible."""
     rows = np.ascontiguousarray(values if values.ndim > 1 else values[:, None])
     out: NDArray[np.float64] = _sums(rows, places, count)
     return out if values.ndim > 1 else out[:, 0]
@@ -187,7 +189,7 @@ def _pairs(
     middle: NDArray[np.float64],
     gaps: NDArray[np.float32],
     bridged: NDArray[np.int64],
-) -> Pairs:
+) -> RegionPairs:
     """Return the measures of the pairs of fragments; `gaps` (n, n), `bridged` (M, 3)."""
     inner = (contacts.here < count) & (contacts.there < count)
     here, there = contacts.here[inner].astype(np.int64), contacts.there[inner].astype(np.int64)
@@ -222,12 +224,12 @@ def _pairs(
     depth, sigma_m = surface.depth_m.ravel(), surface.sigma_m.ravel().astype(np.float64)
     behind, limit = depth[at_b] - depth[at_a], 0.02 * depth[at_a] + 0.01
     is_below = contacts.is_below[inner]
-    seam = (points[at_a] - middle) * touch[:, None]
+    contact = (points[at_a] - middle) * touch[:, None]
     gap_m = np.full(len(keys), np.inf)
     np.minimum.at(gap_m, np.searchsorted(keys, near_key), gaps[near_a, near_b].astype(np.float64))
     lines = np.zeros((len(keys), 2))
     np.add.at(lines, (np.searchsorted(keys, bridge_key), 1 - bridged[:, 2]), 1.0)
-    return Pairs(
+    return RegionPairs(
         a=keys // count,
         b=keys % count,
         meet=total(np.ones(len(place))),
@@ -239,8 +241,8 @@ def _pairs(
         far_contrast=total((1 - touch) * contrast),
         step_m=total(touch * step_m),
         sigma_m=total(touch * (sigma_m[at_a] + sigma_m[at_b]) / 2),
-        seam=columns(*seam.T),
-        seam_squares=columns(*(seam * seam).T),
+        contact=columns(*contact.T),
+        contact_squares=columns(*(contact * contact).T),
         nearer=columns((behind > limit).astype(np.float64), (behind < -limit).astype(np.float64)),
         above=columns((is_below & ~turned).astype(np.float64), (is_below & turned).astype(np.float64)),
         bridged=lines,
@@ -250,7 +252,7 @@ def _pairs(
 
 @numba.njit(cache=True, nogil=True)
 def _gaps(labels, depth, points, count, reach, limit):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (count, count) the least distance of each two labels, every other pixel; infinite beyond the limit."""
+    """Return (count, count) the minimum distance of each two labels at a stride of 2; infinite beyond the limit."""
     height, width = labels.shape
     out = np.full((count, count), np.inf, dtype=np.float32)
     for y in range(0, height, 2):
@@ -258,7 +260,7 @@ def _gaps(labels, depth, points, count, reach, limit):  # type: ignore[no-untype
             i = labels[y, x]
             if i == 0:
                 continue
-            # Only outlines can be nearest, and what is to the right or below: the other half is found from there.
+            # Interior pixels cannot be nearest; pixels to the right and below suffice, for distance is symmetric.
             if (
                 0 < x < width - 1
                 and 0 < y < height - 1

@@ -1,8 +1,7 @@
-"""Pieces of a thing that the map knows: what something nearer divides in the image is one mask again.
+"""Map-guided merging of masks: masks that lie on one mapped object and are separated by an occluder become one.
 
-A chair shows its back above a table and its seat below it, a plant shows leaves whose stems are too thin to be seen.
-Pieces that touch each other and were told apart stay apart, whatever the map says: the map must be able to learn that
-it took two things for one.
+A chair is visible above and below a table top; a plant's leaves are visible, its stems are too thin for the sensor.
+Masks that touch stay separate whatever the map says, so that the map can correct an object that is two.
 """
 
 from __future__ import annotations
@@ -26,16 +25,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class KnownConfig(Ranged):
-    """When two masks are pieces of one known object.
+class MapGuidedMergeConfig(Ranged):
+    """When two masks show one mapped object.
 
     Attributes:
-        enabled: off by default: masks get better by it, but the boxes of maps do not.
-        min_sightings: an object is known after so many.
-        voxel_m: a pixel lies on an object if its point falls into a cell of its points, or a cell beside one.
-        min_share: least share of a mask's pixels that must lie on the object.
-        samples: pixels of a mask that are looked up.
-        stride_px: masks touch where pixels so far apart are of one surface.
+        enabled: off by default: masks improve, but the boxes of maps do not.
+        min_sightings: only objects with so many sightings are used.
+        voxel_m: a pixel lies on an object if its point falls into a voxel of the object's points, or next to one.
+        min_share: minimum share of a mask's pixels on the object.
+        samples: number of pixels sampled per mask.
+        stride_px: stride of the pixel grid on which samples are taken and masks are tested for contact.
     """
 
     enabled: bool = False
@@ -46,13 +45,13 @@ class KnownConfig(Ranged):
     stride_px: int = number(4, 1, 1000, "px")
 
 
-def with_known(
-    frame: Frame, segmentation: Segmentation, known: Sequence[TrackedObject], config: KnownConfig
+def merged_by_map(
+    frame: Frame, segmentation: Segmentation, mapped: Sequence[TrackedObject], config: MapGuidedMergeConfig
 ) -> Segmentation:
-    """Return the segmentation with pieces of known objects joined; labels stay dense, in the order of first pieces."""
+    """Return the segmentation with masks of one mapped object merged; labels stay dense, in their order."""
     instances = segmentation.instances
     count = int(instances.max(initial=0)) + 1
-    settled = [o for o in known if o.phase is not Phase.TENTATIVE and o.sightings >= config.min_sightings]
+    settled = [o for o in mapped if o.phase is not Phase.TENTATIVE and o.sightings >= config.min_sightings]
     if not config.enabled or count <= 2 or not settled:
         return segmentation
     stride = config.stride_px
@@ -75,7 +74,7 @@ def with_known(
 
 
 def _samples(
-    frame: Frame, labels: NDArray[np.int32], depth: NDArray[np.float32], count: int, config: KnownConfig
+    frame: Frame, labels: NDArray[np.int32], depth: NDArray[np.float32], count: int, config: MapGuidedMergeConfig
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Return labels (N,) and points in the world (N, 3) of about `samples` pixels with depth of every label."""
     used = np.flatnonzero((labels > 0) & np.isfinite(depth))
@@ -97,9 +96,9 @@ def _owners(
     points: NDArray[np.float32],
     count: int,
     objects: Sequence[TrackedObject],
-    config: KnownConfig,
+    config: MapGuidedMergeConfig,
 ) -> NDArray[np.int64]:
-    """Return (count,) which object each label lies on most, by its place in the list; -1 where on none enough."""
+    """Return (count,) the index of the object on which most of each label lies; -1 if less than `min_share` does."""
     best, owner = np.full(count, config.min_share), np.full(count, -1)
     total = np.maximum(np.bincount(names, minlength=count), 1)
     keys = keys_of_cells(np.floor(points / config.voxel_m).astype(np.int64))
@@ -112,14 +111,14 @@ def _owners(
 
 
 def _cells_of(points: NDArray[np.float32], voxel_m: float) -> NDArray[np.int64]:
-    """Return the sorted keys of the cells with points, and of the six beside each."""
+    """Return the sorted keys of the voxels with points and of the six face neighbours of each."""
     cells = np.unique(np.floor(points / voxel_m).astype(np.int64), axis=0)
     steps = np.concatenate([np.zeros((1, 3), dtype=np.int64), np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
     return np.unique(keys_of_cells((cells[:, None] + steps[None]).reshape(-1, 3)))
 
 
 def _in_view(frame: Frame, tracked: TrackedObject) -> bool:
-    """Return whether the corners of an object's box are neither all behind the camera nor all off one side."""
+    """Return whether an object's box may be in the view frustum: its corners are not all outside one of its planes."""
     x, y, z = apply(invert(frame.world_from_camera), tracked.box.corners_world()).T
     camera = frame.camera
     left, right = camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
@@ -129,7 +128,7 @@ def _in_view(frame: Frame, tracked: TrackedObject) -> bool:
 
 
 def _touching(labels: NDArray[np.int32], depth: NDArray[np.float32], count: int) -> NDArray[np.bool_]:
-    """Return (count, count) which labels meet in the image without a step of depth, in two places or more."""
+    """Return (count, count) which labels are neighbours without a depth step at two or more pixels of the grid."""
     met = np.zeros((count, count), dtype=np.int64)
     for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         a, b = labels[here], labels[there]

@@ -1,4 +1,4 @@
-"""The sums over the pixels of every part of a frame, taken in one walk in the order of the pixels."""
+"""Per-region sums over the pixels of a frame, accumulated in one pass in pixel order."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class PartSums:
-    """Measures of n parts, row 0 is nothing; all arrays (n, ...).
+class RegionSums:
+    """Measures of n regions, row 0 is background; all arrays (n, ...).
 
-    Sums over pixels: `pixels`, `area_m2`, `depth_m`, `sigma_m`, `lab` (n, 3) and `lab_squares` (n, 3), `place` (n, 3)
-    and `place_products` (n, 6: xx xy xz yy yz zz) from the middle of the frame's surface, `normals` (n, 3), `grain`
-    (n, 2): the differences in colour of neighbours in a row within a part and how many there are, `planes`
-    (n, 1 + planes) pixels in no plane and in each supporting plane, `heights` (n, bins) a histogram from the bottom up.
-    `low`, `high` (n, 3): the box of its points.
+    Sums over pixels: `pixels`, `area_m2`, `depth_m`, `sigma_m`, `lab` (n, 3) and `lab_squares` (n, 3), positions
+    `place` (n, 3) and `place_products` (n, 6: xx xy xz yy yz zz) relative to the mean point of the frame, `normals`
+    (n, 3), `grain` (n, 2): the colour differences of horizontal neighbours within a region and their number, `planes`
+    (n, 1 + planes): pixels in no plane and in each support plane, `heights` (n, bins): a histogram from the bottom up.
+    `low`, `high` (n, 3): the bounding box of the points.
     """
 
     pixels: NDArray[np.float64]
@@ -42,16 +42,16 @@ class PartSums:
     high: NDArray[np.float64]
 
 
-def part_sums(
+def region_sums(
     surface: Surface,
     labels: NDArray[np.int32],
     supports: NDArray[np.int32],
     areas_m2: NDArray[np.float32],
     height_bin_m: float,
-) -> tuple[PartSums, NDArray[np.float64], float]:
-    """Return the sums of the parts `labels` (h, w), of which there is at least one.
+) -> tuple[RegionSums, NDArray[np.float64], float]:
+    """Return the sums of the regions `labels` (h, w), of which there is at least one.
 
-    After them (3,) the middle and the bottom: from where places and heights count.
+    Also returns the origin of positions (3,) and of heights: the mean point and the lowest z.
     """
     names, points, planes = _labelled(labels, supports, surface.points_world)
     count = int(names.max()) + 1
@@ -76,7 +76,7 @@ def part_sums(
     pixels, area_m2, depth_m, lab_sums, lab_squares, place, products, normals, sigma_m, grain = np.split(
         sums, widths, axis=1
     )
-    out = PartSums(
+    out = RegionSums(
         pixels=pixels[:, 0],
         area_m2=area_m2[:, 0],
         depth_m=depth_m[:, 0],
@@ -157,7 +157,7 @@ def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, coun
 
 @numba.njit(cache=True, nogil=True)
 def _histograms(labels, supports, points, count, planes, bins, bottom, bin_m):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (count, planes) the pixels of each part in each plane, and (count, bins) at each height."""
+    """Return (count, planes) the pixels of each region in each plane, and (count, bins) at each height."""
     in_plane, at_height = np.zeros((count, planes)), np.zeros((count, bins))
     n = 0
     for i in range(len(labels)):

@@ -1,8 +1,8 @@
-"""Fragments fall apart where their colour changes for good: a box flush with the one below it, books on a board.
+"""Splitting of fragments by colour: a box flush with the one below it, books on a board.
 
-Geometry cannot divide what noise makes flush. Colour is averaged over windows inside a fragment, so that a pattern has
-one colour, and the windows are divided in two along the direction in which they vary most (Otsu 1979). Whether the
-pieces are one thing after all is decided with all else that is known of them, in `join`.
+Geometry cannot separate surfaces that are flush within noise. Colour is averaged over windows inside a fragment, so
+that a texture counts as one colour, and the windows are split in two along their principal colour axis (Otsu 1979).
+This over-segments on purpose: `join` decides, with all other cues, whether the pieces are one object.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ShadeConfig(Ranged):
+class ColorSplitConfig(Ranged):
     """When a fragment has two colours.
 
     Attributes:
-        window_px: side of the windows.
-        lightness: how much lightness counts beside chroma: shadows change it.
-        min_step: the least distance in CIE Lab between the two means.
-        min_separation: the least share of the variance along the direction that is between the two.
-        min_pixels: a piece is at least so large.
-        depth: a piece is divided again, down to so many times.
+        window_px: side of the averaging windows.
+        lightness: weight of lightness relative to chroma; below 1, for shadows change lightness.
+        min_step: minimum CIE Lab distance between the two mean colours.
+        min_separation: minimum between-class share of the variance along the principal colour axis (Otsu's criterion).
+        min_pixels: minimum area of a piece.
+        depth: maximum depth of recursive splits.
     """
 
     window_px: int = number(9, 1, 1001, "px")
@@ -42,10 +42,10 @@ class ShadeConfig(Ranged):
     depth: int = number(2, 0, 16, "divisions")
 
 
-def divided_by_color(
-    labels: NDArray[np.int32], boxes: NDArray[np.int64], lab: NDArray[np.float32], config: ShadeConfig
+def split_by_color(
+    labels: NDArray[np.int32], boxes: NDArray[np.int64], lab: NDArray[np.float32], config: ColorSplitConfig
 ) -> NDArray[np.int32]:
-    """Return (h, w) labels 1..n of which some are divided; `boxes` (n + 1, 4) are theirs: x0, y0, x1, y1."""
+    """Return (h, w) labels in which some of 1..n are split; `boxes` (n + 1, 4): x0, y0, x1, y1 of each label."""
     out = labels.copy()
     count = len(boxes)
     pixels = np.bincount(labels.ravel(), minlength=count)
@@ -62,9 +62,9 @@ def divided_by_color(
 
 
 def _pieces(
-    mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ShadeConfig, depth: int
+    mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ColorSplitConfig, depth: int
 ) -> list[NDArray[np.bool_]]:
-    """Return the masks that a mask falls into; itself where it has one colour."""
+    """Return the masks into which a mask is split; itself if it has one colour."""
     if depth == 0 or int(mask.sum()) < 2 * config.min_pixels:
         return [mask]
     bright = _two_colors(mask, lab, config)
@@ -76,14 +76,16 @@ def _pieces(
     return [part for piece in pieces for part in _pieces(piece, lab, config, depth - 1)]
 
 
-def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ShadeConfig) -> NDArray[np.bool_] | None:
+def _two_colors(
+    mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ColorSplitConfig
+) -> NDArray[np.bool_] | None:
     """Return which pixels of a mask have the one of its two colours, None where it has one."""
     side = (config.window_px, config.window_px)
     share = cv2.blur(mask.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
     total = cv2.blur(_within(lab, mask), side, borderType=cv2.BORDER_CONSTANT)
     colors, centered, spread = _window_colors(total, share, mask)
     variances, axes = portable.eigh(spread)
-    # Two means that far apart, of the smallest share that counts, already make this variance.
+    # A lower bound of the variance that two means so far apart cause: skip the split early.
     if variances[2] < 0.02 * config.min_step * config.min_step:
         return None
     along = portable.matmul(centered, axes[:, 2])
@@ -111,7 +113,7 @@ def _within(lab, mask):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _window_colors(total, share, mask):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N, 3) the mean colours of windows around a mask's pixels, how far off their mean, and the covariance."""
+    """Return (N, 3) mean colours of the windows around a mask's pixels, the same centred, and (3, 3) the covariance."""
     count = 0
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
@@ -141,7 +143,7 @@ _OTSU_BINS = 48
 
 
 def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the threshold that divides values best, and which share of their variance is between the two sides."""
+    """Return Otsu's threshold of values, and the between-class share of their variance."""
     edges = np.linspace(values.min(), values.max(), _OTSU_BINS + 1)
     counts = _histogram(values, edges)
     middles = (edges[:-1] + edges[1:]) / 2
@@ -156,13 +158,13 @@ def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
 
 @numba.njit(cache=True, nogil=True)
 def _histogram(values, edges):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return how many values lie between each edge and the next; edges are evenly spaced around all values."""
+    """Return the histogram of values over evenly spaced edges that enclose all of them."""
     bins = len(edges) - 1
     counts = np.zeros(bins, dtype=np.int64)
     width = (edges[bins] - edges[0]) / bins
     for i in range(len(values)):
         place = min(int((values[i] - edges[0]) / width), bins - 1)
-        # What rounding takes to a neighbour comes back.
+        # Rounding may have picked a neighbouring bin.
         if values[i] < edges[place]:
             place -= 1
         elif place < bins - 1 and values[i] >= edges[place + 1]:
@@ -172,7 +174,7 @@ def _histogram(values, edges):  # type: ignore[no-untyped-def] # pragma: no cove
 
 
 def _regions(one: NDArray[np.bool_], other: NDArray[np.bool_], min_pixels: int) -> list[NDArray[np.bool_]]:
-    """Return the connected regions of two masks that are large enough; the rest goes to the nearest of them."""
+    """Return the connected regions of two masks that are large enough; other pixels go to the nearest of these."""
     large: list[NDArray[np.bool_]] = []
     for mask in (one, other):
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)

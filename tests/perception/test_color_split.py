@@ -6,11 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hickory_stream.perception.pieces import lab_of, label_boxes
-from hickory_stream.perception.shades import ShadeConfig, _histogram, divided_by_color
+from hickory_stream.perception.cielab import lab_of
+from hickory_stream.perception.color_split import ColorSplitConfig, _histogram, split_by_color
+from hickory_stream.perception.label_boxes import label_boxes
 from tests.strategies import seeds
 
-CONFIG = ShadeConfig()
+CONFIG = ColorSplitConfig()
 ORANGE, RED, WHITE = (230, 150, 60), (215, 40, 40), (240, 240, 235)
 
 
@@ -19,8 +20,8 @@ def checks(height: int, width: int, one: tuple[int, int, int], side: int = 5) ->
     return np.where(((u + v) % 2 == 0)[..., None], one, WHITE).astype(np.uint8)
 
 
-def divided(rgb: NDArray[np.uint8], labels: NDArray[np.int32], config: ShadeConfig = CONFIG) -> NDArray[np.int32]:
-    return divided_by_color(labels, label_boxes(labels, int(labels.max()) + 1), lab_of(rgb), config)
+def divided(rgb: NDArray[np.uint8], labels: NDArray[np.int32], config: ColorSplitConfig = CONFIG) -> NDArray[np.int32]:
+    return split_by_color(labels, label_boxes(labels, int(labels.max()) + 1), lab_of(rgb), config)
 
 
 def test_two_patterned_boxes_that_are_flush_are_two() -> None:
@@ -54,7 +55,7 @@ def test_a_piece_is_divided_again() -> None:
     rgb[:30], rgb[30:60], rgb[60:] = RED, (60, 90, 200), (70, 200, 90)
     out = divided(rgb, np.ones((90, 40), dtype=np.int32))
     assert len({int(out[v, 20]) for v in (10, 45, 80)}) == 3
-    once = divided(rgb, np.ones((90, 40), dtype=np.int32), ShadeConfig(depth=1))
+    once = divided(rgb, np.ones((90, 40), dtype=np.int32), ColorSplitConfig(depth=1))
     assert len(np.unique(once)) == 2
 
 

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.perception.seams import Contacts
-from hickory_stream.perception.standing import standing_of
+from hickory_stream.perception.contacts import Contacts
+from hickory_stream.perception.support_contacts import support_contacts_of
 from tests.strategies import seeds
 
 FOOT = 0.35
@@ -31,7 +31,7 @@ def test_what_carries_a_piece_is_counted_below_the_outline_of_its_foot(seed, num
         cut=cut,
         cut_px=cut_px,
     )
-    standing = standing_of(contacts, pieces, heights, level)
+    support = support_contacts_of(contacts, pieces, heights, level)
     z, flat = heights.ravel(), level.ravel()
     for piece in range(count):
         outer = is_below & (pieces[here] == piece) & (pieces[there] != piece)
@@ -39,7 +39,7 @@ def test_what_carries_a_piece_is_counted_below_the_outline_of_its_foot(seed, num
         outline = np.concatenate([z[here_px[outer]], z[cut_px[edge]]]).astype(np.float64)
         foot = (1 - FOOT) * outline.min() + FOOT * outline.max() if len(outline) else 0.0
         at_foot = outer & (z[here_px] <= foot)
-        assert standing.outline[piece] == at_foot.sum() + (z[cut_px[edge]] <= foot).sum()
-        assert standing.free[piece] == (at_foot & ~touches & ~nearer).sum()
+        assert support.outline[piece] == at_foot.sum() + (z[cut_px[edge]] <= foot).sum()
+        assert support.free[piece] == (at_foot & ~touches & ~nearer).sum()
         on = pieces[there[at_foot & touches & flat[there_px]]]
-        assert np.array_equal(standing.on[piece], np.bincount(on, minlength=count + 1))
+        assert np.array_equal(support.on[piece], np.bincount(on, minlength=count + 1))

@@ -1,7 +1,8 @@
-"""What carries a piece: whether it stands on something level, hangs in the air, or hides its foot.
+"""Support of regions: which region rests on a horizontal surface of which other one, and which is unsupported.
 
-Gravity is vertical in the world and nearly so in the image, so what is below a piece is found below its lower outline.
-Only the lowest part of a piece counts: the slats of a chair's back hang free, its posts stand.
+Gravity is vertical in the world and nearly so in the image, so that a support is looked for below the lower outline of
+a region. Only the lowest part of the outline, the foot, counts: the slats of a chair's back are unsupported, its posts
+are not.
 """
 
 from __future__ import annotations
@@ -16,18 +17,18 @@ from hickory_stream.compiled import numba
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.seams import Contacts
+    from hickory_stream.perception.contacts import Contacts
 
 _FOOT_SHARE = 0.35
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Standing:
-    """The lower outline of every piece's foot (index = label), counted in pixels.
+class SupportContacts:
+    """Pixel counts along the lower outline of each region's foot (row = region).
 
-    `outline` (count,): all of it, with what the image's border cuts; `free` (count,): farther surface below;
-    `on` (count, count + 1): level surface of another piece that it touches, the last column for structure. The rest
-    touches something steep or is hidden.
+    `outline` (count,): all of it, including where the image border cuts it; `free` (count,): a farther surface below,
+    so unsupported; `on` (count, count + 1): touches a horizontal surface of that region, the last column for room
+    structure. The rest touches a steep surface or is occluded.
     """
 
     outline: NDArray[np.int64]
@@ -35,12 +36,13 @@ class Standing:
     on: NDArray[np.int64]
 
 
-def standing_of(
+def support_contacts_of(
     contacts: Contacts, pieces: NDArray[np.int64], heights_m: NDArray[np.float32], level: NDArray[np.bool_]
-) -> Standing:
-    """Return how the pieces stand; `pieces` names the piece of each label, the last label and highest name structure.
+) -> SupportContacts:
+    """Return the support contacts of regions; `pieces` (labels,) gives the region of each label.
 
-    `heights_m` (h, w) above any level; `level` (h, w): pixels on which something can stand.
+    The last label is room structure, which has the highest region number. `heights_m` (h, w) count from any origin;
+    `level` (h, w): pixels of surfaces that can support something.
     """
     count = int(pieces[-1])
     outline, free, on = _counted(
@@ -52,12 +54,12 @@ def standing_of(
         level.ravel(),
         count,
     )
-    return Standing(outline=outline, free=free, on=on)
+    return SupportContacts(outline=outline, free=free, on=on)
 
 
 @numba.njit(cache=True, nogil=True)
 def _counted(contacts, marks, edge, edge_px, heights, level, count):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the three counts of `Standing`: first between which heights a piece's lower outline is, then its foot."""
+    """Return the counts of `SupportContacts`: a first pass finds the foot of each region, a second one counts it."""
     here, there, here_px, there_px = contacts
     is_below, touches, nearer = marks
     low, high = np.full(count, np.inf), np.full(count, -np.inf)

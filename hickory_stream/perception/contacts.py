@@ -1,6 +1,6 @@
-"""Where fragments meet: neighbouring pixels of different labels, and which of them touch in 3D.
+"""Contacts between fragments: neighbouring pixels of different labels, and which of these touch in 3D.
 
-Structure takes part under a label of its own, so that what stands on the floor is found like what stands on a table.
+Room structure has a label of its own, so that support by the floor is found in the same way as support by a table.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class Contacts:
     """Pairs of neighbouring pixels with different labels, `here` left of or above `there`; all arrays (K,).
 
     `here` and `there` are labels, `here_px` and `there_px` flat pixel indices. `is_below`: `there` is below `here` in
-    the image, else beside it. `touches`: they meet in 3D; `nearer`: `there` is before `here`, across a depth edge.
-    `cut`, `cut_px`: labels and indices of the pixels on the lower border and the sides of the image.
+    the image, otherwise right of it. `touches`: they touch in 3D; `nearer`: `there` occludes `here` across a depth
+    edge. `cut`, `cut_px`: labels and indices of the pixels on the lower border and the sides of the image.
     """
 
     here: NDArray[np.int32]
@@ -39,7 +39,7 @@ class Contacts:
 
 
 def contacts_of(surface: Surface, scene: NDArray[np.int32], reach_px: int) -> Contacts:
-    """Return the contacts of a label image (h, w), across at most `reach_px - 1` pixels without a label."""
+    """Return the contacts in a label image (h, w), across at most `reach_px - 1` unlabelled pixels."""
     pairs = _contacts(scene, reach_px)
     here_px, there_px, is_below = pairs[:, 0], pairs[:, 1], pairs[:, 2] > 0
     depth, points = surface.depth_m.ravel(), surface.points_world.reshape(-1, 3)
@@ -56,7 +56,7 @@ def contacts_of(surface: Surface, scene: NDArray[np.int32], reach_px: int) -> Co
         here_px=here_px,
         there_px=there_px,
         is_below=is_below,
-        # As far as neighbouring pixels of one surface at a slant lie apart, and the noise of depth.
+        # The distance between neighbouring pixels of one slanted surface, plus depth noise.
         touches=distance < 0.015 + (0.006 + 0.006 * step) * z,
         nearer=depth[there_px] < z * 0.98 - 0.01,
         cut=scene.ravel()[border],

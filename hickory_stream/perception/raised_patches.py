@@ -1,8 +1,8 @@
-"""What stands off a floor or a wall by less than a pixel's noise: a lamp's foot, the back of a shelf.
+"""Patches raised off a floor or wall plane by less than the depth noise of a pixel: a lamp's foot, a shelf's back.
 
-One pixel cannot be told from the plane behind it, a few dozen can: the mean of a window has a fraction of the noise.
-But a real camera's floors have waves as high as such a foot; those have the colour of the floor around them, a foot has
-not.
+A single pixel cannot be separated from the plane, but the mean depth over a window has a fraction of the noise. The
+depth of a real camera has low-frequency waves as high as such a patch, so that a patch must also differ in colour from
+the plane around it.
 """
 
 from __future__ import annotations
@@ -26,17 +26,18 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ReliefConfig(Ranged):
-    """What counts as a part of a thing that stands off a plane.
+class RaisedPatchConfig(Ranged):
+    """When pixels near a plane belong to an object instead.
 
     Attributes:
-        window_px: side of the window whose mean is looked at.
-        least_m, sigmas: the mean must be off the plane by this, and by so many of its standard deviations.
-        min_area_px: the fewest pixels of a raised patch.
-        color_step: the least distance in CIE Lab between a patch and the plane around it.
-        reach_px: how far around a patch the plane's colour is taken.
-        min_held: the share of its outline along which a patch on a wall borders things in front: a picture or the frame
-            of a door has none. One on the floor needs only `min_touch_px` of it: a foot has a thin leg.
+        window_px: side of the averaging window.
+        least_m, sigmas: minimum offset of the window's mean from the plane, in m and in its standard deviations.
+        min_area_px: minimum area of a raised patch.
+        color_step: minimum CIE Lab distance between the patch and the plane around it.
+        reach_px: width of the ring around a patch in which the plane's colour is sampled.
+        min_border_share: on a wall, the minimum share of the patch's outline that borders objects: a picture or a door
+            frame borders none.
+        min_border_px: on the floor, the minimum number of outline pixels that border objects: legs are thin.
     """
 
     window_px: int = number(5, 1, 1001, "px")
@@ -45,26 +46,26 @@ class ReliefConfig(Ranged):
     min_area_px: int = number(24, 1, 1_000_000, "px")
     color_step: float = number(12.0, 0, 1000, "CIE Lab")
     reach_px: int = number(12, 1, 1000, "px")
-    min_held: float = number(0.3, 0, 1, "share")
-    min_touch_px: int = number(2, 0, 1_000_000, "px")
+    min_border_share: float = number(0.3, 0, 1, "share")
+    min_border_px: int = number(2, 0, 1_000_000, "px")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class NearPlane:
-    """The pixels `near` (h, w) the floor or a wall, and how far each lies on its front, in m (h, w)."""
+    """A floor or wall plane: the pixels `near` it (h, w), and the signed distance of each to its front, in m (h, w)."""
 
     distance_m: NDArray[np.float32]
     near: NDArray[np.bool_]
     is_floor: bool
 
 
-def relief(
+def raised_patches(
     planes: Sequence[NearPlane],
     structure: NDArray[np.bool_],
     surface: Surface,
-    config: ReliefConfig,
+    config: RaisedPatchConfig,
 ) -> NDArray[np.bool_]:
-    """Return (h, w) which pixels of the `structure` stand off every plane that they are near, and belong to a thing."""
+    """Return (h, w) which pixels of `structure` are in raised patches of every plane near them: pixels of objects."""
     things = (~structure & np.isfinite(surface.depth_m)).astype(np.uint8)
     off, on = np.zeros(structure.shape, dtype=bool), np.zeros(structure.shape, dtype=bool)
     for plane in planes:
@@ -79,7 +80,7 @@ def _raised(
     things: NDArray[np.uint8],
     sigma_m: NDArray[np.float32],
     lab: NDArray[np.float32],
-    config: ReliefConfig,
+    config: RaisedPatchConfig,
 ) -> NDArray[np.bool_]:
     mask = np.zeros(plane.near.shape, dtype=bool)
     side = (config.window_px, config.window_px)
@@ -92,7 +93,7 @@ def _raised(
     high = _is_high(plane.near, total, share, sigma_m, area, least_m, sigmas)
     if np.count_nonzero(high) < config.min_area_px:
         return mask
-    # A rim of a few pixels along the foot of a thing tells nothing that the thing does not.
+    # Opening removes rims of a few pixels along the foot of an object.
     wide = cv2.morphologyEx(high.astype(np.uint8), cv2.MORPH_OPEN, _WIDE)
     if int(wide.sum()) < config.min_area_px:
         return mask
@@ -103,7 +104,7 @@ def _raised(
         y, x = max(0, v - config.reach_px), max(0, u - config.reach_px)
         window = np.s_[y : v + height + config.reach_px, x : u + width + config.reach_px]
         patch = labels[window] == i
-        if i == 0 or not _is_held(patch, things[window], is_floor=plane.is_floor, config=config):
+        if i == 0 or not _borders_objects(patch, things[window], is_floor=plane.is_floor, config=config):
             continue
         around = ground[window]
         color = lab[window][around] if int(around.sum()) >= config.min_area_px else lab[ground]
@@ -112,16 +113,18 @@ def _raised(
     return mask
 
 
-def _is_held(patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_floor: bool, config: ReliefConfig) -> bool:
+def _borders_objects(
+    patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_floor: bool, config: RaisedPatchConfig
+) -> bool:
     """Return whether enough of a patch's outline borders on things."""
     outline = (cv2.dilate(patch.astype(np.uint8), _NEXT) > 0) & ~patch
     touch = int(things[outline].sum())
-    return touch >= config.min_touch_px if is_floor else touch > config.min_held * int(outline.sum())
+    return touch >= config.min_border_px if is_floor else touch > config.min_border_share * int(outline.sum())
 
 
 @numba.njit(cache=True, nogil=True)
 def _marked(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) the values where a mask is, 0 elsewhere, and the mask as numbers."""
+    """Return (h, w) the values inside a mask, 0 elsewhere, and the mask as float."""
     out, marks = np.zeros(values.shape, dtype=np.float32), np.zeros(values.shape, dtype=np.float32)
     for y in range(values.shape[0]):
         for x in range(values.shape[1]):
@@ -132,10 +135,10 @@ def _marked(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _is_high(near, total, share, sigma, area, least, sigmas):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) which pixels of a plane lie in windows whose mean is off it by more than its noise.
+    """Return (h, w) which pixels near a plane lie in windows whose mean offset exceeds the noise.
 
-    `total` and `share` (h, w) are the means over windows of `area` pixels of the distances from the plane, 0 where a
-    pixel is not near it, and of the pixels that are.
+    `total` and `share` (h, w) are window means, over `area` pixels, of the distance to the plane (0 for pixels that are
+    not near it) and of the mask of pixels near it.
     """
     out = np.zeros(near.shape, dtype=np.bool_)
     for y in range(near.shape[0]):

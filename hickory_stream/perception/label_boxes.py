@@ -1,10 +1,9 @@
-"""Boxes of labels, and colours as the eye tells them apart."""
+"""The bounding boxes of the labels of an image."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from scipy.ndimage import find_objects
 
@@ -20,8 +19,3 @@ def label_boxes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
             rows, columns = place
             boxes[i + 1] = columns.start, rows.start, columns.stop, rows.stop
     return boxes
-
-
-def lab_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return (h, w, 3) CIE Lab of an image: lightness in 0..100."""
-    return np.asarray(cv2.cvtColor(rgb.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB))

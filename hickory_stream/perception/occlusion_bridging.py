@@ -1,8 +1,9 @@
-"""What goes on behind something nearer: two pieces of one box on both sides of what hides the rest of it.
+"""Bridging of occlusions: two fragments of one object on both sides of an occluder.
 
-From where a piece ends at a nearer thing, its plane is followed along the row or column, behind whatever is nearer or
-gives no return. Where the plane comes into view again, that is a bridge; where something is seen behind it, it ended.
-One plane proves nothing, things of one height stand side by side; a level and an upright one do.
+From a fragment's occluded border, its plane is extrapolated along the image row or column, behind nearer surfaces and
+missing returns. If it becomes visible again in another fragment, the line bridges the two; if a surface behind the
+plane is seen first, the plane has ended. One shared plane proves nothing, since objects of equal height stand side by
+side: a horizontal and a vertical plane that both continue do.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class HiddenConfig(Ranged):
-    """When a plane comes into view again, and when two parts are one behind what hides it.
+class BridgingConfig(Ranged):
+    """When a plane continues behind an occluder, and when two regions are one object for it.
 
     Attributes:
-        gap_m: as far as a plane is followed.
-        tolerance_m: distance from it, beside 3 sigma, that is still in it.
-        min_lines: of every other row and column, so many must bridge two parts ...
-        min_share: ... and as many as this share of the square root of the smaller one's pixels.
-        other_lines: so many of them must bridge a level plane of theirs, and so many an upright one.
+        gap_m: maximum length of the extrapolation.
+        tolerance_m: maximum distance of a point from the plane, plus 3 sigma of depth.
+        min_lines: minimum number of rows and columns (every other one is scanned) that bridge two regions ...
+        min_share: ... and the same as a share of the square root of the smaller region's pixels.
+        other_lines: minimum number of lines that bridge a horizontal plane, and of those that bridge a vertical one.
     """
 
     gap_m: float = number(0.5, 0, 100, "m")
@@ -40,8 +41,8 @@ class HiddenConfig(Ranged):
     other_lines: int = number(2, 0, 10_000, "lines")
 
 
-def bridges(surface: Surface, labels: NDArray[np.int32], config: HiddenConfig) -> NDArray[np.int64]:
-    """Return (M, 3) two labels and whether their plane is level, for every other row and column that bridges them."""
+def bridges(surface: Surface, labels: NDArray[np.int32], config: BridgingConfig) -> NDArray[np.int64]:
+    """Return (M, 3): two labels and whether the plane is horizontal, for every scanned line that bridges the two."""
     camera = surface.camera
     found: NDArray[np.int64] = _bridges(
         surface.depth_m,
@@ -58,12 +59,13 @@ def bridges(surface: Surface, labels: NDArray[np.int32], config: HiddenConfig) -
     return found
 
 
-def are_one_behind(
-    level: NDArray[np.float64], upright: NDArray[np.float64], pixels: NDArray[np.float64], config: HiddenConfig
+def is_bridged(
+    level: NDArray[np.float64], upright: NDArray[np.float64], pixels: NDArray[np.float64], config: BridgingConfig
 ) -> NDArray[np.bool_]:
-    """Return (K,) which pairs are one thing behind what is before it.
+    """Return (K,) which pairs of regions are one object behind an occluder.
 
-    `level` and `upright` count the lines that bridge a plane of theirs, `pixels` are those of the smaller part.
+    `level` and `upright` (K,) count the lines that bridge a horizontal and a vertical plane; `pixels` (K,) is the area
+    of the smaller region.
     """
     most, other = np.maximum(level, upright), np.minimum(level, upright)
     enough = np.maximum(config.min_lines, config.min_share * np.sqrt(pixels))
@@ -72,7 +74,7 @@ def are_one_behind(
 
 @numba.njit(cache=True, nogil=True)
 def _bridges(depth, points, normals, sigma, labels, origin, rotation, intrinsics, gap, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (K, 3): two labels and whether their plane is level, for each row and column that bridges them."""
+    """Return (K, 3): two labels and whether the plane is horizontal, for each row or column that bridges the two."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     out = np.empty((height * width, 3), dtype=np.int64)
@@ -94,7 +96,7 @@ def _bridges(depth, points, normals, sigma, labels, origin, rotation, intrinsics
                     + (points[y, x, 1] - origin[1]) * n1
                     + (points[y, x, 2] - origin[2]) * n2
                 )
-                is_hidden = False
+                is_occluded = False
                 for step in range(1, length - start):
                     yy, xx = (line, start + step) if side == 0 else (start + step, line)
                     u, v = (xx - cx) / fx, (yy - cy) / fy
@@ -111,13 +113,13 @@ def _bridges(depth, points, normals, sigma, labels, origin, rotation, intrinsics
                     z = depth[yy, xx]
                     if np.isnan(z):
                         continue
-                    # A distance from the plane is a difference of depth over the ray's slant.
+                    # Converts a distance to the plane into a difference of depth along the ray.
                     slack = (tolerance + 3.0 * sigma[y, x]) / abs(along)
                     if z < expected - max(slack, 0.02 * expected):
-                        is_hidden = True
+                        is_occluded = True
                         continue
                     other = labels[yy, xx]
-                    if is_hidden and other != label and other != 0 and z < expected + slack:
+                    if is_occluded and other != label and other != 0 and z < expected + slack:
                         agree = normals[yy, xx, 0] * n0 + normals[yy, xx, 1] * n1 + normals[yy, xx, 2] * n2
                         if agree > 0.95:
                             out[count, 0], out[count, 1] = label, other

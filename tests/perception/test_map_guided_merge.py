@@ -9,7 +9,7 @@ from perception_scenes import Block, floor, looking, render
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.perception.known import KnownConfig, with_known
+from hickory_stream.perception.map_guided_merge import MapGuidedMergeConfig, merged_by_map
 from hickory_stream.records import Phase, Segmentation, TrackedObject
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
@@ -50,7 +50,9 @@ def known(points, **changes):
 
 def joined(blocks, *objects):
     frame, segmentation, _ = scene(*blocks)
-    return with_known(frame, segmentation, objects, KnownConfig(enabled=True)).instances, segmentation.instances
+    return merged_by_map(
+        frame, segmentation, objects, MapGuidedMergeConfig(enabled=True)
+    ).instances, segmentation.instances
 
 
 def test_two_masks_apart_on_one_known_object_become_one():
@@ -81,6 +83,6 @@ def test_an_object_that_is_hardly_known_joins_nothing(changes):
 
 def test_without_masks_or_objects_nothing_changes():
     frame, segmentation, points = scene(LEFT, RIGHT)
-    assert with_known(frame, segmentation, (), KnownConfig(enabled=True)) is segmentation
+    assert merged_by_map(frame, segmentation, (), MapGuidedMergeConfig(enabled=True)) is segmentation
     empty = replace(segmentation, instances=np.zeros_like(segmentation.instances))
-    assert with_known(frame, empty, (known(points[0]),), KnownConfig(enabled=True)) is empty
+    assert merged_by_map(frame, empty, (known(points[0]),), MapGuidedMergeConfig(enabled=True)) is empty

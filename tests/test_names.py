@@ -1,0 +1,79 @@
+"""Names are the field's: none of the private vocabulary that modules and identifiers once had is left."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).resolve().parent.parent
+OURS = ("hickory_stream", "players", "tools", "tests")
+FILES = sorted(file for package in OURS for file in (ROOT / package).rglob("*.py"))
+
+OLD_MODULES = {
+    "relief": "raised_patches",
+    "shades": "color_split",
+    "hidden": "occlusion_bridging",
+    "seams": "contacts",
+    "standing": "support_contacts",
+    "scenery": "room_structure",
+    "known": "map_guided_merge",
+    "part_sums": "region_sums",
+}
+OLD_NAMES = {
+    "ReliefConfig": "RaisedPatchConfig",
+    "relief": "raised_patches",
+    "ShadeConfig": "ColorSplitConfig",
+    "divided_by_color": "split_by_color",
+    "HiddenConfig": "BridgingConfig",
+    "are_one_behind": "is_bridged",
+    "hidden_share": "occluded_share",
+    "hidden_shares": "occluded_shares",
+    "Standing": "SupportContacts",
+    "standing_of": "support_contacts_of",
+    "Scenery": "RoomStructure",
+    "scenery": "room",
+    "scenery_of": "room_structure_of",
+    "KnownConfig": "MapGuidedMergeConfig",
+    "with_known": "merged_by_map",
+    "PartSums": "RegionSums",
+    "part_sums": "region_sums",
+    "grouped_parts": "merged_regions",
+    "grouped_pairs": "merged_pairs",
+    "Measures": "RegionGraph",
+}
+# Each of these once named several modules of different meaning. The command line names its modules by its commands.
+MEANT_SEVERAL = ("pieces",)
+
+
+def names_in(tree: ast.Module) -> Iterator[str]:
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.arg(arg=name):
+                yield name
+            case ast.keyword(arg=str(name)) | ast.alias(name=name):
+                yield name
+            case ast.ClassDef(name=name) | ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
+                yield name
+
+
+def test_no_module_has_an_old_name() -> None:
+    found = {str(file.relative_to(ROOT)): file.stem.removeprefix("test_") for file in FILES}
+    assert {path: OLD_MODULES[stem] for path, stem in found.items() if stem in OLD_MODULES} == {}
+
+
+def test_no_identifier_has_an_old_name() -> None:
+    found = {str(file.relative_to(ROOT)): set(names_in(ast.parse(file.read_text(encoding="utf-8")))) for file in FILES}
+    left = {path: {name: OLD_NAMES[name] for name in names & OLD_NAMES.keys()} for path, names in found.items()}
+    assert {path: names for path, names in left.items() if names} == {}
+
+
+@pytest.mark.parametrize("stem", MEANT_SEVERAL)
+def test_a_name_that_meant_several_modules_means_one_at_most(stem: str) -> None:
+    ours = (file for package in ("hickory_stream", "players") for file in (ROOT / package).rglob(f"{stem}.py"))
+    assert len([file for file in ours if file.parent.name != "cli"]) <= 1
