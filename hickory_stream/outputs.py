@@ -182,6 +182,7 @@ class Diagnosis(TypedDict):
     damage: list[dict[str, Any]]
     damaged_bytes: int
     estimate: dict[str, float]
+    live: dict[str, Any]
     problems: list[str]
     notes: list[str]
     refusal: str | None

@@ -66,6 +66,7 @@ class Diagnosis:
     damage: list[dict[str, Any]] = field(default_factory=list)
     damaged_bytes: int = 0
     estimate: dict[str, float] = field(default_factory=dict)
+    live: dict[str, Any] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     refusal: str | None = None
@@ -98,6 +99,13 @@ def examine(
         return found
     if log is None:
         return _examine_folder(found, paths, options, progress)
+    return examine_log(found, log, options, progress)
+
+
+def examine_log(
+    found: Diagnosis, log: Log, options: SourceOptions, progress: Callable[[str], None], *, is_heard: bool = False
+) -> Diagnosis:
+    """Complete a diagnosis by what is in a log; `is_heard`: it is what a live route sent, and no file of anybody's."""
     found.kind, found.checksum = log.kind, log.checksum
     found.num_bytes = sum(file.stat().st_size for file in log.files)
     for reason in getattr(log, "unreadable", ()):
@@ -107,7 +115,7 @@ def examine(
     for message in log.messages(list(stats)):
         stats[message.topic].add(message)
     found.topics = {name: stats[name].as_dict() for name in sorted(stats)}
-    _tell_stamps(found)
+    _tell_stamps(found, is_heard=is_heard)
     try:
         _examine_opening(found, log, options)
         progress("reading as play does")
@@ -116,6 +124,8 @@ def examine(
     except InputError as error:
         found.refusal = str(error)
     _tell_damage(found, log.flaws)
+    if not found.checksum and not is_heard:
+        found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")
     return found
 
 
@@ -317,7 +327,7 @@ def _estimate(found: Diagnosis, megapixels: float, num_keyframes: int) -> None:
     }
 
 
-def _tell_stamps(found: Diagnosis) -> None:
+def _tell_stamps(found: Diagnosis, *, is_heard: bool) -> None:
     for name, figures in found.topics.items():
         if figures.get("unset_stamps"):
             found.notes.append(f"{name}: {figures['unset_stamps']} of {figures['messages']} header stamps are zero")
@@ -325,7 +335,8 @@ def _tell_stamps(found: Diagnosis) -> None:
             found.notes.append(
                 f"{name}: stamps go back by {figures['worst_step_back_s']} s: a looped log or a set clock"
             )
-        if abs(figures.get("log_offset_s") or 0) > 1.0 and not figures.get("unset_stamps"):
+        # How far a robot's clock is from ours is one figure, which its status has.
+        if abs(figures.get("log_offset_s") or 0) > 1.0 and not figures.get("unset_stamps") and not is_heard:
             found.notes.append(f"{name}: recorded {figures['log_offset_s']} s after its header stamps")
         if figures["type"] == "":
             found.notes.append(f"{name}: its type is not known; it is skipped")
@@ -362,5 +373,3 @@ def _tell_damage(found: Diagnosis, flaws: Flaws) -> None:
         lost = sum(flaw.num_lost for flaw in flaws)
         share = f"{flaws.num_bytes} of {found.num_bytes} bytes"
         found.problems.append(f"{len(flaws)} damaged places, {share}; {lost} messages known to be lost")
-    if not found.checksum and found.kind:
-        found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")

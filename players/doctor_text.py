@@ -19,6 +19,8 @@ def diagnosis_text(found: Diagnosis) -> str:
         lines.append(f"{found.kind}, {found.num_bytes / 1e6:.1f} MB; checksums: {found.checksum or 'none'}")
     if found.refusal:
         lines += ["", f"cannot be mapped: {found.refusal}"]
+    if found.live:
+        lines += ["", *found.live["table"]]
     if found.topics:
         lines += ["", "topics"]
         width = max(len(name) for name in found.topics)

@@ -79,6 +79,20 @@ def make_topic(
     )
 
 
+def schema_of(topic: Topic) -> tuple[str, str, bytes]:
+    """Return name, encoding and definition of a topic's type, from ROS 2's own where the topic brings none."""
+    encodings = {"msg": "ros2msg", "idl": "ros2idl", "protobuf": "protobuf", "jsonschema": "jsonschema", "none": ""}
+    encoding, definition = encodings[topic.definition_format], topic.definition
+    if topic.wire == "cdr" and not definition.strip():
+        from rosbags.typesys import Stores, get_typestore
+
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        if topic.type_name in store.types:
+            encoding, definition = "ros2msg", store.generate_msgdef(topic.type_name, ros_version=2)[0]
+    data = definition.encode("latin-1" if topic.definition_format == "protobuf" else "utf-8")
+    return topic.foreign_type or topic.type_name, encoding, data
+
+
 def learn(described: Described, opcode: int, record: bytes) -> None:
     """Note a schema or a channel; one that does not parse is left out, and its messages are of no known topic."""
     try:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli import main
-from tests.test_cli import EAGER, run
+from tests.test_cli import COMMAND, EAGER, run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,9 +21,8 @@ def test_a_stream_becomes_a_map_with_a_ledger_in_which_nothing_is_missing(
     short_log: Path, coarse_config: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "map"
-    ended = run(
-        "live", f"mcap:{short_log}", "--out", out, "--config", coarse_config, "--viewer", "none", "--json", *EAGER
-    )
+    said = ("--config", coarse_config, "--viewer", "none", "--json", *EAGER)
+    ended = run("live", f"mcap:{short_log}", "--out", out, "--record", tmp_path / "session.mcap", *said)
     assert ended.status == 0, ended.stderr
     finished = json.loads(ended.stdout.splitlines()[-1])
     messages = finished["ledger"]["messages"]
@@ -31,6 +33,33 @@ def test_a_stream_becomes_a_map_with_a_ledger_in_which_nothing_is_missing(
     status = [event for event in events if event.get("event") == "status"][-1]
     assert {topic["role"] for topic in status["topics"]} == {"tf", "color", "depth", "color_info", "depth_info", "pose"}
     assert sum(topic["received"] for topic in status["topics"]) == messages["declared"]
+    played = run("play", tmp_path / "session.mcap", "--out", tmp_path / "again", "--frames", 6, *said)
+    again = json.loads(played.stdout.splitlines()[-1])
+    assert again["is_reproducible"]
+    assert again["ledger"]["messages"]["declared"] == messages["declared"]
+
+
+def test_a_signal_ends_a_live_run_in_order_while_it_waits_for_more(
+    short_log: Path, coarse_config: Path, tmp_path: Path
+) -> None:
+    pipe, out = tmp_path / "pipe", tmp_path / "map"
+    os.mkfifo(pipe)
+    command = [*COMMAND, "live", f"mcap:{pipe}", "--out", out, "--config", coarse_config, "--viewer", "none"]
+    # All but the footer: for the reader the robot is still there.
+    with (
+        subprocess.Popen([str(word) for word in command], stderr=subprocess.PIPE, text=True) as process,
+        pipe.open("wb") as stream,
+    ):
+        stream.write(short_log.read_bytes()[:-100])
+        stream.flush()
+        assert process.stderr is not None
+        assert any("mapping: frame" in line for line in process.stderr)
+        process.send_signal(signal.SIGINT)
+        process.stderr.read()
+        assert process.wait(60) == 130
+    ledger = json.loads((out / "ledger.json").read_text())
+    assert ledger["messages"]["difference"] == 0
+    assert json.loads((out / "manifest.json").read_text())["finished_cleanly"] is False
 
 
 def test_what_is_missing_and_what_cannot_be_is_said_in_one_line(

@@ -20,7 +20,8 @@ TEXTS: dict[str, tuple[str, str]] = {
         "replay demo.map --rrd again.rrd",
     ),
     "doctor": (
-        "Examine a log before it is mapped: what would be played, what is damaged, and what becomes of every message.",
+        "Examine a log, or for ten seconds a robot, before it is mapped: what would be played, what is damaged, and "
+        "what becomes of every message.",
         "doctor camera.bag vio.bag --html page.html",
     ),
     "inspect": (

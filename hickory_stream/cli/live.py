@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,8 @@ from hickory_stream.cli.play import add_run_options, all_sinks, make_style, sink
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.cli.values import read_settings, seconds
+from hickory_stream.cli.written import add_output
+from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 from hickory_stream.terminal import clear_line
 
@@ -22,10 +25,12 @@ if TYPE_CHECKING:
 
     from hickory_stream.cli.parser import Commands
     from players.live import LiveMapSource
+    from players.live.recorder import Recorder
     from players.live.status import LiveStatus
 
 _PATIENCE_S = 60.0
 _STATUS_S = 10.0
+_RECORD_GB = 50.0
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
@@ -43,6 +48,10 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     )
     live.add_argument(
         "--status", type=float, default=_STATUS_S, metavar="S", help="show the table of topics so often (10); 0: never"
+    )
+    add_output(live, "--record", type=Path, metavar="FILE", help="write every message as it came (MCAP)")
+    live.add_argument(
+        "--record-limit", type=float, default=_RECORD_GB, metavar="GB", help="of the disk for that, at most (50)"
     )
     add_run_options(live)
     add_source_options(live)
@@ -62,23 +71,28 @@ def run(options: argparse.Namespace) -> int:
         seconds(value, name, least=least)
     if options.most_s is not None:
         seconds(options.most_s, "--for", least=0.1)
+    if not 0 < options.record_limit < float("inf"):
+        raise InputError(f"found --record-limit {options.record_limit:g}, expected gigabytes, more than 0")
     out = options.out or Path(f"{default_name(options.uri)}.map")
     # What cannot be had is refused before a map that is there is replaced.
     beside = sinks_beside(options, settings)
     printer = ProgressPrinter(make_style(options))
-    options.resumed_by = resume_command(out)
+    recorder: Recorder | None = None
     source: LiveMapSource | None = None
     try:
+        recorder = _recorder(options)
         source = open_live(
             options.uri,
             source_options(options),
             patience_s=options.wait,
             most_s=options.most_s,
+            recorder=recorder,
             tell=lambda text: _say(text, as_json=options.json),
         )
         if not options.json:
             sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
             sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
+        options.resumed_by = resume_command(out)
         with _StatusPrinter(source, options.status, as_json=options.json):
             played = play(
                 source,
@@ -96,7 +110,17 @@ def run(options: argparse.Namespace) -> int:
             source.close()
         for sink in beside:
             sink.close()
+    if recorder is not None and recorder.lost:
+        played = replace(played, lost_outputs=(*played.lost_outputs, recorder.lost))
     return finish(options, out, played)
+
+
+def _recorder(options: argparse.Namespace) -> Recorder | None:
+    if options.record is None:
+        return None
+    from players.live.recorder import Recorder
+
+    return Recorder(options.record, options.uri, limit_bytes=round(options.record_limit * 1e9))
 
 
 def default_name(uri: str) -> str:

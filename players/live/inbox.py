@@ -150,6 +150,13 @@ class Inbox:
             if self._end is None and name in self._topics:
                 self._arrived(name).fates["lost"] += number
 
+    def found(self, name: str) -> None:
+        """Take one back that was counted as lost: it has come, late."""
+        with self._changed:
+            arrived = self._arrived(name)
+            if self._end is None and arrived.fates["lost"]:
+                arrived.fates["lost"] -= 1
+
     def close(self, reason: str = "") -> None:
         """Take no more; what is in it can still be taken. `reason` says why, for people, where that is a fault."""
         with self._changed:

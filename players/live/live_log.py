@@ -40,6 +40,8 @@ class LiveLog:
         self.flaws = Flaws()
         self.clock_offset = ClockOffset()
         self.inbox = inbox
+        self.roles: dict[str, str] = {}
+        """What the topics are for that were asked for, by name."""
         self._most_s = most_s
         self._wanted: frozenset[str] | None = None
         self._kept: deque[LogMessage] = deque()

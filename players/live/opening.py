@@ -17,7 +17,7 @@ from players.discover import camera_infos, choose_images, pose_topics, tf_topics
 from players.live.inbox import Inbox
 from players.live.live_log import LiveLog
 from players.live.routes import route_of
-from players.live.status import LiveStatus, status_of
+from players.live.status import ROLES, LiveStatus, status_of
 from players.log_opening import choose_profile, open_log
 from players.options import SourceOptions
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import RawFrame, SourceInfo
     from players.account import Account, TopicAccount
+    from players.live.recorder import Recorder
     from players.live.transport import LiveSource
     from players.log_source import LogSource
 
@@ -39,9 +40,11 @@ _BETWEEN_S = 0.25
 class LiveMapSource(SourceAround):
     """The `Source` of a live route, once it is known what to map; `frames` can be asked for once."""
 
-    def __init__(self, route: LiveSource, log: LiveLog, source: LogSource) -> None:
+    def __init__(self, route: LiveSource, log: LiveLog, source: LogSource, recorder: Recorder | None = None) -> None:
         super().__init__(source)
+        log.roles = {name: role for role, name in source.setup.streams if role in ROLES}
         self._route = route
+        self._recorder = recorder
         self._log = log
         self._log_source = source
 
@@ -70,16 +73,18 @@ class LiveMapSource(SourceAround):
 
     def status(self) -> LiveStatus:
         """Return how the route and its topics are now."""
-        return status_of(self._route, self._log, self._log_source.setup)
+        return status_of(self._route, self._log)
 
     def interrupt(self) -> None:
         """End the frames: the run is to end."""
         self._log.end()
 
     def close(self) -> None:
-        """End the route."""
+        """End the route, and the recording."""
         self._log.end()
         self._route.stop()
+        if self._recorder is not None:
+            self._recorder.close()
 
     def _entry(self, entry: TopicAccount, num_left: int) -> TopicAccount:
         """Return an entry with what never reached the log: dropped for want of room, or still waiting."""
@@ -103,6 +108,7 @@ def open_live(
     attempt_s: float = DEFAULT_ATTEMPT_S,
     most_s: float | None = None,
     tell: Callable[[str], None] = lambda text: None,
+    recorder: Recorder | None = None,
     route: LiveSource | None = None,
     inbox: Inbox | None = None,
 ) -> LiveMapSource:
@@ -110,7 +116,8 @@ def open_live(
 
     `patience_s` is how long that may take, `attempt_s` how long after the first images topics are waited for that are
     announced and silent; `tell` is told what is waited for, whenever that changes. Frames end after `most_s` of them.
-    `route` and `inbox` stand in for those of the address.
+    `recorder` takes every message as it comes, and is closed with the source. `route` and `inbox` stand in for those of
+    the address.
 
     Raises:
         RecordingError: the address names no route, the route has ended, or patience is over: says what is missing.
@@ -118,15 +125,18 @@ def open_live(
     """
     options = options or SourceOptions()
     route = route or route_of(uri)
-    log = LiveLog(route, inbox or Inbox(), most_s=most_s)
+    inbox = inbox or Inbox(tap=recorder.take if recorder is not None else None)
+    log = LiveLog(route, inbox, most_s=most_s)
     try:
         route.start(log.inbox)
         source = _opened(route, log, options, _Patience(patience_s, attempt_s), tell)
     except BaseException:
         log.end()
         route.stop()
+        if recorder is not None:
+            recorder.close()
         raise
-    return LiveMapSource(route, log, source)
+    return LiveMapSource(route, log, source, recorder)
 
 
 class _Patience(NamedTuple):
@@ -182,6 +192,8 @@ def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
     finally:
         route.subscribe(small)
     wanted = small | {topic.name for topic in (*poses, images.color, images.depth)}
+    log.roles = dict.fromkeys((topic.name for topic in poses), "pose")
+    log.roles |= {images.color.name: "color", images.depth.name: "depth"}
     route.subscribe(wanted)
     log.want(wanted)
 

@@ -14,10 +14,9 @@ if TYPE_CHECKING:
     from players.containers import Topic
     from players.live.live_log import LiveLog
     from players.live.transport import LiveSource
-    from players.log_source import LogSetup
 
 _SILENT_S = 2.0
-_ROLES = ("color", "depth", "color_info", "depth_info", "pose")
+ROLES = ("color", "depth", "color_info", "depth_info", "pose")
 _OFF_S = 1.0
 
 
@@ -59,16 +58,15 @@ class LiveStatus:
         return asdict(self)
 
 
-def status_of(route: LiveSource, log: LiveLog, setup: LogSetup | None = None) -> LiveStatus:
-    """Return the status of a route; `setup` says which topics are mapped, where that is known."""
+def status_of(route: LiveSource, log: LiveLog) -> LiveStatus:
+    """Return the status of a route."""
     health, inbox = route.health(), log.inbox
     now_ns = inbox.clock()
-    roles = {name: role for role, name in (setup.streams if setup is not None else ()) if role in _ROLES}
     withdrawn = inbox.withdrawn()
     entries = []
     for topic in inbox.topics:
         arrived = inbox.arrivals.get(topic.name, Arrivals())
-        role = roles.get(topic.name, "tf" if topic.type_name in TF else "")
+        role = log.roles.get(topic.name, "tf" if topic.type_name in TF else "")
         rate, speed = arrived.rate(now_ns)
         age_s = (now_ns - arrived.last_ns) / 1e9 if arrived.last_ns is not None else None
         lost = arrived.fates["lost"]
@@ -83,7 +81,8 @@ def status_of(route: LiveSource, log: LiveLog, setup: LogSetup | None = None) ->
                 received=arrived.num_received,
                 dropped=arrived.fates.total() - lost,
                 lost=lost,
-                problem=_problem(topic, role, age_s, arrived.fates, withdrawn),
+                # A route that is down explains the silence of its topics.
+                problem=_problem(topic, role, age_s, arrived.fates, withdrawn) if health.is_connected else "",
             )
         )
     offset_ns = log.clock_offset.offset_ns
@@ -131,7 +130,7 @@ def status_table(status: LiveStatus) -> str:
     if status.clock_offset_s is not None and abs(status.clock_offset_s) > _OFF_S:
         clock = f"; the robot's clock is {_span(status.clock_offset_s)} ours, its stamps are kept"
     if status.clock_steps:
-        clock += f"; it was set {status.clock_steps} times"
+        clock += f"; it was set anew {status.clock_steps} time{'s' * (status.clock_steps > 1)}"
     state = "connected" if status.is_connected else f"not connected: {status.problem}"
     note = f"; {status.problem}" if status.is_connected and status.problem else ""
     lines = [f"{status.uri} ({status.kind}): {state}{note}{clock}"]

@@ -257,5 +257,7 @@ class ZenohRoute:
         with self._lock:
             last = self._sequences.get((name, publisher))
             self._sequences[name, publisher] = sequence if last is None else max(last, sequence)
-        if last is not None and sequence != last + 1:
-            self._inbox.lost(name, sequence - last - 1 if sequence > last else -1)
+        if last is not None and sequence > last + 1:
+            self._inbox.lost(name, sequence - last - 1)
+        elif last is not None and sequence < last:
+            self._inbox.found(name)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Protocol
 
+from players.mcap_records import schema_of
+
 if TYPE_CHECKING:
     from collections.abc import Collection
     from pathlib import Path
 
     from players.containers import Topic
     from tools.robot.link import Sending
-
-SCHEMA_ENCODINGS = {"msg": "ros2msg", "idl": "ros2idl", "protobuf": "protobuf", "jsonschema": "jsonschema", "none": ""}
 
 
 class Publisher(Protocol):
@@ -52,10 +52,7 @@ class McapPublisher:
         self._writer.start(profile="ros2")
         self._channels = {}
         for topic in topics:
-            name = topic.foreign_type or topic.type_name
-            schema = self._writer.register_schema(
-                name, SCHEMA_ENCODINGS[topic.definition_format], definition_bytes(topic)
-            )
+            schema = self._writer.register_schema(*schema_of(topic))
             self._channels[topic.name] = self._writer.register_channel(topic.name, topic.wire, schema)
 
     def disconnect(self) -> None:
@@ -88,8 +85,3 @@ class McapPublisher:
 
     def flush(self) -> None:
         """Do nothing: nothing is held back."""
-
-
-def definition_bytes(topic: Topic) -> bytes:
-    """Return the definition of a topic's type as its container held it."""
-    return topic.definition.encode("latin-1" if topic.definition_format == "protobuf" else "utf-8")

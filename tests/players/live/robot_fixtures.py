@@ -65,14 +65,16 @@ class Mapped:
         return {name: sent[name] - totals.get(name, 0) for name in sent if sent[name] != totals.get(name, 0)}
 
 
-def mapped(log: Path, publisher: Publisher, uri: str, faults: Faults | None = None, **options: Any) -> Mapped:
+def mapped(
+    log: Path, publisher: Publisher, uri: str, faults: Faults | None = None, *, rate: float = 1.0, **options: Any
+) -> Mapped:
     """Have a robot play a log to a live source, and return what came of it."""
     faults = faults or Faults()
     made = plan(prepared([log]), faults)
     reports: list[Report] = []
-    robot = Thread(target=lambda: reports.append(drive(made, publisher, faults, waits=True)), daemon=True)
+    robot = Thread(target=lambda: reports.append(drive(made, publisher, faults, waits=True, rate=rate)), daemon=True)
     robot.start()
-    source = open_live(uri, attempt_s=0.5, patience_s=20.0, **options)
+    source = open_live(uri, attempt_s=0.3, patience_s=20.0, **options)
     frames: list[RawFrame] = []
     reading = Thread(target=lambda: frames.extend(source.frames()), daemon=True)
     reading.start()

@@ -92,18 +92,19 @@ def test_the_status_says_rates_ages_and_what_is_wrong() -> None:
         clock.now_ns += 100_000_000
     inbox.lost(IMAGE_TOPIC.name, 3)
     clock.now_ns += 500_000_000
-    setup = type("Setup", (), {"streams": (("color", IMAGE_TOPIC.name),)})
-    status = status_of(route, LiveLog(route, inbox), setup)
+    log = LiveLog(route, inbox)
+    log.roles = {IMAGE_TOPIC.name: "color"}
+    status = status_of(route, log)
     color = next(entry for entry in status.topics if entry.role == "color")
     assert (color.rate_hz, color.bytes_per_s, color.received, color.lost) == (10.0, 10_000, 60, 3)
     assert color.age_s == 0.6
     assert color.problem == "3 lost on the way"
     clock.now_ns += 10_000_000_000
-    later = status_of(route, LiveLog(route, inbox), setup)
+    later = status_of(route, log)
     told = {entry.role: entry.problem for entry in later.topics}
     assert told == {"color": "silent for 11 s", "tf": told["tf"]}
     assert "sent once" in told["tf"]
     inbox.withdraw(IMAGE_TOPIC.name)
-    table = status_table(status_of(route, LiveLog(route, inbox), setup))
+    table = status_table(status_of(route, log))
     assert "nobody publishes it any more" in table
     assert "never" in table

@@ -131,7 +131,7 @@ def test_a_robot_is_mapped_with_what_it_sent_before_we_came_and_nothing_is_unacc
 
 def test_losses_are_counted_by_their_sequence_numbers_and_the_rest_is_mapped(tmp_path: Path, address: str) -> None:
     log = scene_log(tmp_path / "scene.mcap", num_frames=20)
-    found = mapped(log, RmwZenoh(address), f"zenoh://{address}", Faults(loss=0.2, seed=3))
+    found = mapped(log, RmwZenoh(address), f"zenoh://{address}", Faults(loss=0.2, seed=3), rate=2.0)
     assert sum(found.plan.lost.values()) > 20
     assert found.unaccounted() == {}
     expected = {}

@@ -1,0 +1,13 @@
+"""What waits for others to be done waits less here, where they are in the same process."""
+
+from __future__ import annotations
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def _short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("players.live.opening._QUIET_S", 0.15)
+    monkeypatch.setattr("players.live.opening._BETWEEN_S", 0.05)
+    monkeypatch.setattr("tools.robot.drive._SETTLED_S", 0.15)
+    monkeypatch.setattr("players.live.zenoh_route._AGAIN_S", 0.1)
