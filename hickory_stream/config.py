@@ -41,6 +41,8 @@ _MOVED = {
     "perception.geometric.structure.relief": ("perception.geometric.structure.raised_patches", "its new name"),
     "perception.geometric.join.hidden": ("perception.geometric.join.bridging", "its new name"),
     "perception.masks.hidden_share": ("perception.masks.occluded_share", "its new name"),
+    "mapping.parts": ("mapping.split", "its new name"),
+    "mapping.floating": ("mapping.unsupported", "its new name"),
 }
 """Keys of earlier versions: what to set instead, and why."""
 

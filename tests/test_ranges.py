@@ -13,7 +13,7 @@ from hickory_stream.alignment.align import AlignConfig
 from hickory_stream.config import from_dict, read_config, to_toml
 from hickory_stream.errors import ConfigError, RangeError
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.merging.merge import MergeMapsConfig
+from hickory_stream.merging.merge_maps import MergeMapsConfig
 from hickory_stream.navigation.robot import Part, Posture, Robot
 from hickory_stream.navigation.search import SearchConfig
 from hickory_stream.ranges import Range, Ranged, check_order, number, ranges_of

@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.cli.values import open_map_at
     from hickory_stream.engine.merged_map import outcome_text, write_merged_map
     from hickory_stream.engine.session import check_unaltered
-    from hickory_stream.merging.merge import merge_maps
+    from hickory_stream.merging.merge_maps import merge_maps
 
     paths: list[Path] = options.maps
     if len(paths) < 2:

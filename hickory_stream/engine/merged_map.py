@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.manifest import Manifest
     from hickory_stream.engine.session import MapFolder, SavedMap
-    from hickory_stream.merging.merge import Merged, PairOutcome
+    from hickory_stream.merging.merge_maps import Merged, PairOutcome
     from hickory_stream.merging.objects import MergedObject
     from hickory_stream.records import TrackedObject, View
 

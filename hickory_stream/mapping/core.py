@@ -31,21 +31,16 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.mapping.against_structure import is_seen_through, points_in_wall, why_structure
 from hickory_stream.mapping.associate import Match, associate, is_swollen
-from hickory_stream.mapping.carried import is_inner_part
 from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
 from hickory_stream.mapping.existence import Existence, doubted, no_evidence, sighted
-from hickory_stream.mapping.floating import stem_of
 from hickory_stream.mapping.lifecycle import aged, next_phase
-from hickory_stream.mapping.merge import VoteBook, find_pair, foreign_points, merge, pair_of, pairs_that_meet, why_one
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import (
     as_record,
     known_no_object,
     share_in,
 )
-from hickory_stream.mapping.parts import Part, Parts, moved_to, with_keyframe
 from hickory_stream.mapping.requests import (
     gain_of,
     increase_in_score,
@@ -56,6 +51,8 @@ from hickory_stream.mapping.requests import (
     state_of_request,
     support_height_m,
 )
+from hickory_stream.mapping.split_candidates import SplitCandidate, SplitCandidates, reassigned, with_keyframe
+from hickory_stream.mapping.structure_checks import is_seen_through, points_in_wall, why_structure
 from hickory_stream.mapping.submaps import (
     SubmapState,
     first_submap,
@@ -67,6 +64,7 @@ from hickory_stream.mapping.submaps import (
     with_seen,
     with_structure,
 )
+from hickory_stream.mapping.support_relations import is_inner_part
 from hickory_stream.mapping.track import (
     Track,
     as_object,
@@ -77,6 +75,16 @@ from hickory_stream.mapping.track import (
     with_cloud,
     without_views,
 )
+from hickory_stream.mapping.track_merging import (
+    VoteBook,
+    find_pair,
+    foreign_points,
+    merge,
+    pair_of,
+    pairs_that_meet,
+    why_one,
+)
+from hickory_stream.mapping.unsupported import attachment_of
 from hickory_stream.mapping.views import better, covers_better, score, score_bound, sector_of, view_of
 from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
 
@@ -91,7 +99,7 @@ if TYPE_CHECKING:
     Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 
 
-_FLOATS = "it would float but for this one"
+_UNSUPPORTED = "unsupported but for this one, which it touches"
 # Of the tracks that an observation overlaps, the ones with the best IoU: what it barely touches it does not swallow.
 _MOST_DOUBTED = 4
 # Given, or made anew from the rest.
@@ -120,7 +128,7 @@ class MapperCore:
         self._associator = associator
         self._tracks: dict[int, Track] = {}
         self._votes = VoteBook()
-        self._parts: Parts = {}
+        self._split_candidates: SplitCandidates = {}
         self._submaps = first_submap(config.lattice.space_m)
         self._clock_ns = 0
         self._stamp_ns: int | None = None
@@ -261,7 +269,7 @@ class MapperCore:
         distance_m = portable.norm(event.after_from_before[:3, 3])
         self._settle()
         self._submaps = torn(self._submaps)
-        self._parts = {}
+        self._split_candidates = {}
         self._decide("drop", None, f"the odometry jumped by {distance_m:.2f} m: submap {self._submaps.open_id} begins")
         return []
 
@@ -302,8 +310,8 @@ class MapperCore:
         placed = [self._place(event, match, seen) for match, seen in zip(matches, clouds, strict=True)]
         homes, covered = [home for home, _ in placed], [others for _, others in placed]
         self._vote(event, matches, homes, covered)
-        self._note_parts(event, matches, homes, clouds, covered)
-        promoted = self._promote_parts(event, set(homes))
+        self._note_split_candidates(event, matches, homes, clouds, covered)
+        promoted = self._split_tracks(event, set(homes))
         matches, homes = self._moved_out(matches, homes, clouds, promoted)
         effects = [*self._merge_tracks({*homes, *promoted, *promoted.values()}), *self._age(event)]
         self._submaps = with_seen(self._submaps, event.space)
@@ -407,7 +415,7 @@ class MapperCore:
             voxel_m=self._config.lattice.points_m,
         )
 
-    def _note_parts(
+    def _note_split_candidates(
         self,
         event: FrameObserved,
         matches: list[Match],
@@ -415,10 +423,10 @@ class MapperCore:
         clouds: Sequence[Cloud],
         covered: Sequence[list[int]],
     ) -> None:
-        """Remember what was seen as a part of a track, and what was seen as one with it.
+        """Count for split candidates the keyframe's masks: those apart from their track, and those of the whole track.
 
-        A part is, too, what lies on a track of which another thing covers the rest: a mug, where the tray under it
-        is seen as one with the table.
+        A mask is also apart from its track where a mask of another object covers the rest: a mug, where the tray under
+        it is segmented together with the table.
         """
         apart: list[tuple[int, Cloud]] = []
         whole: list[tuple[int, Cloud]] = []
@@ -426,48 +434,54 @@ class MapperCore:
         for match, home, cloud in zip(matches, homes, clouds, strict=True):
             is_part = match.is_part or (match.lies_on > 0 and home in taken)
             (apart if is_part else whole).append((home, cloud))
-        self._parts = with_keyframe(self._parts, event.frame_index, apart, whole, self._config.parts)
+        self._split_candidates = with_keyframe(
+            self._split_candidates, event.frame_index, apart, whole, self._config.split
+        )
 
-    def _promote_parts(self, event: FrameObserved, hosts: set[int]) -> dict[int, int]:
-        """Make objects of the parts that are some; return their hosts by their ids."""
+    def _split_tracks(self, event: FrameObserved, hosts: set[int]) -> dict[int, int]:
+        """Split off the candidates that are objects; return the ids of their hosts by the new ids."""
         promoted: dict[int, int] = {}
-        for host_id in sorted(hosts & self._parts.keys()):
-            for part in self._parts[host_id]:
-                if part.is_object(self._config.parts) and (new := self._promoted(event, host_id, part)) is not None:
+        for host_id in sorted(hosts & self._split_candidates.keys()):
+            for candidate in self._split_candidates[host_id]:
+                if not candidate.is_object(self._config.split):
+                    continue
+                if (new := self._split_off(event, host_id, candidate)) is not None:
                     promoted[new] = host_id
-                    self._parts[host_id] = tuple(other for other in self._parts[host_id] if other is not part)
+                    left = (other for other in self._split_candidates[host_id] if other is not candidate)
+                    self._split_candidates[host_id] = tuple(left)
         return promoted
 
     def _moved_out(
         self, matches: list[Match], homes: Sequence[int], clouds: Sequence[Cloud], promoted: Mapping[int, int]
     ) -> tuple[list[Match], list[int]]:
-        """Return matches and homes after parts became objects: what showed such a part is its object's first view."""
+        """Return matches and homes after splits: the mask that showed a split-off object is its first view."""
         moved, new_homes = list(matches), list(homes)
         for new_id, host_id in promoted.items():
             for i, (match, home) in enumerate(zip(matches, homes, strict=True)):
                 lies_on = share_near(clouds[i].keys, self._tracks[new_id].cloud) if match.is_part else 0.0
-                if home == host_id and lies_on >= self._config.parts.same_share:
+                if home == host_id and lies_on >= self._config.split.same_share:
                     moved[i], new_homes[i] = replace(match, is_part=False), new_id
                     text = f"its mask shows what was a part of #{host_id}"
                     self._decide("associate", new_id, text, observation_index=match.observation_index)
         return moved, new_homes
 
-    def _promoted(self, event: FrameObserved, host_id: int, part: Part) -> int | None:
-        """Make a track of a part and take its points off the host; None where how it stands says that it belongs."""
+    def _split_off(self, event: FrameObserved, host_id: int, candidate: SplitCandidate) -> int | None:
+        """Make a track of a candidate and remove its points from the host; None where its support says it belongs."""
         host = self._tracks[host_id]
-        rest = without(host.cloud, is_near(host.cloud.keys, part.cloud))
-        if len(rest.keys) < self._config.parts.min_voxels:
+        rest = without(host.cloud, is_near(host.cloud.keys, candidate.cloud))
+        if len(rest.keys) < self._config.split.min_voxels:
             return None
-        cloud = solid_part(part.cloud, len(part.frames))
-        # It was seen apart often enough to be one: so it was sure before it was a track.
-        known = Existence(evidence=float(len(part.frames)), places=event.world_from_camera[None, :3, 3])
-        new = self._new_track(event, cloud, len(part.frames), known)
+        num_apart = len(candidate.frames)
+        cloud = solid_part(candidate.cloud, num_apart)
+        # The keyframes that segmented it apart are its sightings: it is confirmed from the start.
+        known = Existence(evidence=float(num_apart), places=event.world_from_camera[None, :3, 3])
+        new = self._new_track(event, cloud, num_apart, known)
         size = np.sort(2 * new.box.half_extents_m)
-        if size[0] < self._config.parts.min_size_m or size[1] < 2 * self._config.parts.min_size_m:
+        if size[0] < self._config.split.min_size_m or size[1] < 2 * self._config.split.min_size_m:
             return None
         left = with_cloud(host, rest, host.sightings, self._config.lattice.points_m)
         pair = pair_of(host_id, new.id)
-        votes = self._votes.plus([pair], apart=len(part.frames)).plus([pair], together=part.together)
+        votes = self._votes.plus([pair], apart=num_apart).plus([pair], together=candidate.together)
         small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
         near = touching(new.bounds, [self._tracks[i] for i in sorted(self._tracks) if i != host_id])
         belongs = is_inner_part(small, large, near, inside=0.55, max_volume=0.5, was_one=True)
@@ -475,10 +489,10 @@ class MapperCore:
             return None
         self._next_id += 1
         self._votes = votes
-        # Its points are the host's: they lie in the same submap.
+        # Its points were the host's, so that they lie in the same submap.
         self._tracks[host_id] = left
         self._tracks[new.id] = replace(new, is_promoted=True, submap_id=host.submap_id)
-        text = f"seen apart from #{host_id} in {len(part.frames)} keyframes, as one in {part.together}"
+        text = f"seen apart from #{host_id} in {num_apart} keyframes, as one in {candidate.together}"
         self._decide("split", new.id, text, other_id=host_id)
         return new.id
 
@@ -530,7 +544,7 @@ class MapperCore:
         kept, gone = self._tracks[kept_id], self._tracks.pop(gone_id)
         self._tracks[kept_id] = merge(kept, gone, self._config.lattice.points_m, self._config.views)
         self._votes = self._votes.merged(kept_id, gone_id)
-        self._parts = moved_to(self._parts, kept_id, gone_id)
+        self._split_candidates = reassigned(self._split_candidates, kept_id, gone_id)
         self._shown.pop(gone_id, None)
         self._decide("merge", kept_id, f"#{gone_id} is the same: {reason}", other_id=gone_id)
         open_ticket = gone.shape_state.open_ticket
@@ -560,8 +574,8 @@ class MapperCore:
                 effects += self._drop_track(track, "looked through" if track.seen_through else "never confirmed")
                 continue
             if is_judged and phase is Phase.DORMANT and track.phase is Phase.ACTIVE:
-                if (stem := self._stem_of(track)) is not None:
-                    effects += self._unite(stem.id, track_id, _FLOATS)
+                if (host := self._attachment_of(track)) is not None:
+                    effects += self._unite(host.id, track_id, _UNSUPPORTED)
                     continue
                 track = self._without_wall(track)
             if phase is not track.phase:
@@ -569,15 +583,15 @@ class MapperCore:
             self._tracks[track_id] = sketched(aged(track, phase), self._config.track)
         return effects
 
-    def _stem_of(self, track: Track) -> Track | None:
-        """Return what a track is a piece of that would float without it, None where it stands or hangs by itself."""
+    def _attachment_of(self, track: Track) -> Track | None:
+        """Return the track that an unsupported track is attached to; None if it is supported, or near nothing."""
         if self._associator is not None:
             return None
         others = (o for o in self._tracks.values() if o.phase is not Phase.TENTATIVE and self._is_judged(o))
-        return stem_of(track, others, self._submaps.space, self._config.floating)
+        return attachment_of(track, others, self._submaps.space, self._config.unsupported)
 
     def _without_wall(self, track: Track) -> Track:
-        """Return a track without what of it lies in structure, if that is more than a seam at a wall."""
+        """Return a track without its points in structure, if these are more than a narrow strip along a wall."""
         in_wall = points_in_wall(track, self._submaps.space, self._config)
         if in_wall is None:
             return track
@@ -588,7 +602,7 @@ class MapperCore:
         del self._tracks[track.id]
         self._shown.pop(track.id, None)
         self._votes = self._votes.without(track.id)
-        self._parts.pop(track.id, None)
+        self._split_candidates.pop(track.id, None)
         self._decide("drop", track.id, f"{reason or cause}, after {track.sightings} sightings", cause=cause)
         ticket = track.shape_state.open_ticket
         return [] if ticket is None else [CancelShape(ticket=ticket)]
@@ -701,8 +715,8 @@ class MapperCore:
             track = self._tracks[track_id]
             if track.phase is Phase.TENTATIVE:
                 effects += self._drop_track(track, "never confirmed")
-            elif self._is_judged(track) and (stem := self._stem_of(track)) is not None:
-                effects += self._unite(stem.id, track_id, _FLOATS)
+            elif self._is_judged(track) and (host := self._attachment_of(track)) is not None:
+                effects += self._unite(host.id, track_id, _UNSUPPORTED)
         effects += [*self._request_shapes(is_final=True), *self._drop_views()]
         decisions, self._decisions = tuple(self._decisions), []
         return [*effects, Publish(snapshot=self.snapshot(), decisions=decisions, metrics=self._metrics())]

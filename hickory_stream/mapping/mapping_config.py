@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.mapping.associate import AssociateConfig
 from hickory_stream.mapping.existence import ExistenceConfig
-from hickory_stream.mapping.floating import FloatConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
-from hickory_stream.mapping.merge import MergeConfig
 from hickory_stream.mapping.observed_space import FlushConfig
-from hickory_stream.mapping.parts import PartConfig
 from hickory_stream.mapping.requests import RequestConfig
+from hickory_stream.mapping.split_candidates import TrackSplitConfig
 from hickory_stream.mapping.submaps import SubmapConfig
 from hickory_stream.mapping.track import TrackConfig
+from hickory_stream.mapping.track_merging import MergeConfig
+from hickory_stream.mapping.unsupported import UnsupportedConfig
 from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.ranges import Ranged
 
@@ -29,9 +29,9 @@ class MappingConfig(Ranged):
     existence: ExistenceConfig = field(default_factory=ExistenceConfig)
     lifecycle: LifecycleConfig = field(default_factory=LifecycleConfig)
     merge: MergeConfig = field(default_factory=MergeConfig)
-    parts: PartConfig = field(default_factory=PartConfig)
+    split: TrackSplitConfig = field(default_factory=TrackSplitConfig)
     views: ViewConfig = field(default_factory=ViewConfig)
     requests: RequestConfig = field(default_factory=RequestConfig)
     flush: FlushConfig = field(default_factory=FlushConfig)
-    floating: FloatConfig = field(default_factory=FloatConfig)
+    unsupported: UnsupportedConfig = field(default_factory=UnsupportedConfig)
     submaps: SubmapConfig = field(default_factory=SubmapConfig)

@@ -18,8 +18,8 @@ from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.shapes.complete import CompletionConfig, classify, solid_of
+from hickory_stream.shapes.meshing import extract, in_object_frame, painted, surface_field, taubin_smoothed
 from hickory_stream.shapes.revolution import RevolutionConfig, half_turn_of
-from hickory_stream.shapes.surface import extract, in_object_frame, painted, surface_field, taubin_smoothed
 from hickory_stream.shapes.tsdf import DepthView, Evidence, VoxelGrid, integrate, smoothed_depth
 
 if TYPE_CHECKING:

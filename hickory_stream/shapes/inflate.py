@@ -1,11 +1,10 @@
 """Layer 4: primitives grown until they provably contain the object and a margin.
 
 What is contained is the Minkowski sum of the surface and the points of layer 1 with a ball of the margin, and the
-inside of a closed mesh. The surface is shared out among the primitives in pieces (`pieces`), each of them grows to the
-least volume that holds its share (`cover`). What a fit left out, such as the leaves of a plant, would make a primitive
-grow far: it gets boxes of its own (`strays`) where that takes clearly less space. The result is checked by code that
-knows nothing of how it came about (`certify`). Where the check fails, a box around everything takes the place of the
-primitives, and says so.
+inside of a closed mesh. The surface is partitioned among the primitives (`surface_partition`), and each grows to the
+least volume that holds its share (`cover`). Residuals of the fit, such as the leaves of a plant, would make a primitive
+grow far: they get boxes of their own (`residual_boxes`) where that takes clearly less space. The result is checked by
+independent code (`certify`). If the check fails, a box around everything replaces the primitives, and is marked so.
 
 The paper grows all three axes by one factor, which makes a huge block of a thin plate: by default each semi-axis grows
 on its own, and edges may become rounder, as those of the Minkowski sum are.
@@ -35,9 +34,9 @@ from hickory_stream.shapes.cover import (
     with_net,
     worst_balls,
 )
-from hickory_stream.shapes.pieces import owned_pieces, owners_of
 from hickory_stream.shapes.quadric_lm import row_of
-from hickory_stream.shapes.strays import boxes_around
+from hickory_stream.shapes.residual_boxes import boxes_around
+from hickory_stream.shapes.surface_partition import owned_pieces, owners_of
 from hickory_stream.shapes.usable import used_surface
 
 if TYPE_CHECKING:
@@ -54,11 +53,11 @@ _ROUNDINGS = (0.25, 0.4)
 _SLACK = 1e-7
 _ROUNDS = 6
 _WORST = 12
-# Strays are looked at where they make a primitive take this much more space than without them.
+# Residuals get boxes only where they make a primitive grow to this multiple of its volume without them.
 _OVERGROWN = 1.1
-# Boxes around strays stay where all primitives then take less space by at least this share.
+# Boxes around residuals stay where all primitives then take less space by at least this share.
 _LEAST_GAIN = 0.05
-# Half the thickness of a box around strays in one plane.
+# Half the thickness of a box around residuals in one plane.
 _THINNEST = 0.01
 
 
@@ -167,12 +166,12 @@ def inflate_to_cover(fitted: Superquadrics, points_world: NDArray[Any], config: 
 
 
 def _growths(share: _Share, inside: Inside) -> list[Superquadrics]:
-    """Return the primitives grown, with boxes for strays first where these take clearly less space, else without."""
+    """Return the primitives grown, with boxes for residuals first where these take clearly less space, else without."""
     grown = share.grown()
     whole = share.grown_over(inside, grown)
     if share.config.rule == "single_factor" or share.config.most_added == 0:
         return [whole]
-    tight = share.with_strays_boxed(grown)
+    tight = share.with_residuals_boxed(grown)
     if tight is None:
         return [whole]
     boxed = tight.grown_over(inside, tight.grown_from(share, grown))
@@ -252,32 +251,32 @@ class _Share:
             radii=np.concatenate([self.radii, radii_m / self.unit_m]),
             items=np.concatenate([self.items, _alone(len(self.points), len(centers))]),
             owners=np.concatenate([self.owners, np.argmin(gauges, axis=0)]),
-            # Inside, all of them: they are no strays.
+            # Inside, all of them: they are no residuals.
             distances=np.concatenate([self.distances, np.zeros(len(centers))]),
         )
 
-    def with_strays_boxed(self, grown: Superquadrics) -> _Share | None:
-        """Return the share in which strays have boxes of their own; None where none makes a primitive grow far.
+    def with_residuals_boxed(self, grown: Superquadrics) -> _Share | None:
+        """Return the share in which residuals have boxes of their own; None where none makes a primitive grow far.
 
-        Strays are what lies clearly outside of all primitives; `grown` is what this share makes of these.
+        Residuals lie clearly outside of all primitives; `grown` are the primitives grown over this share.
         """
-        is_stray = self.distances > self.config.tolerance * _UNIT_CELLS
-        have_strays = np.unique(self.owners[is_stray])
-        without = self._of_items(~is_stray).grown(have_strays)
-        is_stray &= (volumes_m3(grown) > _OVERGROWN * volumes_m3(without))[self.owners]
-        if not is_stray.any():
+        is_residual = self.distances > self.config.tolerance * _UNIT_CELLS
+        have_residuals = np.unique(self.owners[is_residual])
+        without = self._of_items(~is_residual).grown(have_residuals)
+        is_residual &= (volumes_m3(grown) > _OVERGROWN * volumes_m3(without))[self.owners]
+        if not is_residual.any():
             return None
-        strays = np.flatnonzero(is_stray)
+        residuals = np.flatnonzero(is_residual)
         largest = int(np.argmax(volumes_m3(self.primitives)))
         boxes = boxes_around(
-            self.points[self.items[strays]],
+            self.points[self.items[residuals]],
             self.primitives.world_from_local[largest, :3, :3],
             margin=self.config.r_safe_m / self.unit_m,
             most=self.config.most_added,
         )
         owners = self.owners.copy()
         for n, box in enumerate(boxes):
-            owners[strays[box.held]] = len(self.primitives) + n
+            owners[residuals[box.held]] = len(self.primitives) + n
         added = Superquadrics(
             exponents=np.full((len(boxes), 2), MIN_EXPONENT),
             semi_axes_m=np.stack([np.maximum(box.half_extents, _THINNEST) for box in boxes]) * self.unit_m,

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.record_codec import decode, encode
-from hickory_stream.mapping.merge import VoteBook, Votes
+from hickory_stream.mapping.track_merging import VoteBook, Votes
 from hickory_stream.records import Phase
 from tests.engine.snapshot_fixtures import make_snapshot
 

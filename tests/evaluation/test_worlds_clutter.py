@@ -29,7 +29,7 @@ from hickory_stream.evaluation.worlds.clutter.walk import wander
 from hickory_stream.evaluation.worlds.color_camera import ColorCameraConfig, photographed
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.evaluation.worlds.drift import DriftConfig, drifted
-from hickory_stream.evaluation.worlds.parts import model_triangles
+from hickory_stream.evaluation.worlds.object_models import model_triangles
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.evaluation.worlds.scene import part_boxes
 from hickory_stream.evaluation.worlds.trajectory import Trajectory
@@ -40,7 +40,7 @@ from hickory_stream.geometry.rigid import apply
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.evaluation.worlds.parts import Part
+    from hickory_stream.evaluation.worlds.object_models import Part
 
 SHAPE_FIELDS = ("small", "supports", "seats", "bodies", "units")
 

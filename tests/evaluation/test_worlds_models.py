@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hickory_stream.evaluation.worlds import furniture, small_things
-from hickory_stream.evaluation.worlds.parts import Part, ellipsoid, lathe, model_mesh, rounded_box, tube
+from hickory_stream.evaluation.worlds.object_models import Part, ellipsoid, lathe, model_mesh, rounded_box, tube
 from hickory_stream.evaluation.worlds.room import furnished_room
 from hickory_stream.evaluation.worlds.scene import part_boxes, shared_volume_m3
 from hickory_stream.evaluation.worlds.textures import Texture, colors_at

@@ -31,8 +31,8 @@ from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.merge import MergeConfig
 from hickory_stream.mapping.requests import RequestConfig
+from hickory_stream.mapping.track_merging import MergeConfig
 from hickory_stream.mapping.views import Strategy, ViewConfig
 from hickory_stream.records import MapSnapshot, Observation, Phase, RejectedMask, TrackedObject
 from tests.mapping.mapping_fixtures import (

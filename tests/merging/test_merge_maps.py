@@ -11,7 +11,7 @@ from hickory_stream.cli import main
 from hickory_stream.engine.session import create_map_folder, open_map
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.merging.clusters import Pairing, clusters_of
-from hickory_stream.merging.merge import merge_maps
+from hickory_stream.merging.merge_maps import merge_maps
 from tests.alignment.map_fixtures import cloud, frame, furniture, snapshot_of
 from tests.engine.snapshot_fixtures import make_snapshot
 

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.evaluation.worlds.object_models import Model, Surface, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.evaluation.worlds.palettes import coat, fabric, glaze, plain, wood
-from hickory_stream.evaluation.worlds.parts import Model, Surface, ellipsoid, lathe, rounded_box, tube
 
 if TYPE_CHECKING:
-    from hickory_stream.evaluation.worlds.parts import Part
+    from hickory_stream.evaluation.worlds.object_models import Part
 
 
 def armchair(rng: np.random.Generator) -> Model:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.worlds import big_things, furniture, small_things, table_things
-from hickory_stream.evaluation.worlds.placing import REST_M, stood_on, walls_of
 from hickory_stream.evaluation.worlds.scene import Placement, at_place
+from hickory_stream.evaluation.worlds.support_placement import REST_M, stood_on, walls_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
 
 _DRAWS = 80
 _APART_M = 0.05

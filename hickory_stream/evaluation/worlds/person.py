@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.ray_caster import CasterName, ray_caster
+from hickory_stream.evaluation.worlds.object_models import Model, Part, ellipsoid, model_mesh, rounded_box, tube
 from hickory_stream.evaluation.worlds.palettes import plain
-from hickory_stream.evaluation.worlds.parts import Model, Part, ellipsoid, model_mesh, rounded_box, tube
 from hickory_stream.evaluation.worlds.rendering import rays_of
 from hickory_stream.evaluation.worlds.textures import Texture
 from hickory_stream.geometry.rigid import apply

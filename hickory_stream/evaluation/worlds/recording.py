@@ -23,8 +23,8 @@ from hickory_stream.evaluation.worlds.color_camera import ColorCameraConfig, pho
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.evaluation.worlds.drift import DriftConfig, drifted
 from hickory_stream.evaluation.worlds.layouts import LAYOUTS, layout_camera, layout_files, open_layout
+from hickory_stream.evaluation.worlds.object_models import model_mesh
 from hickory_stream.evaluation.worlds.orbit import orbit
-from hickory_stream.evaluation.worlds.parts import model_mesh
 from hickory_stream.evaluation.worlds.person import PERSON_ID, Person, with_person
 from hickory_stream.evaluation.worlds.rendering import Renderer
 from hickory_stream.evaluation.worlds.scenes import CLUTTER, SCENES, make_world

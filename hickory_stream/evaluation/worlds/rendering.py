@@ -14,7 +14,7 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.evaluation.ray_caster import CasterName, Crossings, ray_caster
 from hickory_stream.evaluation.worlds.lighting import Lighting, lamp_table, usual_lighting
-from hickory_stream.evaluation.worlds.parts import model_triangles
+from hickory_stream.evaluation.worlds.object_models import model_triangles
 from hickory_stream.evaluation.worlds.textures import albedo, texture_table
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, invert
@@ -22,7 +22,7 @@ from hickory_stream.geometry.rigid import apply, invert
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
     from hickory_stream.evaluation.worlds.scene import World
     from hickory_stream.geometry.camera import Camera
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.worlds import furniture, small_things
-from hickory_stream.evaluation.worlds.placing import REST_M, Wall, stood_on, walls_of
 from hickory_stream.evaluation.worlds.scene import Placement, World, at_place, numbered
 from hickory_stream.evaluation.worlds.structure import room_structure
+from hickory_stream.evaluation.worlds.support_placement import REST_M, Wall, stood_on, walls_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

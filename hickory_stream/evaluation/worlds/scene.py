@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.worlds.lighting import Lighting
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
 
 # Touching faces may share a sliver by rounding; a cubic millimetre is nothing.
 _SLIVER_M3 = 1e-9

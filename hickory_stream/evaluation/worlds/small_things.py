@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.worlds.furniture import vessel
+from hickory_stream.evaluation.worlds.object_models import Model, Part, Surface, lathe, rounded_box, tube
 from hickory_stream.evaluation.worlds.palettes import glaze, plain
-from hickory_stream.evaluation.worlds.parts import Model, Part, Surface, lathe, rounded_box, tube
 from hickory_stream.evaluation.worlds.textures import Texture
 
 if TYPE_CHECKING:

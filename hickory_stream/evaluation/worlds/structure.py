@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.evaluation.worlds.parts import Model, rounded_box
+from hickory_stream.evaluation.worlds.object_models import Model, rounded_box
 from hickory_stream.evaluation.worlds.textures import Texture
 
 if TYPE_CHECKING:

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.worlds.furniture import vessel
+from hickory_stream.evaluation.worlds.object_models import Model, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.evaluation.worlds.palettes import coat, fabric, glaze, plain, wood
-from hickory_stream.evaluation.worlds.parts import Model, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.evaluation.worlds.textures import Texture
 
 if TYPE_CHECKING:
-    from hickory_stream.evaluation.worlds.parts import Part
+    from hickory_stream.evaluation.worlds.object_models import Part
 
 
 def television(rng: np.random.Generator) -> Model:

@@ -8,15 +8,15 @@ import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.worlds import furniture, small_things, table_things
-from hickory_stream.evaluation.worlds.parts import Surface
-from hickory_stream.evaluation.worlds.placing import REST_M, stood_on
+from hickory_stream.evaluation.worlds.object_models import Surface
 from hickory_stream.evaluation.worlds.scene import Placement, World, at_place, numbered
 from hickory_stream.evaluation.worlds.structure import room_structure
+from hickory_stream.evaluation.worlds.support_placement import REST_M, stood_on
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
 
 _THINGS: tuple[Callable[[np.random.Generator], Model], ...] = (
     table_things.can,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.exposed import exposed_samples
-from hickory_stream.evaluation.worlds.parts import model_mesh
+from hickory_stream.evaluation.worlds.object_models import model_mesh
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.rigid import apply, invert
 

@@ -30,7 +30,7 @@ from hickory_stream.evaluation.worlds.clutter.solids import (
     torus,
 )
 from hickory_stream.evaluation.worlds.furniture import vessel
-from hickory_stream.evaluation.worlds.parts import Model, Surface, lathe, tube
+from hickory_stream.evaluation.worlds.object_models import Model, Surface, lathe, tube
 
 if TYPE_CHECKING:
     from collections.abc import Callable

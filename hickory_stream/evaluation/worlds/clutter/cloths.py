@@ -8,7 +8,7 @@ import numpy as np
 
 from hickory_stream.evaluation.worlds.clutter.draws import count, uniform
 from hickory_stream.evaluation.worlds.clutter.solids import block, cylinder, sheet
-from hickory_stream.evaluation.worlds.parts import Model, Part
+from hickory_stream.evaluation.worlds.object_models import Model, Part
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

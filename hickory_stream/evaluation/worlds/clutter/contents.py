@@ -17,8 +17,8 @@ from hickory_stream.evaluation.worlds.clutter.footprints import Taken, corners_o
 from hickory_stream.evaluation.worlds.clutter.heaps import heap as heaped
 from hickory_stream.evaluation.worlds.clutter.kit import SHAPES, fitted
 from hickory_stream.evaluation.worlds.clutter.solids import grounded
-from hickory_stream.evaluation.worlds.placing import REST_M
 from hickory_stream.evaluation.worlds.scene import at_place
+from hickory_stream.evaluation.worlds.support_placement import REST_M
 from hickory_stream.geometry.rigid import from_rotation_translation
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.worlds.clutter.kit import Kit
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
     from hickory_stream.evaluation.worlds.textures import Texture
 
     Things = list[tuple[Model, NDArray[np.float64]]]

@@ -13,7 +13,7 @@ from hickory_stream.evaluation.worlds.clutter.solids import (
     regular,
     sweep,
 )
-from hickory_stream.evaluation.worlds.parts import Part, Surface
+from hickory_stream.evaluation.worlds.object_models import Part, Surface
 
 if TYPE_CHECKING:
     import numpy as np

@@ -24,14 +24,14 @@ from hickory_stream.evaluation.worlds.clutter.solids import (
     cylinder,
 )
 from hickory_stream.evaluation.worlds.clutter.walls import wall_frame, wall_models
-from hickory_stream.evaluation.worlds.parts import Model, Part
+from hickory_stream.evaluation.worlds.object_models import Model, Part
 from hickory_stream.evaluation.worlds.textures import Texture
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.worlds.clutter.kit import Kit
-    from hickory_stream.evaluation.worlds.placing import Wall
+    from hickory_stream.evaluation.worlds.support_placement import Wall
 
 
 # Floor and ceiling reach so far beyond the walls: through a door one sees what is behind it.

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
 
 
 def rectangle(half_m: tuple[float, float], at: tuple[float, float], yaw_rad: float) -> NDArray[np.float64]:

@@ -17,9 +17,9 @@ from hickory_stream.evaluation.worlds.clutter.footprints import Taken, corners_o
 from hickory_stream.evaluation.worlds.clutter.heaps import heap
 from hickory_stream.evaluation.worlds.clutter.kit import SHAPES
 from hickory_stream.evaluation.worlds.clutter.solids import block, stretched
-from hickory_stream.evaluation.worlds.parts import Model, Surface
-from hickory_stream.evaluation.worlds.placing import REST_M
+from hickory_stream.evaluation.worlds.object_models import Model, Surface
 from hickory_stream.evaluation.worlds.scene import Placement, at_place, part_boxes, shared_volume_m3
+from hickory_stream.evaluation.worlds.support_placement import REST_M
 from hickory_stream.geometry.rigid import from_rotation_translation
 
 if TYPE_CHECKING:

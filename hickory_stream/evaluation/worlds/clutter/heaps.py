@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.worlds.clutter.draws import about_x, about_y, about_z, chance
-from hickory_stream.evaluation.worlds.parts import model_triangles
+from hickory_stream.evaluation.worlds.object_models import model_triangles
 from hickory_stream.geometry.rigid import from_rotation_translation
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
 
 _CELLS = 96
 _SAMPLES = 400

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.evaluation.worlds.clutter.families import Recipes
     from hickory_stream.evaluation.worlds.clutter.materials import Skin
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
     from hickory_stream.evaluation.worlds.textures import Texture
 
 SHAPES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.worlds.clutter.groups import Group
-    from hickory_stream.evaluation.worlds.placing import Wall
+    from hickory_stream.evaluation.worlds.support_placement import Wall
 
 _DRAWS = 14
 _MOST_THINGS = 220

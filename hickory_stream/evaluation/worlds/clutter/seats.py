@@ -23,7 +23,7 @@ from hickory_stream.evaluation.worlds.clutter.solids import (
     superellipsoid,
     sweep,
 )
-from hickory_stream.evaluation.worlds.parts import Model, Part, tube
+from hickory_stream.evaluation.worlds.object_models import Model, Part, tube
 
 if TYPE_CHECKING:
     from collections.abc import Callable

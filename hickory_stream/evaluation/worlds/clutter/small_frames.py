@@ -27,7 +27,7 @@ from hickory_stream.evaluation.worlds.clutter.solids import (
     sweep,
     torus,
 )
-from hickory_stream.evaluation.worlds.parts import Model, Part, Surface, lathe, tube
+from hickory_stream.evaluation.worlds.object_models import Model, Part, Surface, lathe, tube
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.worlds.clutter.materials import Skin
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
 
 
 def pouch(rng: np.random.Generator, skin: Skin) -> Model:

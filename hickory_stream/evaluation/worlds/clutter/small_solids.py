@@ -25,7 +25,7 @@ from hickory_stream.evaluation.worlds.clutter.solids import (
     superellipsoid,
     torus,
 )
-from hickory_stream.evaluation.worlds.parts import Model, Part, Surface, lathe
+from hickory_stream.evaluation.worlds.object_models import Model, Part, Surface, lathe
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.evaluation.worlds.parts import Model, Part, Surface, lathe, rounded_box
+from hickory_stream.evaluation.worlds.object_models import Model, Part, Surface, lathe, rounded_box
 from hickory_stream.evaluation.worlds.textures import Texture
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from hickory_stream.evaluation.worlds.clutter.solids import (
     sweep,
     warped,
 )
-from hickory_stream.evaluation.worlds.parts import Model, Surface
+from hickory_stream.evaluation.worlds.object_models import Model, Surface
 
 if TYPE_CHECKING:
     from collections.abc import Callable

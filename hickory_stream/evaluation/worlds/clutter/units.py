@@ -21,7 +21,7 @@ from hickory_stream.evaluation.worlds.clutter.solids import (
     grounded,
     torus,
 )
-from hickory_stream.evaluation.worlds.parts import Model
+from hickory_stream.evaluation.worlds.object_models import Model
 
 if TYPE_CHECKING:
     from collections.abc import Callable

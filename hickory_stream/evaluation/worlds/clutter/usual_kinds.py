@@ -13,13 +13,13 @@ import numpy as np
 from hickory_stream.evaluation.worlds import big_things, furniture, small_things, table_things
 from hickory_stream.evaluation.worlds.clutter.draws import chance, uniform
 from hickory_stream.evaluation.worlds.clutter.solids import stretched
-from hickory_stream.evaluation.worlds.parts import Part
+from hickory_stream.evaluation.worlds.object_models import Part
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hickory_stream.evaluation.worlds.clutter.materials import Skin
-    from hickory_stream.evaluation.worlds.parts import Model
+    from hickory_stream.evaluation.worlds.object_models import Model
 
 _MOST_M = 3.0
 _SMALL = (

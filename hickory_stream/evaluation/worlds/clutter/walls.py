@@ -20,10 +20,10 @@ from hickory_stream.evaluation.worlds.clutter.paints import quiet
 from hickory_stream.evaluation.worlds.clutter.solids import (
     block,
 )
-from hickory_stream.evaluation.worlds.parts import Model, Part
-from hickory_stream.evaluation.worlds.placing import Wall
+from hickory_stream.evaluation.worlds.object_models import Model, Part
 from hickory_stream.evaluation.worlds.rendering import GLASS
 from hickory_stream.evaluation.worlds.scene import at_place
+from hickory_stream.evaluation.worlds.support_placement import Wall
 from hickory_stream.evaluation.worlds.textures import Texture
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""From a solid on a grid to a closed, smooth, coloured mesh in the object's frame."""
+"""Surface extraction: from a solid on a voxel grid to a closed, smooth, coloured mesh in the object's frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts that come back as things of their own, and how pieces stand to one another."""
+"""Parts that are split off their host, swollen observations, and slabs that are pieces of a wall."""
 
 from __future__ import annotations
 
@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, is_swollen
-from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot
 from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.lifecycle import LifecycleConfig, is_structure
 from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.mapping.observed_space import FlushConfig, add, add_structure, empty_space, is_edge, is_flush
-from hickory_stream.mapping.parts import PartConfig, moved_to, with_keyframe
+from hickory_stream.mapping.split_candidates import TrackSplitConfig, reassigned, with_keyframe
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
 
 if TYPE_CHECKING:
@@ -26,7 +24,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.mapping.cloud import Cloud
 
-CONFIG = PartConfig()
+CONFIG = TrackSplitConfig()
 DRESSER = box_surface((0.0, 0.0, 0.4), (0.8, 0.4, 0.8))
 SET = box_surface((0.0, 0.0, 1.0), (0.5, 0.2, 0.36))
 
@@ -35,7 +33,7 @@ def cloud(points: NDArray[np.float32]) -> Cloud:
     return cloud_of(points, np.full((len(points), 3), 100, dtype=np.uint8), VOXEL_M)
 
 
-# ---- parts ----------------------------------------------------------------------------------------------------------
+# ---- split candidates ------------------------------------------------------------------------------------------------
 
 
 def test_a_part_that_is_seen_apart_often_is_an_object() -> None:
@@ -68,7 +66,7 @@ def test_parts_at_different_places_are_different_parts() -> None:
 
 def test_parts_go_where_their_host_goes() -> None:
     parts = with_keyframe({}, 0, [(2, cloud(SET))], [], CONFIG)
-    assert list(moved_to(parts, 1, 2)) == [1]
+    assert list(reassigned(parts, 1, 2)) == [1]
 
 
 def test_the_core_promotes_what_an_early_view_swallowed() -> None:
@@ -101,61 +99,6 @@ def test_the_core_promotes_what_lies_on_a_track_whose_rest_is_seen_as_another_th
     heights = sorted(float(2 * tracked.box.half_extents_m[2]) for tracked in core.snapshot().objects)
     # The tray, of which most lies near the table, is the table's.
     assert heights == pytest.approx([0.1, 0.12], abs=0.015)
-
-
-# ---- how pieces stand -----------------------------------------------------------------------------------------------
-
-
-def test_a_panel_between_the_legs_of_a_desk_is_a_part_of_it_and_a_bin_under_it_is_not() -> None:
-    top = box_surface((0.0, 0.0, 0.72), (0.6, 1.2, 0.04))
-    legs = [box_surface((x, y, 0.35), (0.05, 0.05, 0.7)) for x in (-0.27, 0.27) for y in (-0.57, 0.57)]
-    desk = track(1, np.concatenate([top, *legs]))
-    panel = track(2, box_surface((-0.27, 0.0, 0.5), (0.02, 1.1, 0.36)))
-    bin_ = track(3, box_surface((0.0, 0.0, 0.15), (0.25, 0.25, 0.3)))
-    assert is_inner_part(panel, desk)
-    assert not is_inner_part(bin_, desk)
-
-
-def test_a_front_is_a_part_across_the_gap_that_its_edges_leave_and_a_book_is_not() -> None:
-    boards = [box_surface((0.0, 0.0, z), (0.6, 1.4, 0.02)) for z in (0.02, 0.88)]
-    counter = track(1, np.concatenate([*boards, box_surface((-0.29, 0.0, 0.45), (0.02, 1.4, 0.9))]))
-    front, book = (box_surface((0.26, 0.0, 0.5), size) for size in ((0.02, 1.2, 0.3), (0.02, 0.16, 0.2)))
-    for points in (front, book):
-        points[:, 2] += boards[1][:, 2].min() - 0.04 - points[:, 2].max()
-    front, book = track(2, front), track(3, book)
-    assert is_inner_part(front, counter)
-    assert not is_inner_part(book, counter)
-
-
-def test_what_stands_on_a_board_of_a_shelf_is_no_part_of_it() -> None:
-    boards = [box_surface((0.0, 0.0, z), (0.3, 0.8, 0.02)) for z in (0.05, 0.45, 0.85)]
-    sides = [box_surface((0.0, y, 0.45), (0.3, 0.02, 0.9)) for y in (-0.4, 0.4)]
-    shelf = track(1, np.concatenate([*boards, *sides]))
-    car = track(2, box_surface((0.0, 0.1, 0.51), (0.2, 0.1, 0.1)))
-    assert not is_inner_part(car, shelf)
-
-
-def test_a_pedestal_is_a_leg_of_the_desk_over_it_and_a_speaker_no_leg_of_the_shelf_beside_it() -> None:
-    side = box_surface((0.0, -0.59, 0.36), (0.6, 0.02, 0.72))
-    desk = track(1, np.concatenate([box_surface((0.0, 0.0, 0.72), (0.6, 1.2, 0.04)), side]))
-    pedestal = track(2, box_surface((0.0, 0.4, 0.34), (0.4, 0.3, 0.66)))
-    assert is_leg(pedestal, desk)
-    speaker = track(4, box_surface((0.0, 0.545, 0.4), (0.3, 0.3, 0.8)))
-    # An early view took the foot of the speaker for the shelf's.
-    foot = box_surface((0.0, 0.55, 0.02), (0.3, 0.3, 0.04))
-    shelf = track(3, np.concatenate([box_surface((0.0, 0.0, 0.9), (0.4, 0.8, 1.8)), foot]))
-    assert intersection_volume_m3(speaker.box, shelf.box) > 0.9 * speaker.box.volume_m3
-    assert not is_leg(speaker, shelf)
-
-
-def test_a_seat_has_its_foot_under_it_and_a_pot_on_a_counter_does_not() -> None:
-    seat = track(1, box_surface((0.0, 0.0, 0.5), (0.46, 0.46, 0.1)))
-    star, column = box_surface((0.0, 0.0, 0.05), (0.4, 0.4, 0.08)), box_surface((0.0, 0.0, 0.25), (0.04, 0.04, 0.36))
-    foot = track(2, np.concatenate([star, column]))
-    assert is_on_foot(seat, foot)
-    counter = track(3, box_surface((0.0, 0.0, 0.44), (0.6, 1.4, 0.88)))
-    pot = track(4, box_surface((0.0, 0.3, 0.96), (0.22, 0.22, 0.16)))
-    assert not is_on_foot(pot, counter)
 
 
 # ---- swollen observations -------------------------------------------------------------------------------------------

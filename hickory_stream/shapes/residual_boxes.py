@@ -1,8 +1,8 @@
-"""Boxes around what a fit left out: a plant's leaves, the arms of a chair.
+"""Boxes around the residuals of a fit, the surface outside of all primitives: a plant's leaves, the arms of a chair.
 
-The strays, small pieces of surface, are one group at first. The group whose cut by a plane saves the most volume is
-cut, again and again, as long as that pays. Planes and boxes follow the axes of the object or the principal axes of the
-group, whichever takes less.
+All residual triangles are one group at first. Greedily, the group whose split by a plane saves the most volume is
+split, as long as that pays. Planes and boxes follow the axes of the object or the principal axes of the group,
+whichever takes less volume.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from hickory_stream.geometry import portable
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# A cut has to save this share of the volume of all boxes.
+# A split has to save this share of the volume of all boxes.
 _LEAST_GAIN = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Box:
-    """A box: which (N,) strays it holds, (3,) its centre and half extents, (3, 3) its axes as columns."""
+    """A box: the indices (N,) of its triangles, (3,) its centre and half extents, (3, 3) its axes as columns."""
 
     held: NDArray[np.int64]
     center: NDArray[np.float64]
@@ -33,9 +33,9 @@ class Box:
 
 
 def boxes_around(corners: NDArray[np.float64], axes: NDArray[np.float64], *, margin: float, most: int) -> list[Box]:
-    """Return up to `most` boxes that hold (N, 3, 3) triangles as wholes, of little volume with the margin around each.
+    """Return up to `most` boxes of small total volume, margins included, each (N, 3, 3) triangle whole in one of them.
 
-    `axes` (3, 3) are the columns of the frame to try besides the principal ones.
+    `axes` (3, 3): columns of the frame to try besides the principal axes.
     """
     groups = [_Group.of(np.arange(len(corners)), corners, axes, margin)]
     while len(groups) < most:
@@ -51,7 +51,7 @@ def boxes_around(corners: NDArray[np.float64], axes: NDArray[np.float64], *, mar
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Group:
-    """Some of the triangles, the box around them, and the best cut: its first side, and the volume of both boxes."""
+    """A group of triangles, the box around it, and its best split: the first side, and the volume of both boxes."""
 
     items: NDArray[np.int64]
     box: Box
@@ -89,7 +89,7 @@ class _Group:
 def _best_cut(lows, highs, margin):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (N,) which triangles are on the first side of the best plane, and the volume of the boxes of both sides.
 
-    `lows` and `highs` (F, N, 3) bound the triangles in each frame. Planes are across the axes of all frames.
+    `lows` and `highs` (F, N, 3) bound the triangles in each of F frames; planes are normal to the axes of all frames.
     """
     num_frames, count = lows.shape[0], lows.shape[1]
     before = np.empty(count)

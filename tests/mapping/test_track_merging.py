@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.mapping.cloud import Cloud, cloud_of
-from hickory_stream.mapping.merge import (
+from hickory_stream.mapping.track import Track
+from hickory_stream.mapping.track_merging import (
     MergeConfig,
     VoteBook,
     Votes,
@@ -18,7 +19,6 @@ from hickory_stream.mapping.merge import (
     merge,
     pairs_that_meet,
 )
-from hickory_stream.mapping.track import Track
 from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, shape, track, view

@@ -1,4 +1,4 @@
-"""Where things go: against a wall, on a surface."""
+"""Placement of models: with their back to a wall, or at random on a support surface."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.worlds.parts import Model, Surface
+    from hickory_stream.evaluation.worlds.object_models import Model, Surface
 
 # What rests on something hovers by half a millimetre: where two surfaces coincide, a ray may hit either.
 REST_M = 0.0005

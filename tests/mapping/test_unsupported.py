@@ -1,4 +1,4 @@
-"""What hangs in the air belongs to what it grows out of, unless it stands or hangs somewhere."""
+"""An unsupported track belongs to the nearest other one, unless something supports it after all."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.floating import FloatConfig, stem_of
 from hickory_stream.mapping.observed_space import add, empty_space
+from hickory_stream.mapping.unsupported import UnsupportedConfig, attachment_of
 from tests.mapping.mapping_fixtures import box_surface, space, track
 
 if TYPE_CHECKING:
     from hickory_stream.mapping.observed_space import SpaceState
 
-CONFIG = FloatConfig()
+CONFIG = UnsupportedConfig()
 POT = track(1, box_surface((0.0, 0.0, 0.3), (0.3, 0.3, 0.6)))
 BRANCH = track(2, box_surface((0.32, 0.0, 0.75), (0.16, 0.12, 0.12)))
 
@@ -39,9 +39,9 @@ def room(*, free: bool = True, wall_x_m: float | None = None) -> SpaceState:
 
 def test_a_branch_in_the_air_belongs_to_the_nearest_thing() -> None:
     far = track(3, box_surface((0.8, 0.0, 0.3), (0.2, 0.2, 0.6)))
-    stem = stem_of(BRANCH, [POT, BRANCH, far], room(), CONFIG)
-    assert stem is not None
-    assert stem.id == POT.id
+    host = attachment_of(BRANCH, [POT, BRANCH, far], room(), CONFIG)
+    assert host is not None
+    assert host.id == POT.id
 
 
 @pytest.mark.parametrize(
@@ -55,9 +55,9 @@ def test_a_branch_in_the_air_belongs_to_the_nearest_thing() -> None:
     ids=["it stands on something", "it hangs on a wall", "nobody saw what is below", "nothing is near"],
 )
 def test_what_is_held_by_something_or_by_nothing_near_stays_itself(others: list, state: SpaceState) -> None:
-    assert stem_of(BRANCH, [*others, BRANCH], state, CONFIG) is None
+    assert attachment_of(BRANCH, [*others, BRANCH], state, CONFIG) is None
 
 
-def test_what_is_near_the_floor_does_not_float() -> None:
+def test_what_is_near_the_floor_is_supported() -> None:
     low = track(2, box_surface((0.3, 0.0, 0.2), (0.2, 0.2, 0.1)))
-    assert stem_of(low, [POT, low], room(), CONFIG) is None
+    assert attachment_of(low, [POT, low], room(), CONFIG) is None

@@ -1,4 +1,4 @@
-"""Whether a track is structure, which of its points are, and whether a keyframe looked through it."""
+"""Checks of tracks against room structure and free space: is it structure, which points are, is it seen through."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.observed_space import SpaceState
     from hickory_stream.mapping.track import Track
 
-# A track that was not seen for so long rests.
+# A track that was not seen for so long is resting: its extent changes no more.
 _RESTING_NS = 1_000_000_000
-# What lies in a wall with nearly all of its points is no object with a piece of wall on it.
+# A track with more of its points in a wall is structure as a whole, not an object with some wall points on it.
 _MOST_IN_WALL = 0.9
 
 
@@ -32,21 +32,21 @@ def why_structure(track: Track, space: SpaceState, clock_ns: int, config: Mappin
 
 
 def points_in_wall(track: Track, space: SpaceState, config: MappingConfig) -> NDArray[np.bool_] | None:
-    """Return which (N,) of a track's points lie in structure, None if no more do than a seam at a wall."""
+    """Return which (N,) of a track's points lie in structure, None if these are only a narrow strip along a wall."""
     hits = structure_hits(space, keys_of_points(track.cloud.points, space.voxel_m))
-    # A shelf's back in the voxels of the wall behind it was seen as its own more often than as the wall.
+    # The back panel of a shelf shares voxels with the wall, but was segmented as the shelf more often than as wall.
     in_wall = (hits >= config.lifecycle.wall_hits) & (hits > config.lifecycle.wall_against * track.cloud.hits)
     return in_wall if config.lifecycle.wall_share < float(in_wall.mean()) < _MOST_IN_WALL else None
 
 
 def is_seen_through(track: Track, free_keys: NDArray[np.int64], config: MappingConfig) -> bool:
-    """Return whether a keyframe whose rays passed the sorted voxels `free_keys` looked through a track."""
+    """Return whether a keyframe whose rays traversed the sorted voxels `free_keys` saw through a track."""
     share = share_in(free_keys, track.cloud.points, config.lattice.space_m)
     return share >= config.lifecycle.phantom_share
 
 
 def _is_more_wall(track: Track, space: SpaceState, clock_ns: int, config: MappingConfig) -> bool:
-    """Return whether a track is flush with structure, or an edge of it; asked where it settles or rests."""
+    """Return whether a track is flush with structure or an edge of it; asked when it is confirmed or resting."""
     is_settling = track.phase is Phase.TENTATIVE and is_sure(track, config.lifecycle)
     is_resting = track.phase is Phase.ACTIVE and clock_ns - track.seen_clock_ns > _RESTING_NS
     if not (is_settling or is_resting):

@@ -1,4 +1,4 @@
-"""Boxes around strays: every triangle in one of them, and no more space than needed."""
+"""Boxes around residuals: every triangle in one of them, and no more space than needed."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.rigid import yaw_rotation
-from hickory_stream.shapes.strays import Box, boxes_around
+from hickory_stream.shapes.residual_boxes import Box, boxes_around
 
 
 def volume(boxes: list[Box], margin: float = 0.0) -> float:

@@ -1,7 +1,7 @@
-"""Tracks that are one object: duplicates, whose points coincide, and pieces, which are seen as one more than apart.
+"""Merging of tracks: duplicates, whose points coincide, and fragments, which are segmented as one more than apart.
 
-A segmenter is wrong now and then, in either direction. A single frame that sees two things as one must not weld them
-together for ever: points that lie on another track are not taken over, they are a vote.
+Single frames may be under- or over-segmented. A frame that segments two objects as one must not merge them for ever:
+points that lie on another track are not fused, they count as a vote for a merge.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
-from hickory_stream.mapping.carried import is_inner_part, is_leg, is_on_foot, stands_in
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.existence import united
+from hickory_stream.mapping.support_relations import is_inner_part, is_leg, is_on_foot, stands_in
 from hickory_stream.mapping.track import Track, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 from hickory_stream.ranges import Ranged, number
@@ -36,15 +36,15 @@ _MEET_M = 0.15
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MergeConfig(Ranged):
-    """When two tracks are one.
+    """When two tracks are merged.
 
     Attributes:
-        duplicate_share: share of the smaller cloud's voxels on the larger one that makes a duplicate.
+        duplicate_share: minimum share of the smaller cloud's voxels on the larger one for duplicates.
         sure_share: the same for tracks that were seen apart more often than together.
-        covers_share: an observation of one track that covers this share of another is a vote for their being one.
-        min_votes: votes that are needed, and more than the keyframes in which they were seen apart.
-        sure_votes, sure_ratio: so many votes, and this many for each keyframe that saw them apart, are enough, too: a
-            view from close by takes an object to pieces more easily than a view from afar takes two for one.
+        covers_share: an observation of one track that covers this share of another is a vote for a merge.
+        min_votes: minimum number of votes; they must also outnumber the keyframes in which the two were seen apart.
+        sure_votes, sure_ratio: so many votes, and this many for each keyframe that saw them apart, are enough, too:
+            close views over-segment objects more often than distant views under-segment them.
     """
 
     duplicate_share: float = number(0.5, 0, 1, "share")
@@ -57,7 +57,7 @@ class MergeConfig(Ranged):
 
 @dataclass(frozen=True, slots=True)
 class Votes:
-    """In how many keyframes a pair of tracks was seen together, as one, and apart, as two that touch."""
+    """In how many keyframes a pair of tracks was segmented `together`, and `apart` while close to each other."""
 
     together: int = 0
     apart: int = 0
@@ -65,7 +65,7 @@ class Votes:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteBook:
-    """The votes of every pair (a, b), a < b, that ever had one."""
+    """The votes of all pairs of tracks (a, b), a < b, that have any."""
 
     votes: Mapping[tuple[int, int], Votes] = field(default_factory=dict)
 
@@ -83,7 +83,7 @@ class VoteBook:
         return VoteBook(votes=votes)
 
     def merged(self, kept: int, gone: int) -> VoteBook:
-        """Return the book after `gone` became `kept`: its votes about others are the kept track's now."""
+        """Return the book after track `gone` was merged into `kept`, which takes over its votes."""
         votes: dict[tuple[int, int], Votes] = {}
         for (a, b), vote in self.votes.items():
             a, b = (kept if i == gone else i for i in (a, b))
@@ -114,7 +114,7 @@ def pairs_that_meet(bounds: Sequence[NDArray[np.float32]], track_ids: Sequence[i
 def foreign_points(
     cloud: Cloud, own: Track, others: Iterable[Track], config: MergeConfig
 ) -> tuple[NDArray[np.bool_], list[int]]:
-    """Return which of an observation's voxels lie on other tracks and not on its own, and the tracks that it covers."""
+    """Return which voxels (N,) of an observation are on other tracks but not its own, and the tracks that it covers."""
     foreign = np.zeros(len(cloud.keys), dtype=bool)
     covered: list[int] = []
     on_own: NDArray[np.bool_] | None = None
@@ -122,7 +122,7 @@ def foreign_points(
         on_other = is_near(cloud.keys, other.cloud)
         if not on_other.any():
             continue
-        # In the very voxel: a track that takes what is merely near creeps into its neighbour keyframe by keyframe.
+        # Exactly the same voxel: by neighbouring voxels a track would grow into another one, keyframe by keyframe.
         on_own = contains(own.cloud.keys, cloud.keys) if on_own is None else on_own
         foreign |= on_other & ~on_own
         if on_other.sum() >= config.covers_share * min(len(other.solid.keys), len(cloud.keys)):
@@ -133,7 +133,7 @@ def foreign_points(
 def find_pair(
     tracks: Mapping[int, Track], changed: Iterable[int], book: VoteBook, config: MergeConfig
 ) -> tuple[int, int, str] | None:
-    """Return (kept id, gone id, reason) of the first pair of tracks that is one object, None if there is none."""
+    """Return (kept id, gone id, reason) of the first pair of tracks to merge, None if there is none."""
     ordered = [tracks[i] for i in sorted(tracks)]
     for i in sorted(changed):
         if i not in tracks:
@@ -172,13 +172,13 @@ def merge(kept: Track, gone: Track, voxel_m: float, view_config: ViewConfig) -> 
 
 
 def why_one(a: Track, b: Track, near: Sequence[Track], book: VoteBook, config: MergeConfig) -> str | None:
-    """Return why two tracks are one object, None where nothing says so; `near` are the tracks around them."""
+    """Return the reason to merge two tracks, None if there is none; `near` are the tracks around them."""
     upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
-    # The column between a seat and its foot may be too thin to be seen: the two need not touch.
+    # The column between a seat and its foot may be too thin for the sensor: the two need not touch.
     if min(a.sightings, b.sightings) >= config.min_votes and not (a.is_promoted or b.is_promoted):
         if is_on_foot(upper, lower):
             return "the lower is the foot of the upper"
-    # Touching pieces have boxes that meet: a few centimetres of slack let them.
+    # The boxes of touching tracks intersect, given a few centimetres of slack.
     if intersection_volume_m3(a.box, b.box, 0.03) <= 0.0:
         return None
     votes = book.of(a.id, b.id)

@@ -1,7 +1,7 @@
-"""The surface of an object in pieces, each owned by one primitive: what layer 4 has to contain.
+"""Partition of an object's surface among its primitives: each triangle is owned by the one that has to contain it.
 
-A triangle belongs to the primitive that it is nearest to as a whole. Where it lies far outside of every one, it is
-bisected: the large triangle of a seat belongs to the seat, but one that runs down a leg must not make the seat grow.
+A triangle is owned by the primitive nearest to its farthest corner. If it is far outside of all primitives, it is
+bisected: a large triangle from a seat down to a leg must not make the seat's primitive grow.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ _MOST_PIECES = 20_000
 
 @numba.njit(cache=True, nogil=True)
 def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the vertices with those that bisection adds, (P, 3) pieces of them, and (P,) owner and distance of each.
+    """Return the vertices, with those that bisection adds, (P, 3) triangles, and the owner and distance (P,) of each.
 
-    `rows` (K, 17) as in `quadric_lm`, in the unit of the vertices. The distance is that of the piece's farthest corner
-    to its owner, negative inside. A piece whose farthest corner is more than `tolerance` outside of all primitives is
+    `rows` (K, 17) as in `quadric_lm`, in the unit of the vertices. The distance is that of the farthest corner to the
+    owner, negative inside. A triangle whose farthest corner is more than `tolerance` outside of all primitives is
     bisected until its edges are shorter than `min_edge`.
     """
     most = len(faces) + _MOST_PIECES

@@ -1,6 +1,6 @@
-"""Things do not float: what hangs in the air away from every wall is a piece of what it grows out of.
+"""Unsupported tracks: what hangs in the air, away from every wall, belongs to the nearest other track.
 
-The branches of a plant, the shade of a lamp: a thin stem joins them to the rest, and is not seen.
+Examples are the branches of a plant and the shade of a lamp: the sensor does not see the thin stem that supports them.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ _LOWEST_PCT = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FloatConfig(Ranged):
-    """When a thing floats, and what it then belongs to.
+class UnsupportedConfig(Ranged):
+    """When a track is unsupported, and what it is then attached to.
 
     Attributes:
-        min_height_m: of its lowest points above the floor; the feet of what is lower may be thin.
-        free_share: share of the space under its lowest points that was seen free.
-        support_m, support_share: no more of its lowest points than this share lies so near another thing.
-        wall_m: no structure this near: it may hang there.
-        stem_m: the nearest other thing within this is what it belongs to.
+        min_height_m: minimum height of its lowest points above the floor; lower tracks may have thin feet.
+        free_share: minimum share of the space below its lowest points that was observed free.
+        support_m, support_share: it is supported if more of its lowest points than this share are within this distance
+            of another track.
+        wall_m: it is supported if structure is within this distance.
+        attach_m: it belongs to the nearest other track within this distance.
     """
 
     min_height_m: float = number(0.25, 0, 100, "m")
@@ -45,11 +46,11 @@ class FloatConfig(Ranged):
     support_m: float = number(0.06, 0, 10, "m")
     support_share: float = number(0.1, 0, 1, "share")
     wall_m: float = number(0.1, 0, 10, "m")
-    stem_m: float = number(0.15, 0, 10, "m")
+    attach_m: float = number(0.15, 0, 10, "m")
 
 
-def stem_of(track: Track, others: Iterable[Track], space: SpaceState, config: FloatConfig) -> Track | None:
-    """Return what a floating thing is a piece of; None where it does not float, or has nothing near it."""
+def attachment_of(track: Track, others: Iterable[Track], space: SpaceState, config: UnsupportedConfig) -> Track | None:
+    """Return the track that an unsupported one is attached to; None if it is supported, or near no other."""
     points = track.solid.points
     if space.floor_z_m is None or len(points) == 0:
         return None
@@ -59,19 +60,19 @@ def stem_of(track: Track, others: Iterable[Track], space: SpaceState, config: Fl
     foot = points[points[:, 2] < low + _FOOT_M]
     if not _is_free_below(foot, points, space, config) or sees_structure(space, track.box, points, config.wall_m):
         return None
-    near = [other for other in others if other.id != track.id and _meet(track, other, config.stem_m)]
+    near = [other for other in others if other.id != track.id and _meet(track, other, config.attach_m)]
     clouds = [cKDTree(other.solid.points) for other in near]
     for cloud in clouds:
         distances_m, _ = cloud.query(foot, distance_upper_bound=config.support_m)
         if float(np.isfinite(distances_m).mean()) >= config.support_share:
             return None
-    gaps_m = [float(cloud.query(points, distance_upper_bound=config.stem_m)[0].min()) for cloud in clouds]
+    gaps_m = [float(cloud.query(points, distance_upper_bound=config.attach_m)[0].min()) for cloud in clouds]
     closest = min(range(len(near)), key=lambda i: (gaps_m[i], near[i].id), default=None)
     return None if closest is None or not np.isfinite(gaps_m[closest]) else near[closest]
 
 
 def _is_free_below(
-    foot: NDArray[np.float32], points: NDArray[np.float32], space: SpaceState, config: FloatConfig
+    foot: NDArray[np.float32], points: NDArray[np.float32], space: SpaceState, config: UnsupportedConfig
 ) -> bool:
     own = sorted_unique(keys_of_points(points, space.voxel_m))
     below = np.concatenate([foot - np.array([0.0, 0.0, depth_m], np.float32) for depth_m in _BELOW_M])

@@ -1,7 +1,7 @@
-"""Pieces by what carries what: a leg under its table, a plant in its pot.
+"""Support relations that make two tracks one object: a leg under its table, a plant in its pot, a panel in its desk.
 
-A segmenter sees them as two for as long as something hides where they meet, so that neither their clouds nor the votes
-of frames say that they are one. How they stand does.
+As long as their contact is occluded, the segmenter sees two masks, so that neither the overlap of their clouds nor the
+votes of keyframes merge the two. How one supports the other does.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _RISE_M = 0.025
 _CORNER_M = 0.06
 _COVER_CELL_M = 0.04
 _COVERED = 0.4
-_STRAYS_PCT = (2, 98)
+_OUTLIERS_PCT = (2, 98)
 
 
 def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float = 1.5) -> bool:
-    """Return whether a slender thing stands where the larger one stands, with the larger one closely above it.
+    """Return whether the smaller track is a leg of the larger one.
 
-    Its box is mostly inside the larger one's, it is `slender` times as tall as wide, their bottoms are level, and
-    within `max_gap_m` above its top the larger one goes on. A leg is seen up to where the table's edge hides it.
+    Its box is mostly inside the larger one's, it is `slender` times as tall as wide, both stand at the same height, and
+    the larger one has points within `max_gap_m` above its top: the table's edge occludes the upper end of its leg.
     """
     size = 2 * small.box.half_extents_m
     if size[2] < slender * max(size[0], size[1]) or abs(_bottom_m(small) - _bottom_m(large)) > _SAME_FLOOR_M:
@@ -53,19 +53,19 @@ def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float
     if intersection_volume_m3(small.box, large.box.grown(_CORNER_M)) < 0.5 * small.box.volume_m3:
         return False
     top = float(small.bounds[1, 2])
-    # A thin leg may stand a little outside of what is seen of the seat.
+    # A thin leg may stand slightly outside of the visible part of the seat.
     is_thin = size[0] * size[1] < _THIN_LEG * 4 * float(np.prod(large.box.half_extents_m[:2]))
     beside_m = _LEG_BESIDE_M if is_thin else 0.0
     above = large.solid.points[small.box.is_over_or_under(large.solid.points, beside_m)]
     above = above[(above[:, 2] > top - 0.05) & (above[:, 2] < top + max_gap_m)]
     if len(above) < _MIN_POINTS:
         return False
-    # A stout leg has a board on it; a speaker has the side of the shelf beside it.
+    # A thick leg must be covered by a board: a speaker beside a shelf only has the side of the shelf above its edge.
     return is_thin or _covered_share(small, above) >= _COVERED
 
 
 def _covered_share(track: Track, above: NDArray[np.float32]) -> float:
-    """Return the share of a track's ground plan that has points above it."""
+    """Return the share of a track's footprint that has points above it."""
     plan, cover = (
         {(i, j) for i, j in np.floor(points[:, :2] / _COVER_CELL_M).astype(np.int64).tolist()}
         for points in (track.solid.points, above)
@@ -74,10 +74,10 @@ def _covered_share(track: Track, above: NDArray[np.float32]) -> float:
 
 
 def stands_in(large: Track, small: Track) -> bool:
-    """Return whether a thing stands in the smaller one and nowhere else: a plant in its pot.
+    """Return whether the larger track is supported by the smaller one alone: a plant in its pot.
 
-    The smaller box is mostly inside the larger one, and what is lowest of the larger thing lies over the smaller one. A
-    bin under a desk is inside the desk's box, too, but the desk has legs of its own.
+    The smaller box is mostly inside the larger one, and the lowest points of the larger track are over or under the
+    smaller one. A bin under a desk is inside the desk's box, too, but the desk also has legs elsewhere.
     """
     if intersection_volume_m3(small.box, large.box) < 0.6 * small.box.volume_m3:
         return False
@@ -88,10 +88,10 @@ def stands_in(large: Track, small: Track) -> bool:
 
 
 def is_on_foot(upper: Track, lower: Track) -> bool:
-    """Return whether the upper thing would float but for the lower one, which is its foot: a seat on its swivel foot.
+    """Return whether the lower track is the only support of the upper one: a seat on its swivel foot.
 
-    The upper one's lowest points lie over the lower one, closely above its top, and no surface goes on around them that
-    it could stand on.
+    The upper one's lowest points lie over the lower one, closely above its top, and no support surface continues around
+    them.
     """
     points = upper.solid.points
     (low, high), (base, top) = _ends_m(upper.solid), _ends_m(lower.solid)
@@ -100,7 +100,7 @@ def is_on_foot(upper: Track, lower: Track) -> bool:
     foot = points[points[:, 2] < low + max(0.03, 0.15 * (high - low))]
     if len(foot) < _MIN_POINTS or float(lower.box.is_over_or_under(foot, _BESIDE_M).mean()) < 0.7:
         return False
-    # A pot on a counter has the counter under it, but it does not cover it.
+    # A pot rests on a counter, but does not cover it as a seat covers its foot.
     if float(upper.box.is_over_or_under(lower.solid.points, _CORNER_M).mean()) < 0.8:
         return False
     return not _stands_on(upper, lower)
@@ -115,12 +115,12 @@ def is_inner_part(
     max_volume: float = 0.3,
     was_one: bool = False,
 ) -> bool:
-    """Return whether a piece belongs to the larger thing around it: inside its box, touching it, standing on nothing.
+    """Return whether the smaller track is part of the larger one: inside its box, touching it, and resting on nothing.
 
-    The panel of a desk, the board of a shelf, the foot of a chair. What stands in a shelf has a board under it, and
-    what stands under a desk does not touch it. A mug on the table, one of the `others`, is inside the box of a chair
-    that is pushed under it. `was_one`: their points were of one track, so that they did touch. A
-    panel's edges are seen less well than its face: it touches across a wider gap.
+    The panel of a desk, the board of a shelf, the foot of a chair. An object in a shelf rests on a board, and one under
+    a desk does not touch it. A mug rests on the table, one of the `others`, although it is inside the box of a chair
+    that is pushed under the table. `was_one`: their points were of one track, so that they touch. A panel may touch
+    across a wider gap, since depth at its edges is less complete than on its face.
     """
     box = large.box.grown(0.02)
     if small.box.volume_m3 > max_volume * large.box.volume_m3:
@@ -135,7 +135,7 @@ def is_inner_part(
 
 
 def is_panel(track: Track) -> bool:
-    """Return whether a thing is a thin board of some size: a side, a back or a front of furniture, but no book."""
+    """Return whether a track is a thin board of the size of furniture panels, larger than a book."""
     thin, width, length = sorted(2 * track.box.half_extents_m)
     return bool(thin < _PANEL_M[0] and width > _PANEL_M[1] and length > _PANEL_M[2])
 
@@ -155,9 +155,9 @@ def _touches_across(small: Track, large: Track, gap_m: float) -> bool:
 
 
 def _stands_on(small: Track, large: Track) -> bool:
-    """Return whether the larger thing goes on level around the foot of the smaller one, whose support it hides.
+    """Return whether the larger track has a horizontal surface around the foot of the smaller one, which rests on it.
 
-    What does not rise above that level is a piece of it.
+    The smaller one occludes the surface right below it. What does not rise above that surface does not rest on it.
     """
     low, high = _ends_m(small.solid)
     around = large.solid.points[small.box.is_over_or_under(large.solid.points, _RING_M)]
@@ -174,10 +174,10 @@ _ENDS_M: WeakKeyDictionary[Cloud, tuple[float, float]] = WeakKeyDictionary()
 
 
 def _ends_m(cloud: Cloud) -> tuple[float, float]:
-    """Return the lowest and the highest z of a cloud without its strays; a cloud is asked about in many pairs."""
+    """Return the lowest and the highest z of a cloud without outliers; cached, since clouds are in many pairs."""
     ends = _ENDS_M.get(cloud)
     if ends is None:
-        low, high = np.percentile(cloud.points[:, 2], _STRAYS_PCT)
+        low, high = np.percentile(cloud.points[:, 2], _OUTLIERS_PCT)
         ends = _ENDS_M[cloud] = (float(low), float(high))
     return ends
 
