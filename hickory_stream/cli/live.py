@@ -156,7 +156,8 @@ class _StatusPrinter:
             self._print(self._source.status())
 
     def _run(self) -> None:
-        while not self._is_over.wait(self._every_s):
+        # What is done after the last frame is no affair of the robot's.
+        while not self._is_over.wait(self._every_s) and not self._source.has_ended:
             self._print(self._source.status())
 
     def _print(self, status: LiveStatus) -> None:

@@ -75,6 +75,11 @@ class LiveMapSource(SourceAround):
         """Return how the route and its topics are now."""
         return status_of(self._route, self._log)
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing more is taken."""
+        return self._log.inbox.is_closed
+
     def interrupt(self) -> None:
         """End the frames: the run is to end."""
         self._log.end()

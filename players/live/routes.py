@@ -10,7 +10,7 @@ from hickory_stream.errors import RecordingError
 if TYPE_CHECKING:
     from players.live.transport import LiveSource
 
-KNOWN = "zenoh://HOST[:7447][/NAMESPACE], mcap:PIPE, or - for an MCAP stream on standard input"
+KNOWN = "zenoh://HOST[:7447][/NAMESPACE], foxglove://HOST[:8765], mcap:PIPE, or - for an MCAP stream on standard input"
 
 
 def is_live(uri: str) -> bool:
@@ -38,4 +38,8 @@ def route_of(uri: str) -> LiveSource:
         from players.live.zenoh_route import ZenohRoute
 
         return ZenohRoute(uri)
+    if uri.startswith("foxglove://"):
+        from players.live.foxglove_route import FoxgloveRoute
+
+        return FoxgloveRoute(uri)
     raise RecordingError(f"found {uri}, expected one of {KNOWN}")

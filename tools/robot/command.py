@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from tools.robot.publishers import Publisher
 
-ROUTES = ("zenoh-bridge", "rmw-zenoh", "mcap")
-_PORTS = {"zenoh-bridge": 7447, "rmw-zenoh": 7447}
+ROUTES = ("zenoh-bridge", "rmw-zenoh", "foxglove", "mcap")
+_PORTS = {"zenoh-bridge": 7447, "rmw-zenoh": 7447, "foxglove": 8765}
 
 
 def publisher_of(options: argparse.Namespace) -> Publisher:
@@ -32,9 +32,13 @@ def publisher_of(options: argparse.Namespace) -> Publisher:
         if options.listen is None:
             raise InputError("found --via mcap without --listen, expected --listen PIPE, the pipe or file to write")
         return McapPublisher(Path(options.listen))
+    address = options.listen or f"127.0.0.1:{_PORTS[options.via]}"
+    if options.via == "foxglove":
+        from tools.robot.foxglove_publisher import FoxglovePublisher
+
+        return FoxglovePublisher(address)
     from tools.robot.zenoh_publishers import RmwZenoh, ZenohBridge
 
-    address = options.listen or f"127.0.0.1:{_PORTS[options.via]}"
     if options.via == "rmw-zenoh":
         return RmwZenoh(address, domain=options.domain, namespace=options.namespace)
     return ZenohBridge(address, namespace=options.namespace, is_old=options.old_bridge)

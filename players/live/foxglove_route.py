@@ -1,0 +1,218 @@
+"""Foxglove's WebSocket, which `foxglove_bridge` and the Foxglove SDK serve; definitions come with the channels.
+
+The frames are those of the public protocol: JSON texts with an `op`, and binary messages of one opcode, the number of a
+subscription, the server's time, and the bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import re
+import struct
+import threading
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.errors import RecordingError
+from hickory_stream.json_text import dumps
+from players.live.inbox import MAX_MESSAGE_BYTES, MAX_TOPICS
+from players.live.transport import Health
+from players.mcap_records import make_topic
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from players.containers import Topic
+    from players.live.inbox import Inbox
+
+SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+"""What the SDK and newer bridges speak, and what older bridges do."""
+
+_PORT = 8765
+_AGAIN_S = 0.5
+_OPEN_S = 3.0
+_ADDRESS = re.compile(r"foxglove://(?P<host>\[[^]]+\]|[^:/]*)(?::(?P<port>\d+))?/?")
+_MESSAGE_DATA = struct.Struct("<BIQ")
+_SCHEMA_ENCODINGS = {"cdr": "ros2msg", "ros1": "ros1msg", "protobuf": "protobuf", "json": "jsonschema"}
+_NOTE_LETTERS = 200
+
+
+class _OtherProtocolError(Exception):
+    """A WebSocket that chose none of the subprotocols."""
+
+
+class FoxgloveRoute:
+    """The `LiveSource` of `foxglove://HOST[:PORT]`."""
+
+    kind = "Foxglove WebSocket"
+
+    def __init__(self, uri: str) -> None:
+        """Parse the address.
+
+        Raises:
+            RecordingError: it is none.
+        """
+        found = _ADDRESS.fullmatch(uri)
+        if found is None or not 0 < int(found["port"] or _PORT) < 65536:
+            raise RecordingError(f"found {uri}, expected foxglove://HOST[:{_PORT}]; without a HOST, this machine")
+        self.uri = uri
+        self._peer = f"{found['host'] or '127.0.0.1'}:{found['port'] or _PORT}"
+        self._lock = threading.RLock()
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._connection: Any = None
+        self._problem = f"{self._peer} was not reached yet"
+        self._note = ""
+        self._topics: dict[str, Topic] = {}
+        self._other_types: dict[str, str] = {}
+        self._channels: dict[int, str] = {}
+        self._wanted: set[str] = set()
+        self._subscribed: dict[int, int] = {}
+
+    def start(self, inbox: Inbox) -> None:
+        """Connect and receive in a thread of its own, again and again."""
+        self._thread = threading.Thread(target=self._run, args=(inbox,), name="foxglove", daemon=True)
+        self._thread.start()
+
+    def subscribe(self, names: Collection[str]) -> None:
+        """Ask for the channels of topics."""
+        with self._lock:
+            self._wanted |= set(names)
+            self._ask()
+
+    def health(self) -> Health:
+        """Return whether the server is there, and what it has warned of."""
+        if self._connection is None:
+            return Health(is_connected=False, problem=self._problem)
+        with self._lock:
+            notes = [f"{name} is published as {other}, too" for name, other in sorted(self._other_types.items())]
+        return Health(is_connected=True, problem="; ".join([*notes, *([self._note] if self._note else [])]))
+
+    def stop(self) -> None:
+        """Close the connection."""
+        self._stopped.set()
+        connection = self._connection
+        if connection is not None:
+            connection.close()
+        if self._thread is not None:
+            self._thread.join(5.0)
+
+    # ---- connection --------------------------------------------------------------------------------------------------
+
+    def _run(self, inbox: Inbox) -> None:
+        from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage
+
+        while not self._stopped.is_set():
+            try:
+                self._talk(inbox)
+                self._problem = f"the connection to {self._peer} is lost; it is tried again"
+            except ConnectionClosed as error:
+                reason = error.sent.reason if error.sent is not None else ""
+                why = f" ({reason})" if reason else ""
+                self._problem = f"the connection to {self._peer} is lost{why}; it is tried again"
+            except (_OtherProtocolError, InvalidHandshake, InvalidMessage, EOFError):
+                self._problem = f"{self._peer} does not speak Foxglove's WebSocket protocol"
+            except OSError as error:
+                self._problem = f"{self._peer} does not answer ({error.strerror or 'no answer in time'})"
+            with self._lock:
+                self._connection = None
+                gone, self._channels = set(self._channels.values()), {}
+                self._subscribed.clear()
+            for name in gone:
+                inbox.withdraw(name)
+            self._stopped.wait(_AGAIN_S)
+
+    def _talk(self, inbox: Inbox) -> None:
+        from websockets.sync.client import connect
+        from websockets.typing import Subprotocol
+
+        with connect(
+            f"ws://{self._peer}",
+            subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
+            compression=None,
+            proxy=None,
+            open_timeout=_OPEN_S,
+            close_timeout=1.0,
+            max_size=MAX_MESSAGE_BYTES + _MESSAGE_DATA.size,
+        ) as connection:
+            if connection.subprotocol not in SUBPROTOCOLS:
+                raise _OtherProtocolError
+            with self._lock:
+                self._connection = connection
+            for frame in connection:
+                if isinstance(frame, bytes):
+                    self._take(inbox, frame)
+                else:
+                    self._hear(inbox, frame)
+                if self._stopped.is_set():
+                    return
+
+    def _hear(self, inbox: Inbox, text: str) -> None:
+        """Take a text; what is no such message is left alone."""
+        try:
+            said = json.loads(text)
+            match said["op"]:
+                case "advertise":
+                    for channel in said["channels"]:
+                        self._advertised(inbox, channel)
+                    with self._lock:
+                        self._ask()
+                case "unadvertise":
+                    self._unadvertised(inbox, said["channelIds"])
+                case "status" if said.get("level", 0) >= 1:
+                    self._note = f"the server says: {said.get('message', '')}"[:_NOTE_LETTERS]
+        except (ValueError, KeyError, TypeError, AttributeError, binascii.Error):
+            self._note = f"the server has sent what is no message of the protocol: {text[:40]!r}"
+
+    def _advertised(self, inbox: Inbox, channel: Mapping[str, Any]) -> None:
+        encoding = str(channel["encoding"])
+        schema_encoding = channel.get("schemaEncoding") or _SCHEMA_ENCODINGS.get(encoding, "")
+        schema = str(channel["schema"])
+        definition = base64.b64decode(schema) if schema_encoding == "protobuf" else schema.encode()
+        topic = make_topic(
+            str(channel["topic"]), encoding, str(channel["schemaName"]), schema_encoding, definition, num_messages=None
+        )
+        with self._lock:
+            known = self._topics.get(topic.name, topic)
+            if known.type_name != topic.type_name or known.wire != topic.wire:
+                self._other_types[topic.name] = topic.type_name
+                return
+            if len(self._channels) >= MAX_TOPICS:
+                return
+            self._topics[topic.name] = topic
+            self._channels[int(channel["id"])] = topic.name
+        inbox.announce(topic)
+
+    def _unadvertised(self, inbox: Inbox, ids: list[int]) -> None:
+        with self._lock:
+            gone = {name for i in ids if (name := self._channels.pop(i, None)) is not None}
+            for i in ids:
+                self._subscribed.pop(i, None)
+            left = set(self._channels.values())
+        for name in gone - left:
+            inbox.withdraw(name)
+
+    def _ask(self) -> None:
+        """Subscribe to the channels that are wanted; called with the lock. A subscription has its channel's number."""
+        if self._connection is None:
+            return
+        wanted = [i for i, name in self._channels.items() if name in self._wanted and i not in self._subscribed]
+        if not wanted:
+            return
+        from websockets.exceptions import ConnectionClosed
+
+        self._subscribed |= {i: i for i in wanted}
+        asked = {"op": "subscribe", "subscriptions": [{"id": i, "channelId": i} for i in wanted]}
+        try:
+            self._connection.send(dumps(asked))
+        except ConnectionClosed:
+            return  # the receiving thread connects again, and asks again
+
+    def _take(self, inbox: Inbox, frame: bytes) -> None:
+        if len(frame) < _MESSAGE_DATA.size or frame[0] != 1:
+            return  # the time, or an answer to what was not asked
+        _, subscription, _ = _MESSAGE_DATA.unpack_from(frame)
+        name = self._channels.get(subscription)
+        if name is not None:
+            inbox.put(name, memoryview(frame)[_MESSAGE_DATA.size :])
