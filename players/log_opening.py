@@ -125,8 +125,8 @@ def _check_robot(robot: str, profile: Profile, topics: Sequence[Topic]) -> None:
         raise CalibrationError(f"found --robot {robot}, of which the log has no topics; robots in it: {found}")
 
 
-def open_log(log: Log, options: SourceOptions) -> LogSource:
-    """Return the source of a log.
+def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogSource:
+    """Return the source of a log; `is_live`: of messages that arrive while they are read.
 
     Raises:
         RecordingError: colour, depth or poses are missing, or never meet in time.
@@ -178,6 +178,7 @@ def open_log(log: Log, options: SourceOptions) -> LogSource:
         uses_log_time=clock == "log",
         depth_units_per_m=profile.depth_units_per_m,
         sensor=profile.sensor,
+        is_live=is_live,
         streams=(
             *([("profile", f"{profile.name}{guess}")] if profile.name else []),
             ("color", opening.topics.color.name),

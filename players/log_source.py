@@ -52,6 +52,10 @@ _KEPT_NS = 5_000_000_000
 """Poses are kept for so long behind the frame at hand."""
 
 
+_KEPT_WITHOUT_FRAMES_NS = 60_000_000_000
+_FORGET_EVERY = 5000
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogSetup:
     """What opening a log has settled."""
@@ -71,6 +75,7 @@ class LogSetup:
     depth_units_per_m: float
     sensor: DepthSensor
     streams: tuple[tuple[str, str], ...]
+    is_live: bool = False
 
 
 class LogSource:
@@ -123,12 +128,14 @@ class LogSource:
         waiting: deque[tuple[int, Pair]] = deque()
         newest: dict[int, int] = {}
         index, last_ns = 0, None
-        matches = pair_epochs(self._images(ledger, reader, newest), setup.tolerance_ns)
+        matches = pair_epochs(self._images(ledger, reader, newest), setup.tolerance_ns, is_live=setup.is_live)
         is_ended = False
         while not is_ended or waiting:
             match = next(matches, None)
             if match is None:
                 is_ended = True
+            elif match[1] is None:
+                pass  # what came may be the pose that the first pair waits for
             elif isinstance(match[1], Leftover):
                 self._count_leftover(match[1], ledger)
             else:
@@ -185,10 +192,12 @@ class LogSource:
     def close(self) -> None:
         """Do nothing: each pass over the log opens and closes its own files."""
 
-    def _images(self, ledger: Ledger, reader: RigReader, newest: dict[int, int]) -> Iterator[tuple[int, Stamped]]:
+    def _images(
+        self, ledger: Ledger, reader: RigReader, newest: dict[int, int]
+    ) -> Iterator[tuple[int, Stamped | None]]:
         """Yield the images of both topics with their epochs as they lie in the log; the rest goes to the rig.
 
-        `newest` gets the newest stamp of each epoch.
+        `newest` gets the newest stamp of each epoch. Where what is read is live, None says that something else came.
         """
         topics = self._setup.topics
         roles = {topics.color.name: ("color", topics.color), topics.depth.name: ("depth", topics.depth)}
@@ -197,6 +206,11 @@ class LogSource:
             ledger.read[message.topic] += 1
             if message.topic not in roles:
                 reader.add(message)
+                if self._setup.is_live:
+                    if ledger.read[message.topic] % _FORGET_EVERY == 0:
+                        # Without images no frame forgets poses: a camera that is off must not fill the memory.
+                        reader.forget_older(_KEPT_WITHOUT_FRAMES_NS)
+                    yield 0, None
                 continue
             stream, topic = roles[message.topic]
             stamp_ns = message.log_ns if self._setup.uses_log_time else peek_stamp_ns(topic, message.data)

@@ -198,6 +198,12 @@ class RigReader:
         for track in self._tracks.values():
             track.forget(before_ns)
 
+    def forget_older(self, kept_ns: int) -> None:
+        """Drop of each link the poses that are so much older than its newest."""
+        for track in self._tracks.values():
+            if track.newest_ns is not None:
+                track.forget(track.newest_ns - kept_ns)
+
     def tracks(self) -> Iterable[tuple[Key, GrowingTrack]]:
         """Yield all tracks with their keys."""
         return [(key, track) for (key, _), track in self._tracks.items()]

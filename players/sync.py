@@ -67,21 +67,43 @@ def default_tolerance_ns(color_stamps_ns: Sequence[int], depth_stamps_ns: Sequen
 
 def pair_nearest(images: Iterable[Stamped], tolerance_ns: int) -> Iterator[Pair | Leftover]:
     """Yield every image exactly once, in a pair or as a leftover; pairs come in the order of their colour stamps."""
+    return (match for match in pair_arriving(images, tolerance_ns) if match is not None)
+
+
+def pair_arriving(
+    images: Iterable[Stamped | None], tolerance_ns: int, *, is_live: bool = False
+) -> Iterator[Pair | Leftover | None]:
+    """Yield what `pair_nearest` does.
+
+    `is_live`: images of one stamp are a pair at once, unless the streams have been out of order before, and then after
+    as long as they have been. None is passed on: something else than an image has come.
+    """
     waiting: dict[Stream, list[Stamped]] = {"color": [], "depth": []}
     newest_ns: dict[Stream, int] = {}
     passed_ns: dict[str, int] = {}
     horizon_ns = max(HORIZON_NS, 4 * tolerance_ns)
+    disorder_ns = 0 if is_live else DISORDER_NS
     for image in images:
+        if image is None:
+            yield None
+            continue
+        if is_live:
+            late_ns = newest_ns.get(image.stream, image.stamp_ns) - image.stamp_ns
+            disorder_ns = min(DISORDER_NS, max(disorder_ns, late_ns))
         if image.stamp_ns < passed_ns.get(image.stream, image.stamp_ns):
             yield Leftover(stream=image.stream, stamp_ns=image.stamp_ns, item=image.item, is_late=True)
             continue
         insort(waiting[image.stream], image, key=_stamp)
         newest_ns[image.stream] = max(image.stamp_ns, newest_ns.get(image.stream, image.stamp_ns))
         settled_ns = max(newest_ns.values()) - horizon_ns
+        certain_ns = settled_ns
         if len(newest_ns) == 2:
             # A partner is at most one tolerance away, and a rival for that partner one more.
-            settled_ns = max(settled_ns, min(newest_ns.values()) - 2 * tolerance_ns - DISORDER_NS)
-        while (oldest := _oldest(waiting)) is not None and oldest.stamp_ns < settled_ns:
+            settled_ns = max(settled_ns, min(newest_ns.values()) - 2 * tolerance_ns - disorder_ns)
+            certain_ns = min(newest_ns.values()) - disorder_ns if is_live else settled_ns
+        while (oldest := _oldest(waiting)) is not None and (
+            oldest.stamp_ns < settled_ns or (oldest.stamp_ns <= certain_ns and _has_twin(waiting))
+        ):
             match = _decide(oldest, waiting, tolerance_ns)
             ends_ns = {"color": oldest.stamp_ns, "depth": oldest.stamp_ns}
             if isinstance(match, Pair):
@@ -92,29 +114,31 @@ def pair_nearest(images: Iterable[Stamped], tolerance_ns: int) -> Iterator[Pair 
         yield _decide(oldest, waiting, tolerance_ns)
 
 
-def pair_epochs(images: Iterable[tuple[int, Stamped]], tolerance_ns: int) -> Iterator[tuple[int, Pair | Leftover]]:
+def pair_epochs(
+    images: Iterable[tuple[int, Stamped | None]], tolerance_ns: int, *, is_live: bool = False
+) -> Iterator[tuple[int, Pair | Leftover | None]]:
     """Yield the pairs of images that come with their epoch: what was before a jump back in time is paired by itself.
 
     The two streams jump one after the other; the epoch of the first ends when the other has jumped, too, or when it has
-    not done so for `HORIZON_NS`.
+    not done so for `HORIZON_NS`. `is_live` and None are those of `pair_arriving`.
     """
     source = iter(images)
     held: deque[tuple[int, Stamped]] = deque()
     epoch, is_ended = 0, False
     while not is_ended or held:
 
-        def of_this_epoch(epoch: int = epoch) -> Iterator[Stamped]:
+        def of_this_epoch(epoch: int = epoch) -> Iterator[Stamped | None]:
             nonlocal is_ended
             early, held_streams = list(held), set()
             held.clear()
-            for number, image in early:
+            for number, kept in early:
                 if number <= epoch:
-                    yield image
+                    yield kept
                 else:
-                    held.append((number, image))
-                    held_streams.add(image.stream)
+                    held.append((number, kept))
+                    held_streams.add(kept.stream)
             for number, image in source:
-                if number <= epoch:
+                if image is None or number <= epoch:
                     yield image
                     continue
                 held.append((number, image))
@@ -124,9 +148,15 @@ def pair_epochs(images: Iterable[tuple[int, Stamped]], tolerance_ns: int) -> Ite
                     return
             is_ended = True
 
-        for match in pair_nearest(of_this_epoch(), tolerance_ns):
+        for match in pair_arriving(of_this_epoch(), tolerance_ns, is_live=is_live):
             yield epoch, match
         epoch = min((number for number, _ in held), default=epoch + 1)
+
+
+def _has_twin(waiting: dict[Stream, list[Stamped]]) -> bool:
+    """Return whether the first images of both streams have one stamp: nothing can be nearer to either."""
+    color, depth = waiting["color"], waiting["depth"]
+    return bool(color and depth) and color[0].stamp_ns == depth[0].stamp_ns
 
 
 def _stamp(image: Stamped) -> int:

@@ -161,7 +161,7 @@ def _opened(
         try:
             subscribe(route, log, options)
             log.attempt(max(0.0, min(patience.attempt_s, ends_s - time.monotonic())))
-            return open_log(log, options)
+            return open_log(log, options, is_live=True)
         except InputError as error:
             reason = _missing(route, log, error)
             if is_over or log.inbox.end_reason:

@@ -1,9 +1,23 @@
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from hypothesis import given
 from hypothesis import strategies as st
 
-from players.sync import DISORDER_NS, HORIZON_NS, Leftover, Pair, Stamped, default_tolerance_ns, pair_nearest
+from players.sync import (
+    DISORDER_NS,
+    HORIZON_NS,
+    Leftover,
+    Pair,
+    Stamped,
+    default_tolerance_ns,
+    pair_arriving,
+    pair_nearest,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 MS = 1_000_000
 stamps = st.lists(st.integers(0, 3_000).map(lambda ms: ms * MS), unique=True, max_size=40).map(sorted)
@@ -118,3 +132,33 @@ def test_the_default_tolerance_is_half_the_period_of_the_slower_stream() -> None
 
 def test_a_gap_in_a_stream_does_not_widen_the_default_tolerance() -> None:
     assert default_tolerance_ns([0, 100, 200, 9000, 9100], [0, 100, 200]) == 50
+
+
+def test_live_images_of_one_stamp_are_a_pair_at_once_until_the_streams_get_out_of_order() -> None:
+    def image(stream: Any, at_ms: int) -> Stamped:
+        return Stamped(stream, at_ms * 1_000_000, f"{stream}{at_ms}")
+
+    def come(*sent: Stamped | None) -> list[Any]:
+        """Return what has been decided after each image."""
+        decided: list[Any] = []
+        seen = []
+
+        def feed() -> Iterator[Stamped | None]:
+            for item in sent:
+                seen.append(len(decided))
+                yield item
+
+        for match in pair_arriving(feed(), 16_000_000, is_live=True):
+            decided += [match]
+        return [*seen, decided]
+
+    in_order = [image(stream, at) for at in (0, 33, 66) for stream in ("color", "depth")]
+    *seen, decided = come(*in_order, None)
+    assert seen == [0, 0, 1, 1, 2, 2, 3]
+    assert [match and match.stamp_ns // 1_000_000 for match in decided] == [0, 33, 66, None]
+    # Depth that was 33 ms late once costs a pair, and is given that time from then on.
+    out_of_order = [image("color", 0), image("depth", 33), image("color", 33), image("depth", 0)]
+    again = [image("color", 66), image("depth", 99), image("color", 99), image("depth", 66)]
+    *_, decided = come(*out_of_order, *again)
+    assert [match.stamp_ns // 1_000_000 for match in decided if isinstance(match, Pair)] == [33, 66, 99]
+    assert [match.is_late for match in decided if isinstance(match, Leftover)] == [False, True]

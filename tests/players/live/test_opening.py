@@ -12,8 +12,9 @@ from hickory_stream.errors import CalibrationError, RecordingError
 from players.live import open_live
 from players.live.transport import Health
 from players.opening import open_source
-from tests.player_scenes import Messages, make_scene, png_images, scene_messages, write_mcap
-from tests.players.live.live_fixtures import ScriptedRoute, scene_packets
+from players.rig import RigReader
+from tests.player_scenes import OPTICAL, Messages, make_scene, png_bytes, png_images, scene_messages, write_mcap
+from tests.players.live.live_fixtures import Packet, ScriptedRoute, scene_packets
 from tools.robot.stamps import restamped
 
 if TYPE_CHECKING:
@@ -150,3 +151,52 @@ def test_frames_end_when_the_run_is_to_end_and_the_rest_is_counted() -> None:
     assert account["not_played"] > 0
     assert account["difference"] == 0
     assert unaccounted(source, route) == {}
+
+
+def test_a_frame_is_there_as_soon_as_its_images_and_its_pose_are() -> None:
+    # Images of one stamp, with poses on both sides of it: nothing else is waited for.
+    packets = [packet for packet in scene_packets() if not packet.topic.name.endswith("compressedDepth")]
+    m, frames = Messages(2), make_scene()
+    topic = next(packet.topic for packet in scene_packets() if packet.topic.name.endswith("compressedDepth"))
+    depth = [
+        Packet(
+            topic=topic,
+            stamp_ns=frame.stamp_ns,
+            data=bytes(
+                m.store.serialize_cdr(
+                    m.compressed(
+                        frame.stamp_ns, OPTICAL, "16UC1; compressedDepth png", bytes(12) + png_bytes(frame.depth_mm)
+                    ),
+                    topic.type_name,
+                )
+            ),
+        )
+        for frame in frames
+    ]
+    ordered = sorted([*packets, *depth], key=lambda packet: packet.stamp_ns)
+    second_ns, pose_ns = frames[1].stamp_ns, frames[1].stamp_ns + 20_000_000
+    route = ScriptedRoute(at_start=[packet for packet in ordered if packet.stamp_ns <= pose_ns])
+    source = opened(route)
+    reading = source.frames()
+    stamps = [next(reading).stamp_ns, next(reading).stamp_ns]
+    assert stamps == [frames[0].stamp_ns, second_ns]
+    source.close()
+
+
+def test_poses_without_images_do_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("players.log_source._FORGET_EVERY", 50)
+    odometry = next(packet for packet in scene_packets() if packet.topic.name == "/odom")
+    route = ScriptedRoute(at_start=scene_packets())
+    source = opened(route)
+    frames = source.frames()
+    next(frames)
+    readers: list[RigReader] = []
+    forget = RigReader.forget_older
+    monkeypatch.setattr(RigReader, "forget_older", lambda self, kept: (readers.append(self), forget(self, kept))[1])
+    route.send(
+        replace(odometry, data=restamped(odometry.topic, odometry.data, i * 20_000_000)) for i in range(100, 10_000)
+    )
+    route.end()
+    list(frames)
+    track = next(track for key, track in readers[-1].tracks() if key[0] == "/odom")
+    assert len(track._stamps_ns) < 60 * 50 + 2200
