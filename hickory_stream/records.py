@@ -436,16 +436,33 @@ DropCause = Literal["structure", "in structure", "looked through", "never confir
 """Why a track is no object: structure, a piece of some, nothing where it should be, or seen too seldom."""
 
 
+DecisionKind = Literal[
+    "associate",  # a mask with a track
+    "create",  # a track, of a mask
+    "merge",  # of two tracks
+    "split",  # of a track off another one
+    "trim",  # of the points of a track that are those of a wall
+    "phase",  # of a track
+    "view",  # of a track: a better one, or none
+    "shape",  # of a track: asked for, made, failed
+    "reject",  # a mask
+    "drop",  # a track
+    "time_jump",  # of the stamps
+    "pose_jump",  # of the odometry
+    "pose_correction",  # of submaps
+]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Decision:
     """One decision and its reason, for people who ask why.
 
-    `kind` is one of associate, create, merge, split, phase, view, shape, reject, drop; `text` names the candidates and
-    numbers. `observation_index`: the observation that went to the object (associate, create). `other_id`: the track
-    that is now a part of the object (merge), or of which the object was a part (split). `cause`: why it was dropped.
+    `text` names the candidates and numbers. `observation_index`: the observation that went to the object (associate,
+    create). `other_id`: the track that is now a part of the object (merge), or off which it was split (split). `cause`:
+    why it was dropped.
     """
 
-    kind: str
+    kind: DecisionKind
     object_id: int | None
     text: str
     observation_index: int | None = None

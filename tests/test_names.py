@@ -29,6 +29,11 @@ OLD_MODULES = {
     "carried": "support_relations",
     "floating": "unsupported",
     "against_structure": "structure_checks",
+    "placing": "report_poses, support_placement",
+    "going_back": "rewind",
+    "continued": "resume_point",
+    "fates": "track_histories",
+    "pump": "pacing",
 }
 OLD_NAMES = {
     "ReliefConfig": "RaisedPatchConfig",
@@ -57,6 +62,14 @@ OLD_NAMES = {
     "FloatConfig": "UnsupportedConfig",
     "stem_of": "attachment_of",
     "with_strays_boxed": "with_residuals_boxed",
+    "WentBack": "Rewound",
+    "known_before": "rewound_to",
+    "where_it_lies": "in_map_frame",
+    "Continued": "ResumePoint",
+    "continued_from": "resume_point_of",
+    "TrackFate": "TrackHistory",
+    "FateBook": "TrackHistories",
+    "Pump": "Pacer",
 }
 # The command line names its modules by its commands.
 COMMANDS = ROOT / "hickory_stream" / "cli"

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.continued import Continued
 from hickory_stream.engine.reading import Position
+from hickory_stream.engine.resume_point import ResumePoint
 from hickory_stream.engine.step import OpenJob, StepKind
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import (
@@ -141,8 +141,8 @@ class Replay:
         return effects
 
 
-def continued_from(journal: Journal, config: MappingConfig) -> Continued | None:
-    """Return where an interrupted run can go on, None where it had not come to its first keyframe.
+def resume_point_of(journal: Journal, config: MappingConfig) -> ResumePoint | None:
+    """Return the state from which an interrupted run resumes, None if it had not reached its first keyframe.
 
     Raises:
         MapFolderError: the journal does not fit this version.
@@ -159,7 +159,7 @@ def continued_from(journal: Journal, config: MappingConfig) -> Continued | None:
         index -= 1
         frames = journal.step(index).frames
     is_keyframe = step.kind is StepKind.KEYFRAME
-    return Continued(
+    return ResumePoint(
         core=replay.core,
         step=step,
         position=Position(

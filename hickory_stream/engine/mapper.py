@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.continued import Continued
+    from hickory_stream.engine.resume_point import ResumePoint
     from hickory_stream.engine.run_progress import Progress
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
@@ -311,7 +311,7 @@ class Mapper:
             raise
         return [SinkThread(sink, is_essential=essential) for sink, essential in made]
 
-    def _open(self, source: Source, asked: Mapping[str, Any]) -> tuple[MapFolder, JournalWriter, Continued | None]:
+    def _open(self, source: Source, asked: Mapping[str, Any]) -> tuple[MapFolder, JournalWriter, ResumePoint | None]:
         """Return the map folder and its journal, new or to be continued."""
         flush_s = self.config.journal.flush_s
         caches.cap_mb()  # what it refuses is refused before anything is played

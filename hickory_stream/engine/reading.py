@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.pump import Pump
+    from hickory_stream.engine.pacing import Pacer
     from hickory_stream.engine.step import FramePose
     from hickory_stream.geometry.depth_sensor import SensorConfig
     from hickory_stream.ports import Segmenter, Source
@@ -107,7 +107,7 @@ class Reader:
         # Since the last frame that was sent.
         self.lost: Counter[str] = Counter()
 
-    async def play(self, source: Source, pump: Pump, loops: int, start: Position) -> None:
+    async def play(self, source: Source, pacer: Pacer, loops: int, start: Position) -> None:
         """Read `loops` rounds, from a position on, decoding keyframes ahead; waits while the channel is full."""
         keyframe, last_ns = start.keyframe, start.last_ns
         offset = start.first_index
@@ -127,7 +127,7 @@ class Reader:
                         lost["frames_late"] += 1
                         continue
                     last_ns = raw.stamp_ns
-                    await pump.wait(raw.stamp_ns, self._stopped)
+                    await pacer.wait(raw.stamp_ns, self._stopped)
                     frame, prepared = None, None
                     if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
                         frame = await self._decoded(raw, index)
@@ -154,7 +154,7 @@ class Reader:
         finally:
             await self._channel.close()
 
-    async def follow(self, source: Source, pump: Pump, loops: int, counts: Counter[str]) -> None:
+    async def follow(self, source: Source, pacer: Pacer, loops: int, counts: Counter[str]) -> None:
         """Read a source as it comes: never waits for the map, drops the oldest frames, and counts them."""
         keyframe: Keyframe | None = None
         last_ns: int | None = None
@@ -164,7 +164,7 @@ class Reader:
                 frames = source.frames()
                 while not self._stopped.is_set() and (raw := await self._next(frames)) is not None:
                     index = offset + raw.index
-                    await pump.wait(raw.stamp_ns, self._stopped)
+                    await pacer.wait(raw.stamp_ns, self._stopped)
                     counts["read"] += 1
                     if self._is_late(last_ns, raw.stamp_ns):
                         counts["frames_late"] += 1

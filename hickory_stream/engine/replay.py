@@ -11,7 +11,7 @@ import numpy as np
 
 from hickory_stream.engine.history import Replay
 from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.placing import where_it_lies
+from hickory_stream.engine.report_poses import in_map_frame
 from hickory_stream.engine.resume import recorded_config
 from hickory_stream.engine.step import StepKind
 from hickory_stream.events import FrameObserved
@@ -48,7 +48,7 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
                 last = step.frames[-1] if step.frames else last
                 for sink in sinks:
                     for report in _reports(replayed, journal, num_keyframes):
-                        sink.show(where_it_lies(report, report.snapshot or newest))
+                        sink.show(in_map_frame(report, report.snapshot or newest))
                 newest = replayed.published.snapshot if replayed.published is not None else newest
                 num_keyframes = step.num_keyframes
             snapshot = again.snapshot()
@@ -63,7 +63,7 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
                         color_bytes=None,
                         snapshot=snapshot,
                     )
-                    sink.show(where_it_lies(final, snapshot))
+                    sink.show(in_map_frame(final, snapshot))
     finally:
         for sink in sinks:
             sink.close()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.config import MapperConfig, from_dict
 from hickory_stream.confined import OutsideError, whole_number
-from hickory_stream.engine.history import continued_from
+from hickory_stream.engine.history import resume_point_of
 from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
 from hickory_stream.engine.manifest import Manifest, read_manifest
 from hickory_stream.engine.session import MapFolder, reopen_map_folder
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.config import RunConfig
-    from hickory_stream.engine.continued import Continued
+    from hickory_stream.engine.resume_point import ResumePoint
     from hickory_stream.records import SourceInfo
 
 
@@ -77,7 +77,7 @@ def check_interrupted(path: Path) -> Manifest:
 
 def reopen(
     path: Path, info: SourceInfo, config: MapperConfig, extractor: str
-) -> tuple[MapFolder, JournalWriter, Continued | None]:
+) -> tuple[MapFolder, JournalWriter, ResumePoint | None]:
     """Return a map folder whose playback is to be continued, its journal, and where it goes on (None: anew).
 
     Raises:
@@ -109,7 +109,7 @@ def reopen(
     try:
         with Journal(path) as journal:
             journal.cut_to_resumable()
-            continued = continued_from(journal, config.mapping)
+            continued = resume_point_of(journal, config.mapping)
             if continued is not None:
                 _check_views(folder, continued)
             return folder, JournalWriter(path, flush_s=config.journal.flush_s, continued=journal), continued
@@ -141,7 +141,7 @@ def save_live(path: Path) -> str:
     try:
         with Journal(path) as journal:
             journal.cut_to_resumable()
-            continued = continued_from(journal, config.mapping)
+            continued = resume_point_of(journal, config.mapping)
             JournalWriter(path, flush_s=config.journal.flush_s, continued=journal).close()
         if continued is not None:
             for name in continued.mesh_names:
@@ -152,7 +152,7 @@ def save_live(path: Path) -> str:
         folder.close()
 
 
-def _check_views(folder: MapFolder, continued: Continued) -> None:
+def _check_views(folder: MapFolder, continued: ResumePoint) -> None:
     """Refuse a map whose views did not all reach the disk."""
     for tracked in continued.core.snapshot().objects:
         for view in tracked.views:

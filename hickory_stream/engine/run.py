@@ -29,13 +29,13 @@ from hickory_stream.engine.corrections import checked_places
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.frame_reports import final_report, keyframe_report, plain_report
-from hickory_stream.engine.going_back import known_before
 from hickory_stream.engine.keyframe_images import color_of, crop_of
 from hickory_stream.engine.loop_delay import LoopDelay
-from hickory_stream.engine.placing import where_it_lies
-from hickory_stream.engine.pump import Pump
+from hickory_stream.engine.pacing import Pacer
 from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel, sensed, time_jump
 from hickory_stream.engine.recorder import Recorder, Unwritten
+from hickory_stream.engine.report_poses import in_map_frame
+from hickory_stream.engine.rewind import rewound_to
 from hickory_stream.engine.run_accounts import run_ledger, run_timings
 from hickory_stream.engine.run_progress import Progress
 from hickory_stream.engine.shape_cache import ShapeCache
@@ -67,8 +67,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.continued import Continued
     from hickory_stream.engine.journal import JournalWriter
+    from hickory_stream.engine.resume_point import ResumePoint
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.engine.sink_threads import SinkThread
     from hickory_stream.engine.workers import ShapeWorkers
@@ -101,7 +101,7 @@ class Run:
         sinks: Sequence[SinkThread],
         publish: Callable[[MapSnapshot], None],
         progress: Callable[[Progress], None],
-        continued: Continued | None = None,
+        continued: ResumePoint | None = None,
     ) -> None:
         self._config = config
         self._mode = mode
@@ -140,13 +140,13 @@ class Run:
         self._num_keyframes = 0
         self._total: int | None = None
         self._loop_delay = LoopDelay()
-        self._fates: Callable[[], Mapping[str, int]] = dict
+        self._source_ledger: Callable[[], Mapping[str, int]] = dict
         self.counts: Counter[str] = Counter()
         self.timings_s: defaultdict[str, float] = defaultdict(float)
         if continued is not None:
             self._continue(continued)
 
-    def _continue(self, continued: Continued) -> None:
+    def _continue(self, continued: ResumePoint) -> None:
         """Take over what an interrupted run had come to."""
         step = continued.step
         self._snapshot = self._core.snapshot()
@@ -175,7 +175,7 @@ class Run:
     @property
     def is_reproducible(self) -> bool:
         """Whether nothing but the log and the configuration decided what the map is: no limit, and nobody's hand."""
-        by_hand = self._fates().get("seeks", 0) + self.counts["pose_corrections"]
+        by_hand = self._source_ledger().get("seeks", 0) + self.counts["pose_corrections"]
         return self._mode == "playback" and self._num_limits() == 0 and not by_hand
 
     def ledger(self, source: Source) -> dict[str, dict[str, Any]]:
@@ -219,7 +219,7 @@ class Run:
         """
         info = source.info
         self._total = info.num_frames * loops if info.num_frames is not None else None
-        self._fates = source.ledger
+        self._source_ledger = source.ledger
         await self._compile()
         try:
             async with asyncio.TaskGroup() as group:
@@ -230,9 +230,9 @@ class Run:
                 if self._is_source_over:
                     await self._channel.close()
                 elif self._mode == "live":
-                    group.create_task(self._reader.follow(source, Pump(rate), loops, self.counts), name="read")
+                    group.create_task(self._reader.follow(source, Pacer(rate), loops, self.counts), name="read")
                 else:
-                    group.create_task(self._reader.play(source, Pump(rate), loops, self._start), name="read")
+                    group.create_task(self._reader.play(source, Pacer(rate), loops, self._start), name="read")
                 await group.create_task(self._map(), name="map")
                 watching.cancel()
         except ExceptionGroup as errors:
@@ -325,7 +325,7 @@ class Run:
             most_s=self._config.run.time_jump_s,
         )
         if raw.goes_back and self._mode == "playback":
-            await self._go_back(raw.stamp_ns)
+            await self._rewind(raw.stamp_ns)
             jump = None
         if jump is not None:
             self.counts["time_jumps"] += 1
@@ -342,18 +342,18 @@ class Run:
         self._last = FramePose(index=raw.index, stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
         self._unwritten.frames.append(self._last)
 
-    async def _go_back(self, stamp_ns: int) -> None:
-        """Have the map as it was known before a stamp; what was to be written of the part that is left is dropped."""
-        self.counts["went_back"] += 1
+    async def _rewind(self, stamp_ns: int) -> None:
+        """Restore the core's state before a stamp; events after it that are not in the journal yet are discarded."""
+        self.counts["rewinds"] += 1
         await self._recorder.written()
-        back = await self._in(self._thinker, known_before, self._folder, self._config.mapping, stamp_ns, self._core)
-        self._core = back.core
+        rewound = await self._in(self._thinker, rewound_to, self._folder, self._config.mapping, stamp_ns, self._core)
+        self._core = rewound.core
         done = self._unwritten
         done.events.clear()
-        done.goes_back_to, done.lost_views = back.num_steps, back.lost_views
-        kept = back.core.view_names()
-        done.dropped_views = [name for name in (*done.dropped_views, *back.unused_views) if name not in kept]
-        done.ended_jobs += self._shapes.go_back(back.open_jobs, back.answers)
+        done.goes_back_to, done.lost_views = rewound.num_steps, rewound.lost_views
+        kept = rewound.core.view_names()
+        done.dropped_views = [name for name in (*done.dropped_views, *rewound.unused_views) if name not in kept]
+        done.ended_jobs += self._shapes.rewind(rewound.open_jobs, rewound.answers)
         self._snapshot = await self._in(self._thinker, self._core.snapshot)
         if self._corrections:
             # Their submaps may not be there yet.
@@ -459,7 +459,7 @@ class Run:
             metrics=metrics,
             goes_back_to=done.goes_back_to,
             lost_views=done.lost_views,
-            num_seeks=self._fates().get("seeks", 0),
+            num_seeks=self._source_ledger().get("seeks", 0),
         )
         every = self._config.journal.checkpoint_keyframes
         checkpoint: Checkpoint | None = None
@@ -613,7 +613,7 @@ class Run:
     # ---- what others are told ----------------------------------------------------------------------------------------
 
     async def _show(self, report: FrameReport) -> None:
-        report = where_it_lies(report, self._snapshot)
+        report = in_map_frame(report, self._snapshot)
         for sink in self._sinks:
             await sink.show(report, waits=self._mode == "playback")
 
@@ -626,7 +626,7 @@ class Run:
             ("engine/loop_delay_ms", 1e3 * self._loop_delay.recent_s()),
             ("engine/workers", float(self._workers.num_alive)),
             ("engine/memory_mb", _PROCESS.memory_info().rss / 1e6),
-            *((f"ledger/{fate}", float(number)) for fate, number in self._fates().items()),
+            *((f"ledger/{bucket}", float(number)) for bucket, number in self._source_ledger().items()),
             ("engine/frames_dropped", float(self.counts["frames_dropped"] + self.counts["keyframes_dropped"])),
         )
 

@@ -99,7 +99,7 @@ class ShapeQueue:
             raise MapFolderError(f"{folder}, which the map waits for, did not reach the disk; play the log again")
         self._open[job.ticket] = _Open(job.due_ns, job.object_id, answer)
 
-    def go_back(self, jobs: Iterable[OpenJob], answers: Mapping[int, ShapeReady | ShapeFailed]) -> list[int]:
+    def rewind(self, jobs: Iterable[OpenJob], answers: Mapping[int, ShapeReady | ShapeFailed]) -> list[int]:
         """Wait for these jobs and no others; return the tickets of those that are given up.
 
         `answers` are results that were committed before, and are committed again when they are due. A job that was

@@ -77,18 +77,18 @@ def origin_of(
 
 def history_text(map_id: int, evidence: Evidence) -> str:
     """Return how an object came about: its first mask, how many there were, and what they showed."""
-    fate = evidence.sightings.fates.fates.get(map_id)
-    if fate is None:
+    history = evidence.sightings.histories.by_id.get(map_id)
+    if history is None:
         return "the journal tells nothing of it"
     merged = [
         i
-        for i, other in evidence.sightings.fates.fates.items()
+        for i, other in evidence.sightings.histories.by_id.items()
         if other.ending is not None and other.ending.into == map_id
     ]
-    first = "at the end" if fate.born.frame is None else f"in frame {fate.born.frame}"
+    first = "at the end" if history.born.frame is None else f"in frame {history.born.frame}"
     with_merged = f", with #{', #'.join(map(str, merged))} merged into it" if merged else ""
-    masks = f"masks in {len(fate.frames)} keyframe{'' if len(fate.frames) == 1 else 's'}"
-    told = f"made {first} ({fate.born.text.partition(': ')[0]}) of {masks}{with_merged}"
+    masks = f"masks in {len(history.frames)} keyframe{'' if len(history.frames) == 1 else 's'}"
+    told = f"made {first} ({history.born.text.partition(': ')[0]}) of {masks}{with_merged}"
     shown = shown_text(map_id, evidence)
     return f"{told}; {shown}" if shown else told
 
@@ -97,7 +97,7 @@ def shown_text(map_id: int, evidence: Evidence) -> str:
     """Return what the masks of an object, and of what was merged into it, showed in truth; "" where there are none."""
     counts: dict[int | None, int] = {}
     for track_id, pixels in evidence.sightings.masks_of.items():
-        if evidence.sightings.fates.final(track_id) == map_id:
+        if evidence.sightings.histories.final(track_id) == map_id:
             for truth_id, px in pixels.items():
                 counts[truth_id] = counts.get(truth_id, 0) + px
     total = sum(counts.values())

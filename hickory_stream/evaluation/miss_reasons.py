@@ -19,7 +19,7 @@ from hickory_stream.geometry.rigid import apply, invert
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from hickory_stream.engine.fates import Ending
+    from hickory_stream.engine.track_histories import Ending
     from hickory_stream.evaluation.overlap import LiesOn, Overlap
     from hickory_stream.evaluation.truth_sightings import Part, Sighting, TruthSightings
     from hickory_stream.mapping.existence import ExistenceConfig
@@ -251,16 +251,16 @@ def _swallowed(truth_id: int, map_id: int, told: str, evidence: Evidence) -> Mis
     reason: MissReason = "merged with another" if own > joined else "one mask with another"
     if own > joined:
         tracks = _own_tracks(truth_id, evidence)
-        gone = [i for i in tracks if evidence.sightings.fates.final(i) == map_id and i != map_id]
+        gone = [i for i in tracks if evidence.sightings.histories.final(i) == map_id and i != map_id]
         text += f"; {_merge_text(gone, map_id, evidence)}"
     return _missed(truth_id, reason, text, (map_id,), evidence)
 
 
 def _merge_text(gone: Sequence[int], map_id: int, evidence: Evidence) -> str:
-    fates = evidence.sightings.fates.fates
+    histories = evidence.sightings.histories.by_id
     told = []
     for track_id in gone[:3]:
-        ending = fates[track_id].ending
+        ending = histories[track_id].ending
         if ending is not None:
             told.append(f"its track #{track_id} was merged {when(ending.frame)}: {ending.text}")
     return "; ".join(told) or f"its masks went to #{map_id} as they were"
@@ -281,19 +281,19 @@ def _lost_track(
     truth_id: int, large: Sequence[Sighting], states: Sequence[State], told: str, evidence: Evidence
 ) -> Missed:
     """Return why a thing is missed that mostly had masks of its own: what became of their tracks."""
-    tracks, fates = _own_tracks(truth_id, evidence), evidence.sightings.fates
+    tracks, histories = _own_tracks(truth_id, evidence), evidence.sightings.histories
     own = sum(tracks.values())
     ends: Counter[MissReason] = Counter()
     for track_id, count in tracks.items():
-        last = fates.last(track_id)
+        last = histories.last(track_id)
         ends[_reason_of_end(last.ending if last is not None else None)] += count
     reason = max(ends, key=lambda reason: ends[reason]) if ends else "too few sightings"
     where = "; ".join(
-        f"{count} of its {own} masks went to {ending_text(fates, i)}" for i, count in list(tracks.items())[:3]
+        f"{count} of its {own} masks went to {ending_text(histories, i)}" for i, count in list(tracks.items())[:3]
     )
     more = f" and {len(tracks) - 3} more tracks" if len(tracks) > 3 else ""
     needed = f"; {evidence.what_confirms}" if reason == "too few sightings" else ""
-    kept = tuple(sorted({i for track_id in tracks if (i := fates.final(track_id)) is not None}))
+    kept = tuple(sorted({i for track_id in tracks if (i := histories.final(track_id)) is not None}))
     return _missed(truth_id, reason, f"{told}; {where}{more}{needed}", kept, evidence)
 
 
@@ -327,7 +327,7 @@ def _detail(state: State, shown: Sequence[Sighting], evidence: Evidence) -> str:
             if part.track_id is not None:
                 tracks[part.track_id] += 1
         with_what = ", ".join(f"{name} ({count})" for name, count in names.most_common(3))
-        end = f"; most of these masks went to {ending_text(evidence.sightings.fates, tracks.most_common(1)[0][0])}"
+        end = f"; most of these masks went to {ending_text(evidence.sightings.histories, tracks.most_common(1)[0][0])}"
         return f"with {with_what}{end if tracks else ''}"
     if state == "in pieces":
         return f"{np.median([sum(p.where == 'mask' for p in s.parts) for s in shown]):.0f} masks in the median"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.fates import FateBook
 from hickory_stream.engine.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps, told_config
+from hickory_stream.engine.track_histories import TrackHistories
 from hickory_stream.errors import InputError
 from hickory_stream.evaluation.pixel_place import check_pixel, place_by_depth, place_in_keyframe
 from hickory_stream.evaluation.place_sighting import meaning_of_code
@@ -71,7 +71,7 @@ def _story_of_keyframe_pixel(
     path: Path, frame: int, pixel: tuple[float, float], depth_of: Callable[[int], NDArray[np.float32]] | None
 ) -> PlaceStory:
     final, config = final_snapshot(path), told_config(path)
-    book = FateBook()
+    book = TrackHistories()
     # A frame that was played again is told as it was the last time.
     keyframe: RecordedKeyframe | None = None
     for step in recorded_steps(path, final):

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.fates import FateBook
     from hickory_stream.engine.recorded import RecordedKeyframe
+    from hickory_stream.engine.track_histories import TrackHistories
     from hickory_stream.records import Observation
 
 PlaceWhere = Literal[Where, "hidden", "looked through", "unknown"]
@@ -58,7 +58,7 @@ class PlaceSighting:
 
 
 def sighting_of(
-    keyframe: RecordedKeyframe, point_map: NDArray[np.float64], config: MapperConfig, book: FateBook
+    keyframe: RecordedKeyframe, point_map: NDArray[np.float64], config: MapperConfig, book: TrackHistories
 ) -> PlaceSighting | None:
     """Return what a keyframe took a point for, None where it is not in the image."""
     observed, camera = keyframe.observed, keyframe.camera
@@ -81,7 +81,7 @@ def sighting_of(
     )
 
 
-def meaning_of_code(keyframe: RecordedKeyframe, code: int, book: FateBook) -> tuple[PlaceWhere, int | None, str]:
+def meaning_of_code(keyframe: RecordedKeyframe, code: int, book: TrackHistories) -> tuple[PlaceWhere, int | None, str]:
     """Return what a pixel's code says of the point that is seen there, its observation, and both in words."""
     count = len(keyframe.observed.observations)
     where = where_of(code, count)
@@ -99,7 +99,7 @@ def _taken_for(
     pixel: tuple[float, float],
     depth_m: float,
     config: MapperConfig,
-    book: FateBook,
+    book: TrackHistories,
 ) -> tuple[PlaceWhere, int | None, str]:
     """Return what a point (1, 3) of the odometry's world was taken for, its observation, and both in words."""
     observed, voxel_m = keyframe.observed, config.mapping.lattice.space_m
@@ -129,12 +129,12 @@ def _taken_for(
     return "unknown", None, "in no mask, and neither structure nor free (the journal is too old to have depth)"
 
 
-def _mask_text(keyframe: RecordedKeyframe, index: int, book: FateBook) -> str:
+def _mask_text(keyframe: RecordedKeyframe, index: int, book: TrackHistories) -> str:
     track_id = book.home(keyframe.observed.frame_index, index)
     return f"in a mask that went to #{track_id}" if track_id is not None else "in a mask"
 
 
-def _name_of(keyframe: RecordedKeyframe, code: int, book: FateBook) -> str:
+def _name_of(keyframe: RecordedKeyframe, code: int, book: TrackHistories) -> str:
     where = where_of(code, len(keyframe.observed.observations))
     if where == "mask":
         track_id = book.home(keyframe.observed.frame_index, code - 1)

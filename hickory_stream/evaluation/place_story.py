@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from scipy.spatial import cKDTree
 
-from hickory_stream.engine.fates import FateBook
 from hickory_stream.engine.recorded import final_snapshot, recorded_steps, told_config
+from hickory_stream.engine.track_histories import TrackHistories
 from hickory_stream.evaluation.place_sighting import AT_M, PlaceSighting, PlaceWhere, sighting_of
 from hickory_stream.evaluation.track_story import Stretch, TrackStory, ending_text, stretches_of, track_story
 
@@ -78,7 +78,7 @@ def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel
         MapFolderError: there is no map or no journal, or it is damaged or of another version.
     """
     final, config = final_snapshot(path), told_config(path)
-    book, sightings, num_keyframes = FateBook(), [], 0
+    book, sightings, num_keyframes = TrackHistories(), [], 0
     for step in recorded_steps(path, final):
         keyframe = step.keyframe
         book.add(None if keyframe is None else keyframe.observed.frame_index, step.decisions)
@@ -88,7 +88,7 @@ def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel
             if sighting is not None:
                 sightings.append(sighting)
     there = _objects_at(final, point_map)
-    tracks = sorted({s.track_id for s in sightings if s.where == "mask" and s.track_id is not None} & book.fates.keys())
+    tracks = sorted({s.track_id for s in sightings if s.where == "mask" and s.track_id is not None} & book.by_id.keys())
     x, y, z = (float(value) for value in point_map)
     return PlaceStory(
         point_m=(x, y, z),
@@ -97,7 +97,7 @@ def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel
         objects=there,
         num_keyframes=num_keyframes,
         num_looking=len(sightings),
-        tracks=tuple(track_story(book.fates[i], book.final(i)) for i in tracks),
+        tracks=tuple(track_story(book.by_id[i], book.final(i)) for i in tracks),
         stretches=stretches_of((s.frame, s.text) for s in sightings),
         sightings=tuple(sightings),
     )
@@ -113,7 +113,7 @@ def _objects_at(final: MapSnapshot, point_map: NDArray[np.float64]) -> tuple[Obj
     return tuple(sorted(found, key=lambda there: (there.distance_m, there.id)))
 
 
-def _verdict(there: tuple[ObjectThere, ...], sightings: list[PlaceSighting], book: FateBook) -> str:
+def _verdict(there: tuple[ObjectThere, ...], sightings: list[PlaceSighting], book: TrackHistories) -> str:
     if not sightings:
         told = "no keyframe has it in its image"
     else:

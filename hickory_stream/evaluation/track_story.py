@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from hickory_stream.engine.fates import FateBook, TrackFate
+    from hickory_stream.engine.track_histories import TrackHistories, TrackHistory
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,9 +37,9 @@ class Stretch:
     text: str
 
 
-def track_story(fate: TrackFate, map_id: int | None) -> TrackStory:
+def track_story(history: TrackHistory, map_id: int | None) -> TrackStory:
     """Return a track's history in words."""
-    ending = fate.ending
+    ending = history.ending
     told = ""
     if ending is not None:
         at = when(ending.frame)
@@ -49,11 +49,11 @@ def track_story(fate: TrackFate, map_id: int | None) -> TrackStory:
             else f"dropped {at}: {ending.text}"
         )
     return TrackStory(
-        id=fate.id,
-        first_frame=fate.born.frame,
-        born=fate.born.text,
-        num_keyframes=len(fate.frames),
-        turns=tuple(f"{when(t.frame)}: {t.text}" for t in fate.turns),
+        id=history.id,
+        first_frame=history.born.frame,
+        born=history.born.text,
+        num_keyframes=len(history.frames),
+        turns=tuple(f"{when(t.frame)}: {t.text}" for t in history.turns),
         ending=told,
         map_id=map_id,
     )
@@ -71,9 +71,9 @@ def stretches_of(told: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
     return tuple(stretches)
 
 
-def ending_text(fates: FateBook, track_id: int) -> str:
+def ending_text(histories: TrackHistories, track_id: int) -> str:
     """Return what became of a track, in a phrase."""
-    last = fates.last(track_id)
+    last = histories.last(track_id)
     if last is None:
         return f"#{track_id}, of which nothing is known"
     through = f" (merged into #{last.id})" if last.id != track_id else ""

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.fates import FateBook
 from hickory_stream.engine.recorded import recorded_steps, told_config
+from hickory_stream.engine.track_histories import TrackHistories
 from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.evaluation.seen_as import (
     LEAST_CODE,
@@ -92,7 +92,7 @@ class TruthSightings:
     """
 
     of_object: dict[int, tuple[Sighting, ...]]
-    fates: FateBook
+    histories: TrackHistories
     num_keyframes: int
     smallest_mask_px: float
     masks_of: dict[int, dict[int | None, int]]
@@ -111,7 +111,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
     stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
     middles = {item.id: _middle(truth, i) for i, item in enumerate(truth.objects)}
     found: dict[int, list[Sighting]] = {item.id: [] for item in truth.objects}
-    book, areas, num_keyframes, is_coarse = FateBook(), [], 0, True
+    book, areas, num_keyframes, is_coarse = TrackHistories(), [], 0, True
     masks_of: dict[int, dict[int | None, int]] = {}
     scene: Scene | None = None
     for step in recorded_steps(path, final):
@@ -148,7 +148,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
         _count_masks(masks_of, table, labels, keyframe, book)
     return TruthSightings(
         of_object={truth_id: tuple(sightings) for truth_id, sightings in found.items()},
-        fates=book,
+        histories=book,
         num_keyframes=num_keyframes,
         smallest_mask_px=float(np.quantile(areas, _SMALLEST_MASKS)) if areas else 0.0,
         masks_of=masks_of,
@@ -193,7 +193,7 @@ def _parts(
     table: dict[int, dict[int, int]],
     labels: SeenAs,
     keyframe: RecordedKeyframe,
-    book: FateBook,
+    book: TrackHistories,
 ) -> tuple[Part, ...]:
     row = table[truth_id]
     total = sum(row.values())
@@ -235,7 +235,7 @@ def _count_masks(
     table: dict[int, dict[int, int]],
     labels: SeenAs,
     keyframe: RecordedKeyframe,
-    book: FateBook,
+    book: TrackHistories,
 ) -> None:
     for truth_id, row in table.items():
         for code, px in row.items():

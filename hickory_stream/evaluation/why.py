@@ -173,7 +173,7 @@ def story_of(found: Investigation, truth_id: int) -> ObjectStory:
         for part in sighting.parts
         if part.track_id is not None and part.share >= 0.2
     )
-    fates = evidence.sightings.fates
+    histories = evidence.sightings.histories
     is_missed = row.counts and row.map_id is None
     return ObjectStory(
         truth_id=truth_id,
@@ -183,7 +183,9 @@ def story_of(found: Investigation, truth_id: int) -> ObjectStory:
         map_id=row.map_id,
         iou=row.iou,
         missed=why_missed(truth_id, row.track_ids, evidence) if is_missed else None,
-        tracks=tuple(track_story(fates.fates[i], fates.final(i)) for i in sorted(tracks) if i in fates.fates),
+        tracks=tuple(
+            track_story(histories.by_id[i], histories.final(i)) for i in sorted(tracks) if i in histories.by_id
+        ),
         stretches=stretches_of((s.frame, sighting_text(s, evidence)) for s in sightings),
         sightings=sightings,
     )

@@ -94,7 +94,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.mapping.mapping_config import MappingConfig
-    from hickory_stream.records import DropCause, MaskFeature, Observation, ObservedSpace, TrackedObject
+    from hickory_stream.records import DecisionKind, DropCause, MaskFeature, Observation, ObservedSpace, TrackedObject
 
     Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 
@@ -159,7 +159,7 @@ class MapperCore:
             case TimeJumped():
                 self._stamp_ns = None
                 self._submaps = interrupted(self._submaps)
-                self._decide("drop", None, f"{event.kind}: stamps jumped from {event.from_ns} to {event.to_ns}")
+                self._decide("time_jump", None, f"{event.kind}: stamps jumped from {event.from_ns} to {event.to_ns}")
                 return []
             case PoseJumped():
                 return self._pose_jumped(event)
@@ -270,13 +270,15 @@ class MapperCore:
         self._settle()
         self._submaps = torn(self._submaps)
         self._split_candidates = {}
-        self._decide("drop", None, f"the odometry jumped by {distance_m:.2f} m: submap {self._submaps.open_id} begins")
+        text = f"the odometry jumped by {distance_m:.2f} m: submap {self._submaps.open_id} begins"
+        self._decide("pose_jump", None, text)
         return []
 
     def _poses_corrected(self, event: PosesCorrected) -> list[Effect]:
         """Place submaps anew: everything is kept as the odometry had it, and handed out where it lies."""
         self._submaps = placed_at(self._submaps, dict(zip(event.submap_ids, event.world_from_submap, strict=True)))
-        self._decide("split", None, f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew")
+        text = f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew"
+        self._decide("pose_correction", None, text)
         # Decisions are told with the next keyframe, to which they led.
         return [Publish(snapshot=self.snapshot(), decisions=())]
 
@@ -595,7 +597,7 @@ class MapperCore:
         in_wall = points_in_wall(track, self._submaps.space, self._config)
         if in_wall is None:
             return track
-        self._decide("split", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
+        self._decide("trim", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
         return with_cloud(track, without(track.cloud, in_wall), track.sightings, self._config.lattice.points_m)
 
     def _drop_track(self, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:
@@ -729,7 +731,7 @@ class MapperCore:
 
     def _decide(
         self,
-        kind: str,
+        kind: DecisionKind,
         object_id: int | None,
         text: str,
         *,

@@ -22,6 +22,7 @@ PLOTS, DECISIONS, OBJECT_DECISIONS = "plots", "decisions", "decisions_of"
 _PER_OBJECT = {"score": "S", "variance": "sigma^2", "area": "R_area", "depth": "R_depth"}
 # What happens in every frame of a healthy run.
 _ROUTINE = ("associate", "view", "reject")
+_JUMPS = ("time_jump", "pose_jump")
 # The viewer shows one line of a text, cut at the edge of its view: what is longer goes on in a row of its own.
 _LINE_LENGTH = 160
 
@@ -65,11 +66,10 @@ def decision_items(decisions: tuple[Decision, ...]) -> list[LogItem]:
 
 
 def _level(decision: Decision) -> Any:
-    """Return how much a decision matters; a track that is dropped is routine, a jump of time or pose is not."""
+    """Return how much a decision matters: a jump of time or pose most."""
     if decision.kind in _ROUTINE:
         return rr.TextLogLevel.DEBUG
-    is_jump = decision.kind == "drop" and decision.object_id is None
-    return rr.TextLogLevel.WARN if is_jump else rr.TextLogLevel.INFO
+    return rr.TextLogLevel.WARN if decision.kind in _JUMPS else rr.TextLogLevel.INFO
 
 
 def _factors(seen: TrackedObject) -> list[tuple[str, float]]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.fates import FateBook
+from hickory_stream.engine.track_histories import TrackHistories
 from hickory_stream.evaluation.place_sighting import PlaceSighting, sighting_of
 from hickory_stream.records import Decision
 from tests.engine.snapshot_fixtures import placed
@@ -30,7 +30,7 @@ def seen(
     shift_m: tuple[float, float, float] = (0, 0, 0),
 ) -> PlaceSighting | None:
     """What the keyframe took the place for that is so far along a pixel's ray; its mask went to #5."""
-    book = FateBook()
+    book = TrackHistories()
     book.add(7, [Decision(kind="create", object_id=5, text="", observation_index=0)])
     keyframe = a_keyframe(has_coarse=has_coarse, map_from_odometry=placed(*shift_m))
     return sighting_of(keyframe, point_at(pixel, depth_m) + shift_m, MapperConfig(), book)

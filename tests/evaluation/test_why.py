@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.engine.fates import FateBook
+from hickory_stream.engine.track_histories import TrackHistories
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS, origin_of
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS, Evidence, extents_text, state_of, why_missed
 from hickory_stream.evaluation.overlap import Overlap
@@ -72,7 +72,7 @@ def evidence(
     decisions: tuple[Decision, ...] = (),
 ) -> Evidence:
     """What a run saw of the crate; each of its masks went to the track that it names, then came the decisions."""
-    book = FateBook()
+    book = TrackHistories()
     seen: set[int] = set()
     for item in sightings:
         for part in item.parts:
@@ -87,7 +87,7 @@ def evidence(
         names={THING: "1 crate", OTHER: "2 stove"},
         sightings=TruthSightings(
             of_object={THING: tuple(sightings), OTHER: ()},
-            fates=book,
+            histories=book,
             num_keyframes=20,
             smallest_mask_px=100.0,
             masks_of={7: {THING: 300, FLOOR: 700}},

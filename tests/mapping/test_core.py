@@ -18,6 +18,7 @@ from hickory_stream.events import (
     FrameObserved,
     KeepView,
     PoseJumped,
+    PosesCorrected,
     Publish,
     RequestShape,
     ShapeFailed,
@@ -86,7 +87,7 @@ def requests(effects: list[Effect]) -> list[RequestShape]:
     return [effect for effect in effects if isinstance(effect, RequestShape)]
 
 
-def kinds(effects: list[Effect], object_id: int) -> list[str]:
+def kinds(effects: list[Effect], object_id: int | None) -> list[str]:
     return [d.kind for e in effects if isinstance(e, Publish) for d in e.decisions if d.object_id == object_id]
 
 
@@ -128,6 +129,15 @@ def test_two_boxes_seen_over_several_keyframes_give_these_effects_in_this_order(
     assert step(frame(9, observation(0, A, r_area=0.005))) == [("publish", ((1, "active"), (2, "dormant")))]
     assert step(TimeJumped(from_ns=9 * SECOND_NS, to_ns=0)) == []
     assert step(SourceEnded(stamp_ns=0)) == [("request", 3, 2), ("publish", ((1, "active"), (2, "dormant")))]
+
+
+def test_jumps_and_corrections_are_decisions_of_kinds_of_their_own() -> None:
+    core = MapperCore(CONFIG)
+    core.handle(TimeJumped(from_ns=9 * SECOND_NS, to_ns=0, kind="loop"))
+    core.handle(PoseJumped(stamp_ns=0, after_from_before=np.eye(4)))
+    core.handle(PosesCorrected(stamp_ns=0, submap_ids=(0,), world_from_submap=np.eye(4)[None]))
+    effects = core.handle(SourceEnded(stamp_ns=SECOND_NS))
+    assert kinds(effects, None) == ["time_jump", "pose_jump", "pose_correction"]
 
 
 def test_every_decision_of_the_script_is_told_with_its_reason() -> None:

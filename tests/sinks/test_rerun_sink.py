@@ -187,13 +187,12 @@ def test_the_decisions_about_an_object_are_an_entity_of_their_own_beside_the_com
 def test_what_is_routine_is_no_warning_and_a_jump_is_one(tmp_path):
     told = (
         Decision(kind="drop", object_id=4, text="never confirmed, after 2 sightings"),
-        Decision(kind="drop", object_id=None, text="the odometry jumped by 3.20 m: submap 1 begins"),
+        Decision(kind="pose_jump", object_id=None, text="the odometry jumped by 3.20 m: submap 1 begins"),
         Decision(kind="reject", object_id=None, text="mask (3, 5, 9, 12): 21 pixels, 60 needed"),
     )
     rows = rows_of(play(tmp_path, num_frames=1, change=lambda report: replace(report, decisions=told)))
-    levels = {
-        row["TextLog:text"][0]: row["TextLog:level"][0] for k in ("drop", "reject") for row in rows[f"/decisions/{k}"]
-    }
+    kinds = ("drop", "pose_jump", "reject")
+    levels = {row["TextLog:text"][0]: row["TextLog:level"][0] for kind in kinds for row in rows[f"/decisions/{kind}"]}
     assert [levels[text] for text in sorted(levels)] == ["INFO", "WARN", "DEBUG"]
 
 

@@ -1,4 +1,4 @@
-"""What is shown of a frame, where the map has it: the odometry's world moved as the open submap was."""
+"""Poses of frame reports: from the odometry's world to the map's, by the correction of the open submap."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from hickory_stream.records import FrameReport, MapSnapshot
 
 
-def where_it_lies(report: FrameReport, snapshot: MapSnapshot | None) -> FrameReport:
-    """Return a report with the camera where the open submap of the map as it then was puts it."""
+def in_map_frame(report: FrameReport, snapshot: MapSnapshot | None) -> FrameReport:
+    """Return a report with its camera pose corrected as the open submap of the snapshot; None: as it is."""
     if snapshot is None or not snapshot.submaps:
         return report
     world_from_submap = snapshot.submaps[-1].world_from_submap

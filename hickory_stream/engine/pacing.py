@@ -1,4 +1,4 @@
-"""The playback clock: when a frame is due, at a rate, or at once."""
+"""Pacing of a playback: frames are due at a multiple of the rate of their stamps, or at once."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 
 @dataclass(slots=True)
-class Pump:
-    """Paces frames by their stamps: `rate` 1.0 is real time, None is as fast as can be.
+class Pacer:
+    """Paces frames by their stamps: `rate` 1.0 is real time, None is as fast as possible.
 
-    A gap of more than `longest_gap_s` in the stamps is a jump, and not waited out.
+    A gap of more than `longest_gap_s` in the stamps is a time jump, for which it does not wait.
     """
 
     rate: float | None

@@ -1,4 +1,4 @@
-"""Where an interrupted run goes on."""
+"""The state from which an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Continued:
-    """What a run was when it was interrupted, from its journal: its core, its last step, and the jobs it waited for."""
+class ResumePoint:
+    """The state of an interrupted run, from its journal: the core, the last step, and the pending shape jobs."""
 
     core: MapperCore
     step: Step

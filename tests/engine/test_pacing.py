@@ -1,4 +1,4 @@
-"""Whether the pump waits is seen from whether its coroutine gives up control, not from a clock."""
+"""Whether the pacer waits is seen from whether its coroutine gives up control, not from a clock."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.engine.pump import Pump
+from hickory_stream.engine.pacing import Pacer
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -18,8 +18,8 @@ SECOND_NS = 1_000_000_000
 SLOW = 1e-6
 
 
-def returns_at_once(pump: Pump, stamp_ns: int) -> bool:
-    waiting = pump.wait(stamp_ns)
+def returns_at_once(pacer: Pacer, stamp_ns: int) -> bool:
+    waiting = pacer.wait(stamp_ns)
     try:
         waiting.send(None)
     except StopIteration:
@@ -48,26 +48,26 @@ async def soon(awaitable: Awaitable[None]) -> bool:
 
 @given(st.lists(st.integers(0, 10**19)))
 def test_as_fast_as_can_be_never_waits(stamps_ns: list[int]) -> None:
-    pump = Pump(None)
-    assert all(returns_at_once(pump, stamp_ns) for stamp_ns in stamps_ns)
+    pacer = Pacer(None)
+    assert all(returns_at_once(pacer, stamp_ns) for stamp_ns in stamps_ns)
 
 
 def test_the_first_frame_is_due_at_once_and_a_later_one_is_not() -> None:
-    pump = Pump(SLOW)
-    assert in_loop(lambda: returns_at_once(pump, 5 * SECOND_NS))
-    assert in_loop(lambda: returns_at_once(pump, 5 * SECOND_NS))
-    assert not in_loop(lambda: returns_at_once(pump, 6 * SECOND_NS))
+    pacer = Pacer(SLOW)
+    assert in_loop(lambda: returns_at_once(pacer, 5 * SECOND_NS))
+    assert in_loop(lambda: returns_at_once(pacer, 5 * SECOND_NS))
+    assert not in_loop(lambda: returns_at_once(pacer, 6 * SECOND_NS))
 
 
 def test_a_frame_whose_time_has_passed_is_due_at_once() -> None:
-    pump = Pump(1e15)
-    assert in_loop(lambda: all(returns_at_once(pump, i * SECOND_NS) for i in range(1, 100)))
+    pacer = Pacer(1e15)
+    assert in_loop(lambda: all(returns_at_once(pacer, i * SECOND_NS) for i in range(1, 100)))
 
 
 def test_a_jump_back_starts_the_clock_anew() -> None:
     async def run() -> list[bool]:
-        pump = Pump(SLOW)
+        pacer = Pacer(SLOW)
         stamps_ns = [9 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS, 3 * SECOND_NS]
-        return [await soon(pump.wait(stamp_ns)) for stamp_ns in stamps_ns]
+        return [await soon(pacer.wait(stamp_ns)) for stamp_ns in stamps_ns]
 
     assert asyncio.run(run()) == [True, False, True, False]

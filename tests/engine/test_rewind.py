@@ -154,7 +154,7 @@ def test_such_a_run_is_not_reproducible_and_says_how_often(tmp_path: Path) -> No
     run = sought(tmp_path, there_and_back(), *NO_SHAPES)
     saved = open_map(run.folder.path)
     assert not saved.manifest.is_reproducible
-    assert saved.ledger["frames"]["went_back"] == 1
+    assert saved.ledger["frames"]["rewinds"] == 1
 
 
 def test_a_run_that_was_sought_in_and_stopped_cannot_be_resumed_but_saved(tmp_path: Path) -> None:
@@ -234,6 +234,6 @@ def test_a_person_goes_back_by_the_playback_clock(tmp_path: Path) -> None:
     run = mapped(PlayedSource(scene, clock), "sought", on_snapshot=seek)
     saved = open_map(run.folder.path)
     assert saved.ledger["source"]["seeks"] == 1
-    assert saved.ledger["frames"]["went_back"] == 1
+    assert saved.ledger["frames"]["rewinds"] == 1
     assert shown_as(saved.snapshot) == shown_as(open_map(mapped(scene, "plain").folder.path).snapshot)
     assert map_digest(replay(run.folder.path)) == run.digest

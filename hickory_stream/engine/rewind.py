@@ -1,7 +1,7 @@
-"""Going back in a log that is being played: the map as it was known then, from the run's own journal.
+"""Rewind of a playback: the core's state at an earlier stamp, restored from the run's own journal.
 
-What has happened since stays in the journal, so that it can be looked at; the step after it says which steps the core
-went on from. Numbers of objects and jobs are not given out twice.
+The steps after that stamp stay in the journal for inspection; the next step records from which one the core continues.
+Ids of objects and of jobs are not reused.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ Answer = ShapeReady | ShapeFailed
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class WentBack:
-    """The core to go on with.
+class Rewound:
+    """The restored core.
 
-    `num_steps` are those of the journal that it has gone through. `open_jobs` waited for their results then; `answers`
-    are those that came since, by their tickets. `lost_views` are the views whose pixels have been removed since; the
-    core knows them no more. `unused_views` are those that only what has happened since had kept.
+    `num_steps`: the number of journal steps in its state. `open_jobs`: shape jobs that were pending then; `answers`:
+    those of their results that have arrived since, by ticket. `lost_views`: views of that state whose pixels have been
+    deleted since, so that the core is without them. `unused_views`: views that only later steps had kept.
     """
 
     core: MapperCore
@@ -40,8 +40,8 @@ class WentBack:
     unused_views: tuple[str, ...]
 
 
-def known_before(folder: MapFolder, config: MappingConfig, stamp_ns: int, now: MapperCore) -> WentBack:
-    """Return the core as it was before a stamp, with the numbers that `now` would give out next.
+def rewound_to(folder: MapFolder, config: MappingConfig, stamp_ns: int, now: MapperCore) -> Rewound:
+    """Return the core as it was before a stamp; the next ids that it assigns are those of the core `now`.
 
     Raises:
         MapFolderError: the journal is damaged.
@@ -61,7 +61,7 @@ def known_before(folder: MapFolder, config: MappingConfig, stamp_ns: int, now: M
                         answers[event.ticket] = event
     names = replay.core.view_names()
     lost = folder.keep_views(names)
-    return WentBack(
+    return Rewound(
         core=replay.core.going_on_after(now, lost),
         num_steps=replay.num_steps,
         open_jobs=tuple(replay.open_jobs.values()),
