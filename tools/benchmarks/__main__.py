@@ -29,6 +29,8 @@ _HELPERS = {
     "intervals",
     "keyframe_memory",
     "labelled_clouds",
+    "live_log",
+    "live_receiver",
     "live_scene",
     "map_changes",
     "map_damage",

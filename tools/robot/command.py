@@ -106,3 +106,7 @@ def _faults(options: argparse.Namespace) -> Faults:
         restart_s=options.restart,
         seed=options.seed,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -20,12 +20,16 @@ _SENT_S = 0.1
 
 @dataclass(slots=True)
 class Report:
-    """What a robot says it did: messages by topic that were sent to somebody, and that nobody had asked for."""
+    """What a robot says it did: messages by topic that were sent to somebody, and that nobody had asked for.
+
+    `returned_s` is when it began to be back after a disconnection, by the clock of this machine.
+    """
 
     sent: Counter[str] = field(default_factory=Counter)
     unheard: Counter[str] = field(default_factory=Counter)
     lost: Counter[tuple[str, str]] = field(default_factory=Counter)
     num_bytes: int = 0
+    returned_s: list[float] = field(default_factory=list)
     cpu_s: float = 0.0
     wall_s: float = 0.0
 
@@ -39,6 +43,7 @@ class Report:
             "unheard": dict(sorted(self.unheard.items())),
             "lost": lost,
             "bytes": self.num_bytes,
+            "returned_s": self.returned_s,
             "cpu_s": round(self.cpu_s, 3),
             "wall_s": round(self.wall_s, 3),
         }
@@ -80,6 +85,7 @@ def drive(
                 stopped.wait(_SENT_S)
                 publisher.disconnect()
                 _wait(began_s + (at_s + for_s) / rate, stopped)
+                report.returned_s.append(time.time())
                 publisher.connect(topics.values())
                 for kept in latched:
                     _send(publisher, kept, report)

@@ -1,0 +1,213 @@
+"""Live: every route from a fake robot to the ledger and to the map, on the loopback address.
+
+Three parts. Transport: 1280x720 JPEG colour and raw 16-bit depth at 30 Hz over each route, read and paired but not
+mapped. Map: the embedded recording as a robot, mapped, recorded, and compared with the map of the recording; the robot
+goes away once. Storm: losses, jitter, disconnections and a restart at once, mapped.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hickory_stream.engine.session import open_map
+from hickory_stream.evaluation.match import STRICT_IOU, match_boxes
+from tools.benchmarks.figures import Figure, Options
+from tools.benchmarks.live_log import write_720p
+from tools.benchmarks.processes import ROOT, play
+
+_DEMO = ROOT / "recordings" / "demo.mcap"
+_ROUTES = ("zenoh-bridge", "rmw-zenoh", "foxglove", "mcap")
+_SCHEMES = {"zenoh-bridge": "zenoh", "rmw-zenoh": "zenoh", "foxglove": "foxglove"}
+_TIMEOUT_S = 900.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sample:
+    """How much is measured: loops of a log over each route, seconds that are mapped; what the robot is told."""
+
+    log_s: float
+    loops: int
+    map_s: float
+    away: tuple[str, ...]
+    storm: tuple[str, ...]
+    map_options: tuple[str, ...]
+
+
+_STORM = ("--loss", "0.1", "--jitter", "150", "--delay", "40", "--bandwidth", "10", "--clock-offset", "-300")
+_FULL = Sample(
+    log_s=2.0,
+    loops=30,
+    map_s=20.0,
+    away=("--seconds", "15", "--loop", "3", "--disconnect", "8:30"),
+    storm=(*_STORM, "--disconnect", "40:60", "--disconnect", "150:5", "--restart", "200", "--loop", "15"),
+    map_options=(),
+)
+_QUICK = Sample(
+    log_s=1.0,
+    loops=4,
+    map_s=5.0,
+    away=("--seconds", "4", "--disconnect", "1.5:1"),
+    storm=(*_STORM, "--disconnect", "2:1", "--restart", "4", "--seconds", "6"),
+    map_options=("--no-shapes",),
+)
+
+
+def measure(options: Options) -> list[Figure]:
+    """Measure all parts."""
+    sample = _QUICK if options.quick else _FULL
+    with tempfile.TemporaryDirectory(prefix="hickory-live-") as name:
+        folder = Path(name)
+        figures = _transport(sample, options.seed, folder)
+        figures += _map(sample, options.seed, folder)
+        figures += _storm(sample, options.seed, folder)
+    return figures
+
+
+def _transport(sample: Sample, seed: int, folder: Path) -> list[Figure]:
+    log = write_720p(_DEMO, folder / "720p.mcap", seconds=sample.log_s)
+    unaccounted, shares, robots, lost, waits = 0, [], [], [], []
+    figures: list[Figure] = []
+    for via in _ROUTES:
+        sent, came = _run(via, [log], folder, "--loop", str(sample.loops), "--seed", str(seed))
+        unaccounted += _unaccounted(sent, came)
+        lost.append(1.0 - sum(came["totals"].values()) / sum(sent["sent"].values()))
+        robots.append(sent["cpu_s"] / sent["wall_s"])
+        waits += came["wait_s"]
+        if came["cpu_share"] is not None:
+            shares.append(came["cpu_share"])
+            name = f"live_transport_core_share_{via.replace('-', '_')}"
+            figures.append(_figure(name, came["cpu_share"], "cores", "lower"))
+    of = "1280x720 JPEG and raw 16-bit depth at 30 Hz, not mapped; the worst route"
+    injected = 0.1
+    sent, came = _run("rmw-zenoh", [_DEMO], folder, "--loss", str(injected), "--seconds", "4", "--seed", str(seed))
+    gone = sum(number for reasons in sent["lost"].values() for number in reasons.values())
+    found = sum(came["lost"].values())
+    return [
+        _figure("live_routes", len(_ROUTES), "routes", "higher"),
+        _figure("live_unaccounted_messages", unaccounted + _unaccounted(sent, came), "messages", "lower"),
+        _figure("live_lost_fraction", max(lost), "share", "lower", "no loss injected; the worst route"),
+        *([_figure("live_transport_core_share", max(shares), "cores", "lower", of)] if shares else []),
+        *figures,
+        _figure("live_robot_core_share", max(robots), "cores", "same", "the fake robot's own"),
+        _figure("live_pairing_p95_ms", 1e3 * _p95(waits), "ms", "lower", "from a frame's last image to the frame"),
+        _figure("live_injected_loss", gone / (gone + sum(sent["sent"].values())), "share", "same", "rmw-zenoh"),
+        _figure("live_found_loss", found / (found + sum(came["totals"].values())), "share", "same", "by its numbers"),
+    ]
+
+
+def _map(sample: Sample, seed: int, folder: Path) -> list[Figure]:
+    out, record = folder / "live", folder / "session.mcap"
+    seconds = ("--seconds", str(sample.map_s))
+    sent, came = _run(
+        "zenoh-bridge", [_DEMO], folder, *seconds, to=("--out", out, "--record", record, *sample.map_options)
+    )
+    again = folder / "again"
+    play(record, again, *(("--set", "mapper.mapping.requests.max_failures=0") if sample.map_options else ()))
+    live, recorded = ([t.box for t in open_map(path).snapshot.objects] for path in (out, again))
+    matches = match_boxes(recorded, live, STRICT_IOU)
+    away, back = _run("zenoh-bridge", [_DEMO], folder, *sample.away)
+    figures = [
+        _figure(
+            "live_latency_p95_ms",
+            1e3 * _p95(came["latency_s"]),
+            "ms",
+            "lower",
+            f"from the last image of a keyframe to its snapshot, 640x360 at 6 Hz, {len(came['latency_s'])} keyframes",
+        ),
+        _figure("live_map_unaccounted", _unaccounted(sent, came), "messages", "lower"),
+        _figure(
+            "live_vs_recorded_recall_50",
+            len(matches) / len(recorded) if recorded else 0.0,
+            "share",
+            "higher",
+            f"{len(recorded)} objects of the recording's map in the live one",
+        ),
+    ]
+    gaps_ns = np.diff(back["stamps_ns"])
+    if len(gaps_ns) and away["returned_s"]:
+        # The first frame after the gap in the stamps that the absence has left.
+        first_s = back["came_s"][int(gaps_ns.argmax()) + 1]
+        told = f"from the robot's return to the first frame; away {sample.away[-1]} (at:for)"
+        figures.append(_figure("reconnect_s", first_s - away["returned_s"][0], "s", "lower", told))
+    return figures
+
+
+def _storm(sample: Sample, seed: int, folder: Path) -> list[Figure]:
+    try:
+        to = ("--out", folder / "storm", *sample.map_options)
+        sent, came = _run("rmw-zenoh", [_DEMO], folder, *sample.storm, "--seed", str(seed), to=to)
+    except RuntimeError as error:
+        print(error, file=sys.stderr)
+        return [_figure("storm_crashes", 1, "crashes", "lower")]
+    told = "loss, jitter, delay, 10 Mbit/s, disconnections, a restart at zero, a clock that is 5 min off"
+    return [
+        _figure("storm_crashes", 0, "crashes", "lower", told),
+        _figure("storm_unaccounted", _unaccounted(sent, came), "messages", "lower"),
+        _figure("storm_frames", came["frames"], "frames", "higher"),
+        _figure("storm_peak_mb", came["peak_mb"], "MB", "lower"),
+    ]
+
+
+def _run(
+    via: str, logs: list[Path], folder: Path, *faults: str, to: tuple[str | Path, ...] = ()
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Have a robot play to a receiver; return what the one says it sent and what the other says has come.
+
+    Raises:
+        RuntimeError: one of them failed.
+    """
+    if via == "mcap":
+        place = str(folder / "pipe")
+        if not Path(place).exists():
+            os.mkfifo(place)
+        uri = f"mcap:{place}"
+    else:
+        place = f"127.0.0.1:{_free_port()}"
+        uri = f"{_SCHEMES[via]}://{place}"
+    robot = [sys.executable, "-m", "tools.robot.command", *map(str, logs), "--via", via, "--listen", place, "--wait"]
+    receiver = [sys.executable, "-m", "tools.benchmarks.live_receiver", uri]
+    receiver += [str(word) for word in to]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": ROOT}
+    with (
+        subprocess.Popen([*robot, *faults], **pipes) as sending,
+        subprocess.Popen(receiver, stdin=subprocess.PIPE, **pipes) as receiving,
+    ):
+        try:
+            said, robot_error = sending.communicate(timeout=_TIMEOUT_S)
+            heard, receiver_error = receiving.communicate(timeout=_TIMEOUT_S)
+        finally:
+            sending.kill()
+            receiving.kill()
+    if sending.returncode or receiving.returncode:
+        raise RuntimeError(f"{via}: the robot said {robot_error[-500:]!r}, the receiver {receiver_error[-500:]!r}")
+    return json.loads(said), json.loads(heard.splitlines()[-1])
+
+
+def _unaccounted(sent: dict[str, Any], came: dict[str, Any]) -> int:
+    """Return how many messages that were sent to somebody are in no bucket of the receiver's ledger."""
+    missing = [abs(number - came["totals"].get(topic, 0)) for topic, number in sent["sent"].items()]
+    return sum(missing) + abs(came["difference"])
+
+
+def _p95(values: list[float]) -> float:
+    return float(np.percentile(values, 95)) if values else 0.0
+
+
+def _figure(name: str, value: float, unit: str, better: Any, of: str = "") -> Figure:
+    return Figure(name=name, value=value, unit=unit, better=better, of=of)
+
+
+def _free_port() -> int:
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        return int(server.getsockname()[1])
