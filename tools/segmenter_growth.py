@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from hickory_stream.perception.affinity import pair_features
+from hickory_stream.perception.absolute_features import is_size
 from hickory_stream.perception.join import Groups, JoinConfig, rounds
 from hickory_stream.perception.odds_features import odds_features
-from hickory_stream.perception.sizes import is_size
+from hickory_stream.perception.pair_features import pair_features
 from hickory_stream.perception.trees import Trees
 
 if TYPE_CHECKING:

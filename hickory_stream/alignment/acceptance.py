@@ -1,15 +1,15 @@
-"""How many sets of pairs as good as this one two unrelated maps would have: the a-contrario test.
+"""The a-contrario test: the expected number of false alarms of a set of pairs between two unrelated maps.
 
-In unrelated maps of N and M objects, whatever pairs of objects look alike, it is chance whether they also stand alike.
-The expected number of sets of k pairs that look and stand at least as well as those found is
+In unrelated maps of N and M objects, pairs of similar objects are consistent with one transform only by chance.
+The expected number of sets of k pairs that are at least as similar and as consistent as those found is
 
     N! M! / ((N - k)! (M - k)! k!)   sets of k pairs without a common object
-    x Q(k, -sum ln u)                of which so many rank as high (Fisher: u is the share of pairs that look as alike)
-    x o B(R) / V^(k - 1)             of which so many stand as alike.
+    x Q(k, -sum ln u)                of which so many rank as high (Fisher: u is the share of pairs that are as similar)
+    x o B(R) / V^(k - 1)             of which so many are as consistent.
 
 B(R) is the ball of the residual's norm R in the 3 k - d dimensions that a transform of d parameters leaves, o the
-volume of the transforms with their leverage on the k points, V the volume that objects stand in. Four pairs are proof
-where few pairs look alike, and chance where many do.
+volume of the transforms with their leverage on the k points, V the volume that objects occupy. Four pairs are proof
+where few pairs are similar, and chance where many are.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _MIN_VOLUME_M3, _MIN_RESIDUAL_M = 1.0, 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Chance:
-    """What decides how likely a coincidence is: the numbers of objects, and the volume that they stand in.
+    """The background model of the test: the numbers of objects, and the volume that they occupy.
 
-    A tilted transform, of up to `max_tilt_rad`, is `tilt_price` times as easily chance as a level one.
+    A tilted transform, of up to `max_tilt_rad`, has `tilt_price` times the expected false alarms of a level one.
     """
 
     num_a: int

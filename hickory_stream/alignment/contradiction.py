@@ -32,7 +32,7 @@ class ContradictionConfig(Ranged):
     Attributes:
         min_looked_at: an object is expected where at least this share of its points was looked at,
         max_missed: and missing where more than this share of those is in free space.
-        price: each missing object makes an alignment 10^x times more easily chance.
+        price: each missing object adds this to the log10 of the expected number of false alarms.
         max_missing: of the expected objects, at most this share may be missing,
         min_expected: where at least so many are expected.
     """

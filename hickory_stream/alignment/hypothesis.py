@@ -1,4 +1,4 @@
-"""A transform between two maps, the pairs of objects that it explains, and how easily chance explains them, too."""
+"""A transform between two maps, the pairs of objects that it explains, and its expected number of false alarms."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Hypothesis:
     """One way to lay map b over map a.
 
     `a_from_b` (4, 4); `pairs` (K, 2) indices into the maps, the surest first; `log_ranks` and `residuals_m` (K,) of
-    each; `log10_chance`: the logarithm of the number of sets of pairs that two unrelated maps would have, as good as
-    the best `num_proving` of these.
+    each; `log10_chance`: log10 of the expected number of false alarms: of sets of pairs of two unrelated maps as good
+    as the best `num_proving` of these pairs.
     """
 
     a_from_b: NDArray[np.float64]

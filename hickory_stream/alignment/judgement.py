@@ -1,4 +1,4 @@
-"""Whether the best hypothesis is enough: judged by chance, its rivals, its geometry, and what was not seen."""
+"""Acceptance of the best hypothesis: by its expected number of false alarms, rivals, geometry and missing objects."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.hypothesis import Evidence, Hypothesis
     from hickory_stream.alignment.object_map import ObjectMap
 
-# The mirror image is not looked for where the evidence is so many times what is asked for, in decades.
+# Mirrored hypotheses are not tried if the evidence, in decades, is so many times what is required.
 _SURE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AcceptanceConfig(Ranged):
-    """What an alignment must show.
+    """When an alignment is accepted.
 
     Attributes:
-        max_log10_chance: as good a set of pairs is expected in fewer than one in 10^x pairs of unrelated maps.
-        min_margin: the best distinct rival is 10^x times as easily chance.
-        min_pairs: fewer pairs are never enough.
-        min_spread_m: the pairs' standard deviation across their main level direction, at least.
-        max_turn_deg: the standard deviation of the rotation, at most.
-        tilt_price: a tilt between the maps counts as 10^x times more easily chance: robots know gravity.
-        max_tilt_deg: no more than this between the verticals of two maps.
-        distinct_m, distinct_deg: transforms closer than this are one.
-        num_rivals: how many distinct transforms are looked for.
+        max_log10_chance: maximum log10 of the expected number of false alarms: of sets of pairs as good as these
+            between two unrelated maps.
+        min_margin: minimum log10 ratio of the expected numbers of false alarms of the best distinct rival and the best.
+        min_pairs: minimum number of pairs.
+        min_spread_m: minimum standard deviation of the pairs across their main horizontal direction.
+        max_turn_deg: maximum standard deviation of the rotation.
+        tilt_price: a tilt between the maps adds this to the log10 of false alarms: robots measure gravity.
+        max_tilt_deg: maximum angle between the verticals of two maps.
+        distinct_m, distinct_deg: transforms closer than this are the same.
+        num_rivals: maximum number of distinct transforms to search for.
     """
 
     max_log10_chance: float = number(-2.5, -1000, 1000, "log10")
@@ -54,7 +55,7 @@ class AcceptanceConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Judged:
-    """A hypothesis, what speaks against it, and how easily it is chance with that taken into account."""
+    """A hypothesis, the evidence against it, and log10 of its expected number of false alarms with that included."""
 
     hypothesis: Hypothesis
     contradictions: Contradictions
@@ -62,7 +63,7 @@ class Judged:
 
 
 def confronted(map_a: ObjectMap, map_b: ObjectMap, found: list[Hypothesis], config: AlignConfig) -> tuple[Judged, ...]:
-    """Return the hypotheses with what was not seen counted against them, the least easily chance first."""
+    """Return the hypotheses with missing objects counted against them, fewest expected false alarms first."""
     judged = []
     for hypothesis in found:
         against = Contradictions()
@@ -82,7 +83,7 @@ def why_refused(
     notes: tuple[str, ...],
     config: AlignConfig,
 ) -> NoAlignment | None:
-    """Return why the best hypothesis is not enough; None when it is."""
+    """Return why the best hypothesis is refused; None if it is accepted."""
     acceptance = config.acceptance
 
     def refusal(kind: Refusal, reason: str) -> NoAlignment:
@@ -126,13 +127,15 @@ def why_refused(
         reason = f"the mirror image of one map fits the other better than its {len(best.pairs)} pairs do"
         return refusal(Refusal.MIRRORED, reason)
     if margin_of(judged) < acceptance.min_margin:
-        reason = f"a different alignment is nearly as good: only 10^{margin_of(judged):.1f} times as easily chance"
+        reason = (
+            f"a different alignment is nearly as good: only 10^{margin_of(judged):.1f} times the expected false alarms"
+        )
         return refusal(Refusal.RIVAL, reason)
     return None
 
 
 def margin_of(judged: tuple[Judged, ...]) -> float:
-    """Return by how much less easily chance the best is than its rival; than nothing special, where there is none."""
+    """Return log10 of the ratio of the expected false alarms of the best rival (1 without one) and of the best."""
     rival = min(judged[1].log10_chance, 0.0) if len(judged) > 1 else 0.0
     return rival - judged[0].log10_chance
 

@@ -1,4 +1,4 @@
-"""The distinct transforms between two maps that many pairs of objects bear out, the least easily chance first."""
+"""Search for distinct transforms between two maps that many pairs of objects support."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def hypotheses_of(evidence: Evidence, config: AlignConfig) -> list[Hypothesis]:
 
 
 def searched(evidence: Evidence, config: AlignConfig, *, is_level: bool) -> list[Hypothesis]:
-    """Return the distinct hypotheses, the least easily chance first."""
+    """Return the distinct hypotheses, those with the fewest expected false alarms first."""
     affinity = build_affinity(
         evidence.centroids_a, evidence.centroids_b, evidence.log_ranks, config.affinity, is_level=is_level
     )

@@ -136,8 +136,8 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
         f"{yaw_deg:.2f} deg",
         f"  uncertainty {100 * answer.translation_sigma_m:.1f} cm, {np.degrees(answer.rotation_sigma_rad):.2f} deg"
         f"{', refined on surfaces' if answer.is_refined else ''}{'' if answer.is_level else ', maps tilted'}",
-        f"  chance 10^{answer.log10_chance:.1f}; the best distinct rival is 10^{answer.margin:.1f} times as easily "
-        "chance",
+        f"  expected false alarms 10^{answer.log10_chance:.1f}; the best distinct rival has 10^{answer.margin:.1f} "
+        "times as many",
         f"  of {against.num_expected} objects whose place the other map saw, {against.num_missing} are missing",
     ]
     return "\n".join([*lines, *notes])

@@ -1,4 +1,4 @@
-"""Where submaps are said to lie, checked before anything is moved."""
+"""Validation of corrected submap poses before they are applied."""
 
 from __future__ import annotations
 

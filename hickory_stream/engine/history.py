@@ -1,4 +1,4 @@
-"""A recorded run, gone through again: without perception, workers or a clock, to the same map.
+"""Replay of a recorded run by the core alone, without perception, workers or a clock, to the same map.
 
 From the journal alone: the core is given its events, from the beginning or from the last checkpoint before the moment
 that is asked for.
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Replayed:
-    """A step gone through again: what it was, and what the core published in it (None: it was no keyframe)."""
+    """A replayed step, and what the core published in it (None: it was no keyframe)."""
 
     index: int
     entry: JournalEntry
@@ -49,7 +49,7 @@ _NONSENSE = (ValueError, LookupError, TypeError, AttributeError, AssertionError,
 
 
 class Replay:
-    """The core of a recorded run as it was after some step; `run_to` moves it on, `on_request` is told of its jobs."""
+    """The core of a recorded run after some step; `steps` advances it, `on_request` receives its shape jobs."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class Replay:
             ) from error
 
     def _go_back(self, step: Step) -> None:
-        """Take up what the run took up where somebody went back in the log."""
+        """Restore the state to which the run was rewound in this step, if it was."""
         if step.goes_back_to is None:
             return
         then = Replay(self._journal, self._config)

@@ -1,7 +1,7 @@
-"""Every message of the log in one bucket: what the source knows of them, completed by what the run made of the frames.
+"""The account of all messages of a log, each in one bucket: that of the source, completed by the run's use of frames.
 
-The source calls the images of all frames used; of those that were no keyframes the run needed none, and it may have
-found keyframes that cannot be decoded.
+The source counts the images of all frames as used. The run did not need those of frames that were no keyframes, and
+some of its keyframes may have been unreadable.
 """
 
 from __future__ import annotations

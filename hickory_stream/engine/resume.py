@@ -1,4 +1,4 @@
-"""Going on with a run that was interrupted: killed, stopped, or ended by an error.
+"""Resuming a run that was interrupted: killed, stopped, or ended by an error.
 
 A playback continues after its last complete step and comes to the same map as one that was never interrupted. Of a live
 run, whose frames are gone, everything up to the last step is saved; so it is of one in whose log somebody sought.

@@ -147,7 +147,7 @@ class Run:
             self._continue(continued)
 
     def _continue(self, continued: ResumePoint) -> None:
-        """Take over what an interrupted run had come to."""
+        """Take over the state of an interrupted run."""
         step = continued.step
         self._snapshot = self._core.snapshot()
         self._start = continued.position
@@ -174,7 +174,7 @@ class Run:
 
     @property
     def is_reproducible(self) -> bool:
-        """Whether nothing but the log and the configuration decided what the map is: no limit, and nobody's hand."""
+        """Whether the map depends on the log and the configuration alone: no limit was hit, no seek or correction."""
         by_hand = self._source_ledger().get("seeks", 0) + self.counts["pose_corrections"]
         return self._mode == "playback" and self._num_limits() == 0 and not by_hand
 

@@ -1,4 +1,4 @@
-"""The map as of any moment of its run, from the journal: what was known then, and what has changed between two moments.
+"""The state of the map at any moment of its run, from the journal, and the changes between two moments.
 
 Moments are stamps of the log (nanoseconds), or seconds of the map's own clock: 0 at the first keyframe, and running on
 through a jump of the stamps, so that each moment of a looped log has one number. Where a stamp came up more than once,
@@ -33,7 +33,7 @@ _NS = "ns"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
-    """What became of one object between two moments; `text` gives the numbers."""
+    """A change of one object between two moments; `text` gives the numbers."""
 
     kind: ChangeKind
     object_id: int

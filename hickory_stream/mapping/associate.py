@@ -1,7 +1,7 @@
-"""Which observation is which track: one-to-one by the exact IoU of oriented boxes, then partial views by their points.
+"""Data association: one-to-one by the exact IoU of oriented boxes, then partial views by their points.
 
-A thing that is half out of the picture has a small box inside the track's large one: where the boxes cannot tell, an
-observation belongs to the track on whose points it lies.
+An object that the image border cuts has a small box inside the track's large one: where IoU is inconclusive, an
+observation is matched with the track on whose points it lies.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AssociateConfig(Ranged):
-    """When an observation is a track.
+    """When an observation matches a track.
 
     Attributes:
-        min_iou: least IoU of the oriented boxes.
-        min_lies_on: least share of a partial view's points that lie on the track.
+        min_iou: minimum IoU of the oriented boxes.
+        min_lies_on: minimum share of a partial view's points that lie on the track.
         settled_sightings, swollen: an observation whose box is `swollen` times that of a track which was seen so often
             is the track and more; it is not fused into it unless that repeats itself.
     """
@@ -44,10 +44,10 @@ class AssociateConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Match:
-    """An observation and the track that it is.
+    """An observation and the track that it matches.
 
-    `is_part`: it lies on a track that another observation of the frame already is, so that it is a piece of it.
-    `candidates` are the tracks with overlapping boxes, best first, with their IoU: for people who ask why.
+    `is_part`: it lies on a track that another observation of the frame matches already, so that it is a part of it.
+    `candidates` are the tracks with overlapping boxes and their IoU, best first, for the log of decisions.
     """
 
     observation_index: int
@@ -61,7 +61,7 @@ class Match:
 def associate(
     observations: Sequence[Observation], tracks: Mapping[int, Track], voxel_m: float, config: AssociateConfig
 ) -> list[Match]:
-    """Return one match per observation, in order; `track_id` None means that it is new.
+    """Return one match per observation, in order; `track_id` None: it is a new object.
 
     By boxes: pairs in the order of falling IoU, ties by track id, then by observation. Then, for observations that are
     left: the track that they lie on most, by points; of several, the one with the most of them there is the track, and
@@ -120,10 +120,10 @@ def associate(
 
 
 def is_swollen(observation: Observation, track: Track, config: AssociateConfig) -> bool:
-    """Return whether an observation is a well known track and something else beside it.
+    """Return whether an observation is under-segmented: it contains an established track and something beside it.
 
-    A track that has been seen often has its size. Each such observation is a doubt about it; after as many as a fifth
-    of its sightings, and three, the track is believed to be larger after all.
+    The size of a track with many sightings is known. Each such observation is a doubt about it; after as many as a
+    fifth of its sightings, plus three, the track is taken to be larger after all.
     """
     return (
         track.sightings >= config.settled_sightings
@@ -134,7 +134,7 @@ def is_swollen(observation: Observation, track: Track, config: AssociateConfig) 
 
 
 def _lies_on_most(observation: Observation, tracks: Sequence[Track], voxel_m: float) -> tuple[int | None, float]:
-    """Return the track that most of an observation's points lie on, and the share; ties go to the lower id."""
+    """Return the track on which most of an observation's points lie, and their share; ties go to the lower id."""
     keys = keys_of_points(observation.points_world, voxel_m)
     best_id, best_share = None, 0.0
     for track in tracks:

@@ -100,7 +100,7 @@ if TYPE_CHECKING:
 
 
 _UNSUPPORTED = "unsupported but for this one, which it touches"
-# Of the tracks that an observation overlaps, the ones with the best IoU: what it barely touches it does not swallow.
+# An observation may be under-segmented with the tracks of the best IoU; those that it barely overlaps do not count.
 _MOST_DOUBTED = 4
 # Given, or made anew from the rest.
 _NOT_STATE = frozenset({"_config", "_associator", "_shown", "_shown_submaps"})
@@ -279,17 +279,17 @@ class MapperCore:
         self._submaps = placed_at(self._submaps, dict(zip(event.submap_ids, event.world_from_submap, strict=True)))
         text = f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew"
         self._decide("pose_correction", None, text)
-        # Decisions are told with the next keyframe, to which they led.
+        # The decision is published with the next keyframe.
         return [Publish(snapshot=self.snapshot(), decisions=())]
 
     def _settle(self) -> None:
-        """Take off the tracks what of them lies in structure, while it is known where that is."""
+        """Remove the points of tracks that lie in structure, before the observed space is reset."""
         for track_id in sorted(self._tracks):
             if self._is_judged(self._tracks[track_id]):
                 self._tracks[track_id] = self._without_wall(self._tracks[track_id])
 
     def _is_judged(self, track: Track) -> bool:
-        """Return whether a track was seen since the odometry last jumped, so that the space tells something of it."""
+        """Return whether a track was seen since the last pose jump, so that it can be judged by the observed space."""
         return track.seen_in >= self._submaps.first
 
     # ---- one keyframe ------------------------------------------------------------------------------------------------
@@ -499,7 +499,7 @@ class MapperCore:
         return new.id
 
     def _doubt(self, event: FrameObserved, matches: list[Match]) -> None:
-        """Count for each settled track near an observation that is it and more; one that is seen as itself is sure."""
+        """Count doubts: under-segmented observations of each established track; a match of its own resets them."""
         seen = {match.track_id for match in matches}
         for match in matches:
             observation = event.observations[match.observation_index]
@@ -521,7 +521,7 @@ class MapperCore:
     def _vote(
         self, event: FrameObserved, matches: list[Match], homes: Sequence[int], covered: Sequence[list[int]]
     ) -> None:
-        """Count the pairs of tracks that this keyframe sees apart, or else together, each pair once.
+        """Count the votes of this keyframe: pairs of tracks that it segments apart or, otherwise, together, each once.
 
         Apart: two whole observations with boxes that meet. Small things that touch cover each other's rims, so that
         only a pair that is not seen apart can be seen together.
@@ -724,7 +724,7 @@ class MapperCore:
         return [*effects, Publish(snapshot=self.snapshot(), decisions=decisions, metrics=self._metrics())]
 
     def _final_id(self, track_id: int | None) -> int | None:
-        """Return what a track has become: itself, the one that it was merged into, or None if it was dropped."""
+        """Return the id of a track, or of the one that it was merged into; None if it was dropped."""
         if track_id is None or track_id in self._tracks:
             return track_id
         return next((i for i in sorted(self._tracks) if track_id in self._tracks[i].merged_ids), None)

@@ -1,8 +1,8 @@
-"""How sure it is that there is a thing: evidence from sightings, in units of one more sighting from the same place.
+"""Evidence for the existence of an object, in units of one more sighting from the same place.
 
-A segmenter that is wrong from one place is wrong again from there, so that sightings from places near each other say
-nearly the same; one from elsewhere is a new witness. What is seen small, or has little sure depth, is a weaker one, and
-a keyframe that looked through the place speaks against. With independent witnesses evidence is a log-odds that adds up
+Errors of a segmenter are correlated between nearby viewpoints, so that sightings from there add little; a sighting
+from a new viewpoint is independent evidence. A small or incomplete mask is weaker evidence, and a keyframe that sees
+through the place is evidence against the object. Independent evidence adds up as log-odds do
 (as in occupancy grids: Moravec and Elfes, ICRA 1985).
 """
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import Observation
 
-# More places tell nothing new of a thing that was confirmed long ago.
+# An object seen from so many places was confirmed long ago: more places are not stored.
 _MOST_PLACES = 12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExistenceConfig(Ranged):
-    """What a sighting is worth.
+    """How much evidence a sighting is.
 
     Attributes:
-        apart_rad: directions to a thing that differ by this are witnesses of their own; less, in proportion.
-        apart_ratio: so are distances of this ratio: what is seen from close by is seen anew.
-        fresh: what a sighting from a place of its own is worth.
-        again: what one more from the same place is worth.
-        full_sr: a thing that fills less of the view than this solid angle is a weaker witness ...
-        least: ... but none is weaker than this share.
+        apart_rad: viewing directions that differ by this are independent; smaller differences count in proportion.
+        apart_ratio: so are viewing distances of this ratio.
+        fresh: evidence of a sighting from an independent viewpoint.
+        again: evidence of one more sighting from the same viewpoint.
+        full_sr: objects that subtend less than this solid angle are weaker evidence ...
+        least: ... but no sighting is worth less than this share.
     """
 
     apart_rad: float = number(0.6, 0.001, 3.15, "rad")
@@ -48,19 +48,19 @@ class ExistenceConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Existence:
-    """The `evidence` for a thing, and the `places` (N, 3) of the camera from which it was seen as another witness."""
+    """The `evidence` for an object, and the independent `places` (N, 3) of the camera from which it was seen."""
 
     evidence: float
     places: NDArray[np.float64]
 
 
 def no_evidence() -> Existence:
-    """Return what is known of what nobody has seen."""
+    """Return the existence of an object without sightings."""
     return Existence(evidence=0.0, places=np.zeros((0, 3)))
 
 
 def sighted(known: Existence, seen: Observation, camera: NDArray[np.float64], config: ExistenceConfig) -> Existence:
-    """Return what is known after one more sighting from a camera at (3,), in the world."""
+    """Return the existence after one more sighting from a camera at (3,), in the world."""
     way = seen.box.center - camera
     novelty = _novelty(known.places, seen.box.center, camera, config)
     worth = config.again + (config.fresh - config.again) * novelty
@@ -72,19 +72,19 @@ def sighted(known: Existence, seen: Observation, camera: NDArray[np.float64], co
 
 
 def united(a: Existence, b: Existence) -> Existence:
-    """Return what is known of one thing that was two."""
+    """Return the existence of two merged tracks: that with more evidence."""
     return a if a.evidence >= b.evidence else b
 
 
 def doubted(known: Existence) -> Existence:
-    """Return what is known after a keyframe looked through the place."""
+    """Return the existence after a keyframe saw through the place."""
     return Existence(evidence=max(known.evidence - 1.0, 0.0), places=known.places)
 
 
 def _novelty(
     places: NDArray[np.float64], middle: NDArray[np.float64], camera: NDArray[np.float64], config: ExistenceConfig
 ) -> float:
-    """Return how far a place is from every other one, as seen from the thing: 0 for the same, 1 for another witness."""
+    """Return how independent a viewpoint is of the stored ones: 0 for the same, 1 for an independent one."""
     way = middle - camera
     reach_m = max(portable.norm(way), 1e-6)
     novelty = 1.0
@@ -100,7 +100,7 @@ def _novelty(
 
 
 def _sharpness(seen: Observation, distance_m: float, config: ExistenceConfig) -> float:
-    """Return what a sighting is worth by the solid angle that it fills and the share of it with sure depth."""
+    """Return the weight of a sighting: by the object's solid angle and the share of its mask with reliable depth."""
     x, y, z = (float(side) for side in 2 * seen.box.half_extents_m)
     # The mean face of the box that was seen, as one looks at it.
     solid_angle = (x * y + y * z + z * x) / 3 / max(distance_m * distance_m, 1e-6)

@@ -1,4 +1,4 @@
-"""Which frames are keyframes: decided from stamps and poses alone, before anything is decoded."""
+"""Keyframe selection from stamps and poses alone, before anything is decoded."""
 
 from __future__ import annotations
 

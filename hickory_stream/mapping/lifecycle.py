@@ -2,14 +2,14 @@
 
     | from      | to        | when                                                                      |
     |-----------|-----------|---------------------------------------------------------------------------|
-    | (new)     | tentative | an observation is no known track                                           |
+    | (new)     | tentative | an observation matches no track                                            |
     | tentative | active    | its evidence is that of `confirm_sightings` sightings (`existence.py`)     |
     | tentative | (dropped) | not seen for `tentative_s`                                                 |
     | active    | dormant   | not seen for `dormant_s`                                                   |
     | dormant   | archived  | not seen for `archive_s`                                                   |
     | dormant   | active    | seen again                                                                 |
     | archived  | active    | seen again                                                                 |
-    | any       | (dropped) | `phantom_frames` keyframes looked through the place where it should be      |
+    | any       | (dropped) | `phantom_frames` keyframes saw through its place                            |
     | any       | structure | its two longest sides are over `structure_m`, or its box over `structure_m3` |
     | confirmed | structure | an upright slab from the floor to `wall_top_m`: a wall between two doors       |
     | any       | (dropped) | more than `structure_share` of it lies in such structure                    |
@@ -39,9 +39,9 @@ class LifecycleConfig(Ranged):
     """The numbers of the table.
 
     Attributes:
-        confirm_sightings: what a thing takes, in units of `existence`: two good sightings from apart, or so many that
-            say nearly the same.
-        tentative_s: what is not sure yet is remembered for so long, in which a walk comes back to its place.
+        confirm_sightings: evidence for a confirmation, in units of `existence`: two good sightings from different
+            viewpoints, or so many from the same one.
+        tentative_s: unconfirmed tracks are kept for so long, so that a second visit can confirm them.
         wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab that begins at most this high above
             the floor, ends at least that high, is at least so tall and thinner, is a piece of a wall; so is one longer
             than `structure_m`, wherever it begins.
@@ -49,8 +49,8 @@ class LifecycleConfig(Ranged):
             over a door.
         wall_share, wall_hits: of a track that comes to rest with more of its points than this in voxels that so many
             keyframes saw as structure, and `wall_against` times as many as saw the point as the track's, these points
-            are taken away: a frame took the wall behind it for a piece of it.
-        phantom_share: share of a track's voxels that must be seen free for a keyframe to count as looking through.
+            are removed: some mask of the track included a piece of the wall behind it.
+        phantom_share: minimum share of a track's voxels that a keyframe observes free to count as seeing through it.
     """
 
     confirm_sightings: int = number(4, 1, 1_000_000, "sightings")
@@ -88,12 +88,12 @@ def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | 
 
 
 def is_sure(track: Track, config: LifecycleConfig) -> bool:
-    """Return whether there is enough evidence that a track is a thing."""
+    """Return whether there is enough evidence to confirm a track."""
     return track.existence.evidence >= config.confirm_sightings - _ROUNDING
 
 
 def is_structure(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
-    """Return whether a track has grown into something that is no object: too large, or a piece of a wall."""
+    """Return whether a track is structure by its size or as a piece of a wall."""
     size = 2 * track.box.half_extents_m
     if np.sort(size)[1] > config.structure_m or track.box.volume_m3 > config.structure_m3:
         return True
@@ -101,7 +101,7 @@ def is_structure(track: Track, floor_z_m: float | None, config: LifecycleConfig)
 
 
 def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
-    """Return whether a track is an upright slab from near the floor to above one's waist: a wall between two doors."""
+    """Return whether a track is an upright slab from near the floor to above the waist: a wall between two doors."""
     size = 2 * track.box.half_extents_m
     low, high = float(track.bounds[0, 2]), float(track.bounds[1, 2])
     thickness, width = float(min(size[:2])), float(max(size[:2]))

@@ -1,4 +1,4 @@
-"""Space as it was seen so far: free and structure voxels, kept as sorted keys."""
+"""The observed space: free voxels and voxels of structure, as sorted keys."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 _SURE_HITS = 2
 # 255 where a track was that is structure; one less for each keyframe that saw through it, down to none.
 _NO_OBJECT, _DISPROVED = 255, 251
-# Where one count gets there, both are halved: what is believed can still be unlearned.
+# When a count reaches this, both counts of the voxel are halved, so that later keyframes can still outvote it.
 _MOST_VOTES = 240
-# As far as cells are numbered.
+# The range of voxel indices.
 _FAR = 1 << 20
 
 
@@ -93,7 +93,7 @@ def _is_structure(hits: NDArray[np.uint8], misses: NDArray[np.uint8]) -> NDArray
 
 
 def empty_space(voxel_m: float) -> SpaceState:
-    """Return space of which nothing was seen."""
+    """Return an empty observed space."""
     none, no_votes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
     return SpaceState(voxel_m=voxel_m, free=none, hidden_free=none, surface=none, hits=no_votes, misses=no_votes)
 
@@ -199,7 +199,7 @@ def known_no_object(state: SpaceState) -> NDArray[np.int64]:
 
 
 def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: float) -> float:
-    """Return the share of (N, 3) points, from about 200 of them, in voxels of sorted keys."""
+    """Return the share of (N, 3) points in voxels of sorted keys, from a sample of about 200."""
     return float(_share_in(keys, points, max(1, len(points) // 200), voxel_m))
 
 
@@ -216,7 +216,7 @@ def _share_in(sorted_keys, points, step, voxel_m):  # type: ignore[no-untyped-de
 
 
 def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
-    """Return whether a flat thing lies in the plane of structure that goes on around it: more of the same wall."""
+    """Return whether a flat object is coplanar with structure around it: a part of the same wall."""
     half = box.half_extents_m
     thin = int(np.argmin(half))
     wide = np.delete(half, thin)
@@ -239,7 +239,7 @@ def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
 
 
 def is_edge(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
-    """Return whether a thing is a slender upright strip along structure: the edge of a wall, the frame of a door."""
+    """Return whether an object is a slender upright strip along structure: the edge of a wall, the frame of a door."""
     *widths, height = 2 * box.half_extents_m
     if max(widths) > config.edge_width_m or height < config.edge_height_m:
         return False
@@ -251,7 +251,7 @@ def is_edge(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
 
 
 def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float32], reach_m: float) -> bool:
-    """Return whether structure lies within `reach_m` of a tenth of a thing's (N, 3) points."""
+    """Return whether structure lies within `reach_m` of at least a tenth of an object's (N, 3) points."""
     centers = _structure_around(state, box, reach_m)
     if len(centers) == 0:
         return False

@@ -86,7 +86,7 @@ def best_score(track: Track) -> float:
 
 
 def predicted_s(track: Track, config: RequestConfig) -> float:
-    """Return what the job for a shape is predicted to take, in seconds."""
+    """Return the predicted duration of a shape job, in seconds."""
     return config.job_s + config.view_s * len(track.views) + config.kilopoint_s * len(track.solid.keys) / 1000
 
 
@@ -105,7 +105,7 @@ def gain_of(track: Track) -> float:
 
 
 def support_height_m(track: Track, others: Iterable[Track], floor_z_m: float | None) -> float | None:
-    """Return the height of what an object stands on: another object's top, or the floor; None if unknown."""
+    """Return the height of an object's support surface: another object's top, or the floor; None if unknown."""
     bottom = float(track.box.center[2] - track.box.half_extents_m[2])
     best: float | None = None
     for other in others:
@@ -151,7 +151,7 @@ def state_of_request(track: Track, ticket: int, clock_ns: int, *, is_replacement
 
 
 def _surrounds(points: NDArray[np.float32], box: OrientedBox) -> bool:
-    """Return whether points lie on most sides of a box's middle: a neighbour beside it is no support."""
+    """Return whether points lie on most sides of a box's centre; those of a neighbour beside it do not."""
     x, y = (points[:, :2] - box.center[:2]).T
     sectors = np.floor((portable.arctan2(y, x) + np.pi) / (2 * np.pi) * 8).astype(np.int64) % 8
     return int((np.bincount(sectors, minlength=8) > 0).sum()) >= _SUPPORT_SECTORS

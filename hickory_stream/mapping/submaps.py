@@ -1,4 +1,4 @@
-"""Submaps: pieces of the map that can be moved rigidly, and what of the observed space is whose.
+"""Submaps: parts of the map that can be moved rigidly, each with its share of the observed space.
 
 An object, like a voxel, belongs to the submap in which it was first seen. Everything is kept where the odometry had
 it: a correction is only a place for each submap, applied where the map is handed out. So no shape is ever recomputed,
@@ -75,11 +75,11 @@ class Submaps:
 
     @property
     def open_id(self) -> int:
-        """The submap in which new things are put."""
+        """The submap of new objects."""
         return len(self.states) - 1
 
     def world_from(self, submap_id: int) -> NDArray[np.float64]:
-        """Return where a submap lies: world_from_submap (4, 4)."""
+        """Return the pose of a submap: world_from_submap (4, 4)."""
         return self.states[submap_id].world_from_submap
 
 
@@ -158,7 +158,7 @@ def with_structure(submaps: Submaps, points: NDArray[np.float32]) -> Submaps:
 
 
 def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float64]]) -> Submaps:
-    """Return the submaps with some of them at other places.
+    """Return the submaps with some of their poses corrected.
 
     Raises:
         ValueError: there is no such submap.

@@ -1,4 +1,4 @@
-"""A track: what the core knows of one object. Frozen; a step makes a new one."""
+"""A track: the state of one object in the core. Immutable; each update makes a new one."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: floa
 
 
 def box_of(points: NDArray[np.float32], voxel_m: float) -> OrientedBox:
-    """Return the gravity-aligned box of a cloud without its stray points; of a large cloud every nth point will do."""
+    """Return the gravity-aligned box of a cloud without outliers; large clouds are subsampled."""
     points = points[:: max(1, len(points) // _BOX_POINTS)]
     return gravity_aligned_box(points[in_company(points)], voxel_m)
 

@@ -1,4 +1,4 @@
-"""Fragments joined by the network alone: those with the greatest mean odds first.
+"""Merging of fragments by the network alone: average linkage, greatest mean odds first.
 
 Joining by the mean affinity between two groups is the average linkage of GASP (Bailoni et al. 2019), which they found
 the most robust; Wolf et al. 2018 is its rival.

@@ -1,4 +1,4 @@
-"""A keyframe's depth and structure at a fraction of its size: what the journal keeps, so that one can ask why later.
+"""A keyframe's depth and structure at low resolution, kept in the journal to explain decisions later.
 
 About 160 cells across, whatever the camera: enough to say where a pixel was and what it was taken for, at a twentieth
 of what a keyframe takes in the journal.

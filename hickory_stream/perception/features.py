@@ -1,4 +1,4 @@
-"""Features by name that are computed when they are asked for: a forest asks for its own, and there are many more."""
+"""Features by name, computed lazily: a forest uses only some of them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Features(Mapping[str, "NDArray[np.float64]"]):
 
 
 def of_both(makers: Makers, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
-    """Return what makes the features of the regions `large` and `small` (K,) of pairs from that of (n,) regions."""
+    """Return the makers of features of the regions `large` and `small` (K,) of pairs, from those of (n,) regions."""
     regions = Features(makers)
     out: dict[str, Callable[[], NDArray[np.float64]]] = {}
     for name in makers:

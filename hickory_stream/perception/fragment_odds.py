@@ -1,4 +1,4 @@
-"""What the network of affinities says of fragments: of every two with pixels at its distances, and of each alone.
+"""Odds of the affinity network summed over fragments: between every two, and within each.
 
 The odds of pixels are bytes, their sums over the pixels of two fragments are integers: those of groups of fragments
 follow from those of their members, exactly and in any order.

@@ -1,7 +1,7 @@
-"""Fragments: connected pieces of surface that no depth edge, concave crease or supporting plane divides.
+"""Over-segmentation into fragments: connected surface without depth edges, concave creases or support plane borders.
 
-Working pixels are joined to their neighbours by union-find, in an order that does not matter: the result is a partition
-that depends only on which neighbour pairs may join.
+Neighbouring pixels are joined by union-find; the partition depends only on which pairs of neighbours may be joined, not
+on their order.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FragmentConfig(Ranged):
-    """What divides a surface.
+    """What separates fragments.
 
     Attributes:
-        step_m: distance between neighbouring pixels, out of each other's plane, that is a depth edge (beside 3 sigma).
-        gap_share: neighbours whose depths differ by more than this share are divided, whatever their planes.
-        crease_rad: angle of a concave crease that divides.
-        crease_reach_px: normals are compared over twice this many pixels.
-        min_pixels: smaller fragments are given to a neighbour or dropped.
+        step_m: minimum depth edge: distance of a pixel from its neighbour's tangent plane, plus 3 sigma.
+        gap_share: neighbours whose depths differ by more than this share are separate whatever their planes.
+        crease_rad: minimum angle of a concave crease.
+        crease_reach_px: normals are compared across twice this many pixels.
+        min_pixels: smaller fragments are merged with a neighbour or dropped.
     """
 
     step_m: float = number(0.008, 0, 10, "m")
@@ -44,7 +44,7 @@ class FragmentConfig(Ranged):
 def support_labels(
     surface: Surface, heights_m: NDArray[np.float64], *, min_pixels: int, tolerance_m: float = 0.008
 ) -> NDArray[np.int32]:
-    """Return (h, w) 1 + the index of the horizontal plane that a pixel lies in; 0 where it lies in none."""
+    """Return (h, w) 1 + the index of the support plane on which a pixel lies; 0 if there is none."""
     labels = np.zeros(surface.depth_m.shape, dtype=np.int32)
     slack = tolerance_m + 1.5 * surface.sigma_m
     for i, height in enumerate(heights_m):
@@ -54,7 +54,7 @@ def support_labels(
 
 @numba.njit(cache=True, nogil=True)
 def _label_level(points, normals, slack, z_m, min_pixels, label, labels):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Give a label to what has none in the large enough regions of a level surface; a region's pixels share sides."""
+    """Label the unlabelled pixels of 4-connected regions of a horizontal surface that are large enough."""
     height, width = labels.shape
     waits = np.empty((height, width), dtype=np.bool_)
     for y in range(height):
@@ -85,7 +85,7 @@ def _label_level(points, normals, slack, z_m, min_pixels, label, labels):  # typ
 
 
 def concave_creases(surface: Surface, structure: NDArray[np.bool_], config: FragmentConfig) -> NDArray[np.bool_]:
-    """Return (h, w) the pixels on a concave crease, but for those on structure, which is no fragment's."""
+    """Return (h, w) the pixels on a concave crease, outside of structure."""
     return _creases(
         surface.points_world,
         surface.normals_world,
@@ -104,7 +104,7 @@ def fragments_of(
     creases: NDArray[np.bool_],
     config: FragmentConfig,
 ) -> NDArray[np.int32]:
-    """Return (h, w) fragment labels 1..n in scan order; 0 on structure and where there is no surface."""
+    """Return (h, w) fragment labels 1..n in scan order; 0 on structure and where there is no depth."""
     labels = _join(
         surface.depth_m,
         surface.points_world,
@@ -144,8 +144,7 @@ def _creases(points, normals, sigma, structure, reach, cos_crease, step):  # typ
                 length = np.sqrt(across_x * across_x + across_y * across_y + across_z * across_z)
                 if length > 0.10:
                     continue
-                # Both ends see each other's normals lean towards them: a valley. The depth of the valley must be
-                # more than noise.
+                # Concave: the normals at both ends lean towards each other. The crease must be deeper than the noise.
                 lean_a = across_x * ax + across_y * ay + across_z * az
                 lean_b = -(across_x * bx + across_y * by + across_z * bz)
                 if lean_a + lean_b > 2.0 * sigma[y, x] + 0.15 * length and min(lean_a, lean_b) > -0.3 * step:
@@ -204,13 +203,13 @@ def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_s
     out_a = abs(d0 * normals[y, x, 0] + d1 * normals[y, x, 1] + d2 * normals[y, x, 2])
     out_b = abs(d0 * normals[yy, xx, 0] + d1 * normals[yy, xx, 1] + d2 * normals[yy, xx, 2])
     limit = step + 2.0 * sigma[y, x]
-    # NaN normals compare False: such pixels join only by like depth.
+    # Comparisons with NaN normals are False: such pixels are joined by similar depth alone.
     return out_a < limit or out_b < limit
 
 
 @numba.njit(cache=True, nogil=True)
 def _grow_into(labels, usable, depth, supports, min_pixels):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Give crease pixels and specks to the neighbouring fragment of the most alike depth, ring by ring."""
+    """Assign crease pixels and small fragments to the neighbouring fragment of the most similar depth, ring by ring."""
     height, width = labels.shape
     sizes = np.bincount(labels.ravel())
     out = labels.copy()

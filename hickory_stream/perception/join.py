@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.perception.affinity import pair_features
 from hickory_stream.perception.occlusion_bridging import BridgingConfig, is_bridged
 from hickory_stream.perception.odds_features import odds_features
+from hickory_stream.perception.pair_features import pair_features
 from hickory_stream.perception.region_graph import build_region_graph
 from hickory_stream.perception.trees import Forest  # noqa: TC001 (read with the configuration)
 from hickory_stream.ranges import Ranged, number

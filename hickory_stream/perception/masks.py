@@ -1,9 +1,9 @@
 """The mask pipeline: from overlapping masks, however they were found, to the instances of a frame.
 
-What is too small, structure, the same again, or a part of another mask is rejected, and says why. A smaller mask inside
-a larger one is a thing of its own where it stands out from the surface around it, as a cup on a table does, or lies
-flat on something level, as a magazine does; a label on a box is a part. Masks at the border are used: `observe`
-marks them as cut.
+Masks that are too small, structure, duplicates, or parts of another mask are rejected with a reason. A smaller mask
+inside a larger one is an object of its own if it protrudes from the surface around it, like a cup on a table, or lies
+flat on a horizontal surface, like a magazine; a label on a box is a part. Masks cut by the image border are used:
+`observe` marks them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.surface import Surface
 
-# Overlaps are counted on every so manieth pixel in both directions: a mask worth keeping has hundreds.
+# Overlaps are counted with this stride in both directions: a mask worth keeping has hundreds of such pixels.
 _STRIDE = 2
 _RING_PX = 3
 _LEAST_RING = 12
@@ -50,20 +50,20 @@ class InstanceMask:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MaskConfig(Ranged):
-    """What becomes of masks that overlap.
+    """How overlapping masks are resolved, and which are rejected.
 
     Attributes:
         min_area_px: smaller masks are rejected, in pixels of the frame.
-        max_share: a mask with more of the image than this is the scene.
-        structure_share: a mask with more of it than this on floor, walls or ceiling is rejected.
-        duplicate_iou: two masks that overlap more are the same one; the better scored is kept.
-        inside_share: a mask with more of it than this in a larger one is inside it.
-        stands_out_m: what is inside another mask and stands out from the surface around it by this, beside three sigma
-            of depth, is a thing of its own ...
-        flat_area_m2: ... and so is something flat on a level surface, from this area on.
-        visible_share: a mask of which less than this is left by the smaller ones on it is made up of them.
-        max_extent_m: longer things are no objects.
-        occluded_share: a small mask with more of its outline than this behind something nearer is rejected.
+        max_share: a mask that covers more of the image than this is the scene, not an object.
+        structure_share: a mask with a larger share than this on floor, walls or ceiling is rejected.
+        duplicate_iou: of two masks with a higher IoU the one with the better score is kept.
+        inside_share: a mask is inside a larger one if more than this share of it is.
+        stands_out_m: a mask inside another one is an object of its own if it protrudes from the surface around it by
+            this, plus three sigma of depth ...
+        flat_area_m2: ... or if it is flat on a horizontal surface and has at least this area.
+        visible_share: a mask with less than this share left uncovered by smaller masks is a group of these.
+        max_extent_m: longer masks are structure.
+        occluded_share: a small mask with more of its outline than this behind nearer surfaces is rejected.
     """
 
     min_area_px: int = number(240, 0, 1_000_000, "px")
@@ -83,7 +83,7 @@ def compose(
 ) -> tuple[NDArray[np.int32], tuple[RejectedMask, ...]]:
     """Return the instances (H, W) int32, numbered from 1, and the rejected masks with their reasons.
 
-    `surface` is that of the frame, `structure` (H, W) what is none of an object.
+    `surface` is that of the frame, `structure` (H, W) its room structure.
     """
     areas = np.array([np.count_nonzero(mask.mask) for mask in masks], dtype=np.int64)
     reasons = [_why_unusable(mask, int(area), structure, config) for mask, area in zip(masks, areas, strict=True)]
@@ -108,11 +108,11 @@ def compose(
 def why_no_object(
     surface: Surface, labels: NDArray[np.int32], label: int, box: NDArray[np.int64], max_extent_m: float
 ) -> str | None:
-    """Return why a label at working resolution is too long for an object, None where it is not."""
+    """Return why a label (at working resolution) is too long for an object, None if it is not."""
     x0, y0, x1, y1 = box
     window = surface.points_world[y0:y1, x0:x1], labels[y0:y1, x0:x1]
     extent = float(_extent_m(*window, label))
-    if extent > max_extent_m:  # only then is it worth the time to leave strays out
+    if extent > max_extent_m:  # only then is it worth the time to leave outliers out
         part = window[0][window[1] == label]
         part = part[np.isfinite(part[:, 2])]
         extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
@@ -132,14 +132,14 @@ def _extent_m(points, labels, label):  # type: ignore[no-untyped-def] # pragma: 
 
 
 def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
-    """Return the share of each label's outline where the neighbour is nearer: where something hides the rest of it."""
+    """Return (count,) the share of each label's outline with a nearer neighbour: where it is occluded."""
     outline, occluded = _outlines(depth_m, labels, count)
     return np.asarray(occluded / np.maximum(outline, 1))
 
 
 @numba.njit(cache=True, nogil=True)
 def _outlines(depth, labels, count):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (count,) how many neighbours of another label each label has, and how many of them are nearer."""
+    """Return (count,) the number of neighbouring pixels of other labels, and of those among them that are nearer."""
     height, width = labels.shape
     outline, occluded = np.zeros(count), np.zeros(count)
     for y in range(height):
@@ -159,7 +159,7 @@ def _outlines(depth, labels, count):  # type: ignore[no-untyped-def] # pragma: n
 
 
 def enlarged(labels: NDArray[np.int32], factor: int, size: tuple[int, int]) -> NDArray[np.int32]:
-    """Return labels at the size of the frame (width, height); what the reduction cut off has label 0."""
+    """Return labels at the size of the frame (width, height), padded with 0 where the reduction truncated."""
     if factor == 1:
         return labels.astype(np.int32)
     big = cv2.resize(
@@ -171,7 +171,7 @@ def enlarged(labels: NDArray[np.int32], factor: int, size: tuple[int, int]) -> N
 
 
 def enlarged_mask(mask: NDArray[np.bool_], factor: int, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return a mask at the size of the frame (width, height); what the reduction cut off is not in it."""
+    """Return a mask at the size of the frame (width, height), padded with False where the reduction truncated."""
     shape = (mask.shape[1] * factor, mask.shape[0] * factor)
     return _filled_up(cv2.resize(mask.view(np.uint8), shape, interpolation=cv2.INTER_NEAREST).view(np.bool_), size)
 
@@ -204,7 +204,7 @@ def _reject_duplicates(
     reasons: list[str | None],
     config: MaskConfig,
 ) -> None:
-    """Reject what a better mask covers; `shared` are the pixels that `usable` masks share, its diagonal their areas."""
+    """Reject duplicates of better masks; `shared` (N, N): pixels shared by `usable` masks, areas on its diagonal."""
     areas = shared.diagonal()
     iou = shared / np.maximum(areas[:, None] + areas[None, :] - shared, 1)
     kept: list[int] = []
@@ -224,7 +224,7 @@ def _reject_parts(
     surface: Surface,
     config: MaskConfig,
 ) -> None:
-    """Reject what lies inside a larger mask without standing out; the smallest one around it is what it is part of."""
+    """Reject masks inside a larger one, the smallest around them, from whose surface they do not protrude."""
     areas = np.maximum(shared.diagonal(), 1)
     kept: list[int] = []
     for j in sorted((j for j in range(len(usable)) if reasons[usable[j]] is None), key=lambda j: (-areas[j], j)):
@@ -239,9 +239,9 @@ def _reject_parts(
 
 
 def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surface: Surface, config: MaskConfig) -> bool:
-    """Return whether a mask inside another one stands out from the surface around it, or lies flat on a level one.
+    """Return whether a mask inside another one protrudes from the surface around it, or is flat on a horizontal one.
 
-    `share` is its part of the other's area.
+    `share` is the ratio of their areas.
     """
     factor, (height, width) = surface.factor, surface.depth_m.shape
     x0, y0, x1, y1 = inner.box_px
@@ -257,23 +257,23 @@ def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surfac
         return False
     ring = (cv2.dilate(part.astype(np.uint8), kernel) > 0) & ~part & whole & known
     if np.count_nonzero(ring) < _LEAST_RING:
-        # Nothing of the larger mask is beside it: that one holds several things, unless it is nearly the same mask.
+        # The larger mask has no surface around it, so that it is a group of objects, unless both are nearly the same.
         return share < _WHOLE_SHARE
     normal, offset = _plane_of(points[ring].astype(np.float64))
     distance = np.abs(portable.matmul(points[seen], normal) - offset)
-    # Three tenths of it are enough: of a bowl it is the rim, of a cup behind its own handle the body.
+    # 30 % of it suffice: the rim of a bowl, or the body of a cup behind its handle.
     if np.quantile(distance, 0.7) > config.stands_out_m + 3 * float(np.median(sigma_m[seen])):
         return True
     return bool(abs(normal[2]) > 0.95 and _area_m2(points, seen, surface) > config.flat_area_m2)
 
 
 def _working_lattice(first: int, last: int, factor: int, size: int) -> range:
-    """Return the working pixels from those of the frame, with room for the ring around a mask."""
+    """Return the range of working pixels for a range of frame pixels, with a margin for the ring around a mask."""
     return range(max(0, first // factor - _RING_PX), max(0, min(size, -(-last // factor) + _RING_PX)))
 
 
 def _sampled(mask: InstanceMask, rows: range, columns: range, factor: int) -> NDArray[np.bool_]:
-    """Return a mask on working pixels: each is what the pixel in its middle is."""
+    """Return a mask at working resolution, sampled at the centres of the working pixels."""
     x0, y0, x1, y1 = mask.box_px
     y, x = (np.asarray(places) * factor + factor // 2 for places in (rows, columns))
     out = np.zeros((len(rows), len(columns)), dtype=bool)
@@ -283,7 +283,7 @@ def _sampled(mask: InstanceMask, rows: range, columns: range, factor: int) -> ND
 
 
 def _plane_of(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the unit normal and offset of the plane of most of (N, 3) points: twice, without the worst third."""
+    """Return the unit normal and offset of a plane through (N, 3) points, fitted again without the worst third."""
     normal, offset = _least_squares_plane(points)
     distance = np.abs(portable.matmul(points, normal) - offset)
     return _least_squares_plane(points[distance <= np.quantile(distance, 0.67)])
@@ -297,7 +297,7 @@ def _least_squares_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float6
 
 
 def _area_m2(points: NDArray[np.float32], seen: NDArray[np.bool_], surface: Surface) -> float:
-    """Return the area of a level part, from the pixels that show it and their depth."""
+    """Return the area of a horizontal patch, from its pixels and their depth."""
     camera = surface.camera
     place = points[seen] - surface.world_from_camera[:3, 3]
     depth = portable.matmul(place, surface.world_from_camera[:3, 2])
@@ -306,7 +306,7 @@ def _area_m2(points: NDArray[np.float32], seen: NDArray[np.bool_], surface: Surf
 
 
 def _shared_pixels(masks: Sequence[InstanceMask]) -> NDArray[np.int64]:
-    """Return (N, N) the pixels that two masks share, of every `_STRIDE`-th; the diagonal is their area."""
+    """Return (N, N) the number of pixels shared by two masks, at a stride of `_STRIDE`; areas on the diagonal."""
     if not masks:
         return np.zeros((0, 0), dtype=np.int64)
     boxes = np.array([m.box_px for m in masks], dtype=np.int64)
@@ -335,7 +335,7 @@ def _count_shared(boxes, starts, pixels, stride):  # type: ignore[no-untyped-def
 
 
 def _painted(masks: Sequence[InstanceMask], order: Sequence[int], shape: tuple[int, ...]) -> NDArray[np.int32]:
-    """Return labels i + 1, the masks laid on one another in this order."""
+    """Return labels i + 1, the masks painted over one another in this order."""
     labels = np.zeros(shape, dtype=np.int32)
     for i in order:
         x0, y0, x1, y1 = masks[i].box_px
@@ -344,7 +344,7 @@ def _painted(masks: Sequence[InstanceMask], order: Sequence[int], shape: tuple[i
 
 
 def _why_no_objects(labels: NDArray[np.int32], surface: Surface, config: MaskConfig) -> list[tuple[int, str]]:
-    """Return the labels that geometry speaks against, with what it says."""
+    """Return the labels that are no objects by their geometry, with the reason."""
     factor, (height, width) = surface.factor, surface.depth_m.shape
     middle = factor // 2
     small = np.ascontiguousarray(labels[middle::factor, middle::factor][:height, :width])

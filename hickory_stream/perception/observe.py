@@ -31,13 +31,13 @@ class ObserveConfig(Ranged):
     """How masks are lifted.
 
     Attributes:
-        min_depth_m, max_depth_m: returns outside are unreliable.
+        min_depth_m, max_depth_m: the range of reliable returns.
         agree_sigmas: beside a step of depth, as far as the sensor says, a return counts only if it is within so many
             sigmas of the one next to it further inside.
-        min_neighbors: a return is kept if so many of the 24 around it are within `agree_sigmas` of it.
+        min_neighbors: minimum number of the 24 returns around one that are within `agree_sigmas` of it.
         min_returns: a mask with fewer returns is rejected ...
         min_points: ... and so is one whose returns lie in fewer cells.
-        max_box_m: a box with a longer side is no object.
+        max_box_m: maximum side of an object's box.
     """
 
     min_depth_m: float = number(0.2, 0, 100, "m")
@@ -97,7 +97,7 @@ def _masks(instances: NDArray[np.int32]) -> list[tuple[tuple[int, int, int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Lifted:
-    """A mask in 3D: (N, 3) points and colours, the points that are no strays, and R_depth, its share with depth."""
+    """A mask in 3D: (N, 3) points and colours, the points without outliers, and R_depth, its share with depth."""
 
     points: NDArray[np.float32]
     colors: NDArray[np.uint8]
@@ -108,7 +108,7 @@ class _Lifted:
 def _lift(
     frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], config: ObserveConfig, voxel_m: float
 ) -> _Lifted | str:
-    """Return a mask in 3D, or why it has no place there."""
+    """Return a mask in 3D, or the reason why it cannot be lifted."""
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
     depth = frame.depth_m[y0:y1, x0:x1]
@@ -191,13 +191,13 @@ def _means_of_groups(groups, order, points, colors):  # type: ignore[no-untyped-
 
 
 def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
-    """Return the mask without its rim; what is too thin to have an inside (a leg, a pole, a handle) stays whole."""
+    """Return the eroded mask; parts too thin for the erosion (a leg, a pole, a handle) are kept whole."""
     if erode_px == 0:
         return mask
     padded = np.pad(mask.astype(np.uint8), erode_px)
     kernel = np.ones((2 * erode_px + 1, 2 * erode_px + 1), dtype=np.uint8)
     inner = cv2.erode(padded, kernel)
-    # Twice as far back as it went: a corner that the erosion took off is no thin part.
+    # Dilated twice as far as eroded, so that corners do not count as thin parts.
     near = cv2.dilate(inner, kernel, iterations=2)
     kept = (inner > 0) | ((padded > 0) & (near == 0))
     return kept[erode_px : erode_px + mask.shape[0], erode_px : erode_px + mask.shape[1]]
@@ -206,7 +206,7 @@ def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
 def _agreeing(
     depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame, config: ObserveConfig
 ) -> NDArray[np.bool_]:
-    """Return the mask without the rim that is of another surface, or of a mixture of two."""
+    """Return the mask without rim pixels of another surface, or of a mixture of two surfaces."""
     edge_px = frame.sensor.edge_px(frame.camera.fx)
     inner = _eroded(mask, edge_px)
     law = frame.sensor.law
@@ -217,7 +217,7 @@ def _agreeing(
 
 @numba.njit(cache=True, nogil=True)
 def _with_agreeing(depth, mask, inner, law, sigmas):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return `inner` with the pixels of the mask beside it whose depth is within so many sigmas of a neighbour's."""
+    """Return `inner` grown within the mask by pixels whose depth is within so many sigmas of a neighbour's."""
     height, width = mask.shape
     out = inner.copy()
     for y in range(height):
@@ -236,7 +236,7 @@ def _with_agreeing(depth, mask, inner, law, sigmas):  # type: ignore[no-untyped-
 def _supported(
     depth: NDArray[np.float32], inner: NDArray[np.bool_], frame: Frame, config: ObserveConfig
 ) -> NDArray[np.bool_]:
-    """Return which of the returns have enough of the same surface around them: in the image, at any distance."""
+    """Return which returns have enough neighbours of the same surface in the image, at any distance."""
     supported: NDArray[np.bool_] = _with_support(
         depth, inner, frame.sensor.law, config.agree_sigmas, config.min_neighbors
     )
@@ -259,7 +259,7 @@ def _with_support(depth, inner, law, sigmas, least):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True)
 def _has_company(depth, inner, y, x, gate, least):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether so many of the 24 returns around a pixel are within a gate of its depth; the first suffice."""
+    """Return whether at least so many of the 24 returns around a pixel are within a gate of its depth."""
     count = -1  # it is within the gate of itself
     for yy in range(max(0, y - 2), min(depth.shape[0], y + 3)):
         for xx in range(max(0, x - 2), min(depth.shape[1], x + 3)):

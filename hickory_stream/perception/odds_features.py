@@ -1,8 +1,8 @@
-"""What the network says of two groups of fragments, as numbers from which trees tell whether they are one thing.
+"""Features of pairs of regions from a network's odds, from which trees estimate whether the two are one object.
 
-Mean log-odds between the two at every distance and how they are spread, the same within each of them (where a network
-is unsure of a thing's inside, a doubt at its seam says little), how far the two are from the best partner of either,
-and whether each is a thing at all. NaN is what the network does not say.
+Mean log-odds between the two at every distance and their spread, the same within each of them (where a network is
+unsure within an object, its doubts at the contact mean little), the difference to the best partner of either, and
+whether each is an object at all. NaN where the network has no odds.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ODDS_FEATURES = (
 
 
 def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: int) -> dict[str, NDArray[np.float64]]:
-    """Return by name (K,) what a network says of (K, 2) pairs large and small of `count` groups; None: nothing."""
+    """Return by name (K,) the features of (K, 2) pairs, large and small, of `count` regions; NaN without odds."""
     if odds is None:
         return {name: np.full(len(pairs), np.nan) for name in ODDS_FEATURES}
     large, small = pairs.T

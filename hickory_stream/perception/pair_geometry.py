@@ -1,6 +1,6 @@
 """Relative geometry of the two regions of each pair: their centroids, boxes and contact, in metres.
 
-`affinity` derives ratios, angles and multiples of sigma from these, `sizes` lengths.
+`pair_features` derives ratios, angles and multiples of sigma from these, `absolute_features` lengths.
 """
 
 from __future__ import annotations

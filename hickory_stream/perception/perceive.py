@@ -1,4 +1,4 @@
-"""The whole of perception for one keyframe: from a frame to what the core is told."""
+"""The perception pipeline for one keyframe: from a frame to the event for the core."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Perceived:
     space: SpaceObservation
 
     def event(self, frame: Frame) -> FrameObserved:
-        """Return what the core is told of the keyframe."""
+        """Return the event for the core."""
         return FrameObserved(
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,

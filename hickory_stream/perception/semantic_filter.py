@@ -1,4 +1,4 @@
-"""What a semantic model says of the masks of any segmenter: walls and people are no objects.
+"""Filtering of any segmenter's masks by a semantic model: walls and people are no objects.
 
 It only takes away. The pixels of structure become structure of the frame, as far as no object claims them.
 """

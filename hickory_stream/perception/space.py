@@ -1,7 +1,7 @@
-"""What a keyframe says of space: the voxels its rays passed through, and those on structure.
+"""Space observed by a keyframe: the free voxels that its rays traverse, and the voxels on structure.
 
-Planning, visibility checks and the dissolving of phantoms rest on it, so it errs towards unknown: a ray stops one voxel
-before its return, and a pixel without a return says nothing.
+Planning, visibility checks and the removal of false objects rely on it, so that it errs towards unknown: a ray stops
+one voxel before its return, and pixels without a return are ignored.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class SpaceConfig(Ranged):
     """The sampling of rays.
 
     Attributes:
-        stride_px: every so many pixels a ray, in both directions.
+        stride_px: stride of the rays in pixels, in both directions.
         max_depth_m: farther returns are ignored.
     """
 
@@ -41,7 +41,7 @@ class SpaceConfig(Ranged):
 def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig, lattice: Lattice) -> SpaceObservation:
     """Return the free and structure voxels of a frame."""
     stride = config.stride_px
-    # The middle of each cell; an image that is smaller than one still has a ray.
+    # At the centre of each cell; even an image smaller than a cell has one ray.
     top, left = min(stride // 2, frame.camera.height - 1), min(stride // 2, frame.camera.width - 1)
     depth = frame.depth_m[top::stride, left::stride]
     structure = segmentation.own_structure[top::stride, left::stride]
@@ -68,7 +68,7 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig,
 
 
 def _dense_returns(frame: Frame, config: SpaceConfig) -> NDArray[np.float64]:
-    """Return (N, 3) the returns in the world, sampled twice as densely: a pole is not free for the rays beside it."""
+    """Return (N, 3) the returns in the world at half the stride, so that rays beside a pole do not make it free."""
     step = max(1, config.stride_px // 2)
     camera = frame.camera
     points = _returns(frame.depth_m, step, camera.fx, camera.fy, camera.cx, camera.cy, config.max_depth_m)
@@ -99,7 +99,7 @@ def _free_keys(
     """
     if len(ends) == 0:
         return np.empty(0, dtype=np.int64)
-    # A voxel more on each side, for what rounding makes of a ray's last step.
+    # A margin of one voxel on each side, for rounding in a ray's last step.
     low = np.floor(np.minimum(ends.min(axis=0), origin) / voxel_m).astype(np.int64) - 1
     high = np.floor(np.maximum(ends.max(axis=0), origin) / voxel_m).astype(np.int64) + 1
     sides = high - low + 1
@@ -130,7 +130,7 @@ def _mark_crossed(words, low, sides, origin, ends, voxel):  # type: ignore[no-un
         if steps < 2:
             continue
         step_x, step_y, step_z = 0.7 * ray_x / length, 0.7 * ray_y / length, 0.7 * ray_z / length
-        # Two loops: the first is arithmetic alone, and is vectorised.
+        # Two loops, so that the first, arithmetic alone, is vectorised.
         for k in range(1, steps):
             x = np.int64(np.floor(start_x + k * step_x)) - low[0]
             y = np.int64(np.floor(start_y + k * step_y)) - low[1]

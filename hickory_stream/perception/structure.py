@@ -1,8 +1,8 @@
-"""Structure: the floor, walls and ceiling of a frame, which are no objects.
+"""Detection of room structure in a frame: the floor, walls and ceiling.
 
-The floor is the lowest wide horizontal surface; a wall or a ceiling is a plane with the whole room on one side of it. A
-cupboard's front is as flat as a wall, but the room goes on behind it. So it does behind a wall with a door in it: that
-one is known by its height, and ends where it is seen to end.
+The floor is the lowest wide horizontal surface; a wall or a ceiling is a plane with all of the room on one side. A
+cupboard's front is as flat as a wall, but has surface behind it. So has a wall with an open door: that one is
+recognised by its height, and limited to the stretches in which it is visible.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ class StructureConfig(Ranged):
     """What counts as structure.
 
     Attributes:
-        floor_area_m2: the least visible area of a floor.
-        wall_area_m2: the least visible area of a wall or ceiling.
-        behind_share: a wall has at most this share of the frame's surface behind it.
-        tolerance_m: distance from a plane, beside 3 sigma of depth, that still belongs to it.
-        floor_below_camera_m: without a known floor, a floor lies at least this far below the camera.
+        floor_area_m2: minimum visible area of a floor.
+        wall_area_m2: minimum visible area of a wall or ceiling.
+        behind_share: maximum share of the frame's surface behind a wall.
+        tolerance_m: maximum distance from a plane, plus 3 sigma of depth, of pixels that belong to it.
+        floor_below_camera_m: if the map has no floor yet, minimum distance of a floor below the camera.
         wall_height_m, wall_foot_m, wall_cut_m, wall_width_m: a vertical plane that is seen from below `wall_foot_m`
             above the floor to `wall_height_m`, or beyond `wall_cut_m` to the edge of the image, and is so wide, is a
             wall even where something is seen behind it ...
@@ -91,14 +91,14 @@ class Wall:
     cells: NDArray[np.int64] | None
 
     def distance_m(self, surface: Surface) -> NDArray[np.float32]:
-        """Return (h, w) how far each pixel lies before the wall."""
+        """Return (h, w) the signed distance of each pixel in front of the wall, in m."""
         rows = surface.points_world.reshape(-1, 3)
         return np.asarray(along(rows, self.normal).reshape(surface.depth_m.shape) - np.float32(self.offset))
 
     def mask(
         self, surface: Surface, distance: NDArray[np.float32], tolerance: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """Return (h, w) the pixels that are of the wall, to a tolerance in m per pixel."""
+        """Return (h, w) the pixels of the wall, to a tolerance in m per pixel."""
         facing = along(surface.normals_world.reshape(-1, 3), self.normal).reshape(distance.shape)
         mask: NDArray[np.bool_] = on_wall(distance, facing, tolerance, self.cells is None)
         if self.cells is not None:
@@ -111,13 +111,13 @@ _SEEN_M2 = 0.03
 
 
 def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return the number of the stretch along a wall in which each of (N, 2) points lies."""
+    """Return (N,) the index of the stretch along a wall of each of (N, 2) points."""
     sideways = along(at, np.array([-normal[1], normal[0]], dtype=np.float32))
     return np.floor(sideways / _STRETCH_M).astype(np.int64)
 
 
 def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
-    """Return (h, w) the area of surface that each pixel sees; 0 where there is none, bounded at grazing angles."""
+    """Return (h, w) the surface area of each pixel; 0 without depth, bounded at grazing angles."""
     areas: NDArray[np.float32] = areas_m2(
         surface.points_world,
         surface.normals_world,
@@ -139,7 +139,7 @@ def horizontal_planes(
     low = float(heights.min()) - 3 * bin_m
     bins = int((float(heights.max()) - low) / bin_m) + 4
     histogram = np.bincount(((heights - low) / bin_m).astype(np.int64), weights=weights, minlength=bins)
-    # Five bins together: a plane seen with noise of a centimetre or two is one peak.
+    # Sums of five bins: a plane with depth noise of a centimetre or two is one peak.
     smooth = np.convolve(histogram, np.ones(5), mode="same")
     planes: list[HorizontalPlane] = []
     while True:
@@ -155,9 +155,9 @@ def horizontal_planes(
 def floor_height_m(
     surface: Surface, planes: list[HorizontalPlane], known_m: float | None, config: StructureConfig
 ) -> float | None:
-    """Return the floor's height as this frame shows it, or the known height where the frame shows no floor.
+    """Return the floor's height in this frame, or that of the map if the frame shows no floor.
 
-    A table that fills the view is told from the floor by the known height: only a lower floor replaces a floor.
+    The map's height keeps a table that fills the view from being taken for the floor: only a lower floor replaces it.
     """
     camera_z = float(surface.world_from_camera[2, 3])
     for plane in planes:
@@ -205,7 +205,7 @@ def _ceiling(
 def _walls(
     surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None, config: StructureConfig
 ) -> list[Wall]:
-    """Return the walls that a frame shows, by direction and from the rear."""
+    """Return the walls of a frame, by direction, the rearmost first."""
     points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
     weights = areas_m2.reshape(-1)
     all_at, all_weight, all_sigma = surface_of_area(points, surface.sigma_m.reshape(-1), weights)
@@ -256,7 +256,7 @@ class _Upright:
     azimuths: NDArray[np.int64]
 
     def among(self, mask: NDArray[np.bool_]) -> _Upright:
-        """Return what is marked."""
+        """Return the marked pixels."""
         return _Upright(
             taken(self.pixels, mask),
             taken_rows(self.at, mask),
@@ -275,12 +275,12 @@ def _behind(
     normal: NDArray[np.float32],
     offset: float,
 ) -> float:
-    """Return the area of the surface behind a plane, beyond the noise."""
+    """Return the area of the surface that is behind a plane by more than the noise."""
     return float(weight_below(weight, along(at, normal), np.float32(offset - 0.12), sigma).sum())
 
 
 def _seen_cells(at: NDArray[np.float32], weight: NDArray[np.float64], normal: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return the stretches of a wall in which a hand's breadth of it is seen."""
+    """Return the stretches of a wall of which enough is visible."""
     cells, inverse = np.unique(_stretches(at, normal), return_inverse=True)
     return np.asarray(cells[np.bincount(inverse, weights=weight) > _SEEN_M2])
 
@@ -292,7 +292,7 @@ def _is_high(
     floor_z_m: float | None,
     config: StructureConfig,
 ) -> bool:
-    """Return whether a vertical plane is higher than furniture, or goes on above the image, and does not hang."""
+    """Return whether a vertical plane is higher than furniture, or cut by the upper image border, and reaches down."""
     if floor_z_m is None:
         return False
     low, high = np.percentile(heights, [2, 98])
@@ -315,7 +315,7 @@ _AZIMUTHS = 120
 
 
 def _dominant_direction(left: _Upright) -> NDArray[np.float32]:
-    """Return the unit direction (2,) that most area of what is left faces: a peak of the histogram, refined."""
+    """Return the unit direction (2,) that most of the remaining area faces: a refined peak of the histogram."""
     areas = np.bincount(left.azimuths, weights=left.weight, minlength=_AZIMUTHS)
     smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
     center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
@@ -326,7 +326,7 @@ def _dominant_direction(left: _Upright) -> NDArray[np.float32]:
 
 
 def _refined(facing: _Upright, normal: NDArray[np.float32], offset: float) -> tuple[NDArray[np.float32], float]:
-    """Return the line through what lies near a wall's line: least squares, twice; a degree is 9 cm on 5 m of wall."""
+    """Return a wall's line refined by least squares, twice; an error of a degree is 9 cm on 5 m of wall."""
     tolerance_m = 0.05 + 2.0 * facing.sigma
     for _ in range(2):
         near = near_offset(along(facing.at, normal), np.float32(offset), tolerance_m)
@@ -343,7 +343,7 @@ def _refined(facing: _Upright, normal: NDArray[np.float32], offset: float) -> tu
 
 
 def _peaks(offsets: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> list[float]:
-    """Return the offsets of the planes of enough area along their normal, the rearmost first, four at most."""
+    """Return the offsets along a normal of up to four planes with enough area, the rearmost first."""
     if len(offsets) == 0:
         return []
     bin_m, low = 0.02, float(offsets.min()) - 0.04

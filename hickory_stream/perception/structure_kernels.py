@@ -1,4 +1,4 @@
-"""The loops over pixels that looking for structure needs: what lies where, taken out of images in one walk."""
+"""Kernels of structure detection: loops over pixels that gather positions, areas and directions in one pass."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hickory_stream.geometry.portable_kernels import arctan2
 
 @numba.njit(cache=True, nogil=True)
 def areas_m2(points, normals, depth, origin, focal_product):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) the area of surface that each pixel sees, its cosine bounded at 0.15; 0 where there is none."""
+    """Return (h, w) the surface area of each pixel, with its cosine bounded at 0.15; 0 without depth."""
     height, width = depth.shape
     out = np.zeros((height, width), dtype=np.float32)
     for y in range(height):
@@ -25,7 +25,7 @@ def areas_m2(points, normals, depth, origin, focal_product):  # type: ignore[no-
 
 @numba.njit(cache=True, nogil=True)
 def surface_of_area(points, sigma, areas):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N, 2) where the pixels with an area lie, (N,) the areas, and twice their standard deviations."""
+    """Return positions (N, 2), areas (N,) and doubled standard deviations (N,) of the pixels with an area."""
     count = 0
     for i in range(len(areas)):
         count += areas[i] > 0
@@ -41,7 +41,7 @@ def surface_of_area(points, sigma, areas):  # type: ignore[no-untyped-def] # pra
 
 @numba.njit(cache=True, nogil=True)
 def upright_pixels(normals, areas):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N,) the flat indices of the pixels with an area whose normal is level, and (N, 2) where it points."""
+    """Return flat indices (N,) of the pixels with an area and a horizontal normal, and its direction (N, 2)."""
     pixels = np.empty(len(areas), dtype=np.int64)
     direction = np.empty((len(areas), 2), dtype=np.float32)
     count = 0
@@ -56,7 +56,7 @@ def upright_pixels(normals, areas):  # type: ignore[no-untyped-def] # pragma: no
 
 @numba.njit(cache=True, nogil=True)
 def along(rows, direction):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N,) how far (N, 2) or (N, 3) rows go in a level direction (2,), in single precision."""
+    """Return (N,) the projections of (N, 2) or (N, 3) rows on a horizontal direction (2,), in single precision."""
     out = np.empty(len(rows), dtype=np.float32)
     x, y = direction[0], direction[1]
     for i in range(len(rows)):
@@ -66,7 +66,7 @@ def along(rows, direction):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def bins_of_azimuth(directions, count):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return in which of `count` equal parts of a turn, from -pi on, each of (N, 2) directions lies."""
+    """Return (N,) the bin of each of (N, 2) directions, of `count` equal bins of azimuth from -pi on."""
     azimuths, out = np.empty(len(directions)), np.empty(len(directions), dtype=np.int64)
     for i in range(len(directions)):  # vectorised
         azimuths[i] = arctan2(np.float64(directions[i, 1]), np.float64(directions[i, 0]))
@@ -92,7 +92,7 @@ def spread_of(at, share):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def places_of(pixels, points, sigma, areas):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return of (N,) pixels where they lie (N, 2), their heights, standard deviations and, as float64, areas."""
+    """Return positions (N, 2), heights, standard deviations and, as float64, areas of (N,) pixels."""
     at, heights = np.empty((len(pixels), 2), np.float32), np.empty(len(pixels), np.float32)
     noise, weight = np.empty(len(pixels), np.float32), np.empty(len(pixels))
     for n in range(len(pixels)):
@@ -108,7 +108,7 @@ def taken(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.empty(len(values), dtype=values.dtype)
     count = 0
     for i in range(len(mask)):
-        # Without a branch: what is not taken is written over.
+        # Branch-free: values that are not taken are overwritten.
         out[count] = values[i]
         count += mask[i]
     return out[:count]
@@ -127,7 +127,7 @@ def taken_rows(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def weighted_sum(rows, weight):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the sum of (N, 2) rows, each times its weight, one after the other."""
+    """Return the weighted sum of (N, 2) rows, added in order."""
     out = np.zeros(2)
     for i in range(len(rows)):
         out[0] += rows[i, 0] * weight[i]
@@ -137,7 +137,7 @@ def weighted_sum(rows, weight):  # type: ignore[no-untyped-def] # pragma: no cov
 
 @numba.njit(cache=True, nogil=True)
 def near_offset(along, offset, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N,) what lies within its tolerance of an offset."""
+    """Return (N,) which values lie within their tolerance of an offset."""
     out = np.empty(len(along), dtype=np.bool_)
     for i in range(len(along)):
         out[i] = abs(along[i] - offset) < tolerance[i]
@@ -146,7 +146,7 @@ def near_offset(along, offset, tolerance):  # type: ignore[no-untyped-def] # pra
 
 @numba.njit(cache=True, nogil=True)
 def weight_below(weight, along, offset, noise):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the weights of what lies below an offset by more than its noise."""
+    """Return the total weight of the values that are below an offset by more than their noise."""
     out = np.empty(len(along))
     count = 0
     for i in range(len(along)):
@@ -157,7 +157,7 @@ def weight_below(weight, along, offset, noise):  # type: ignore[no-untyped-def] 
 
 @numba.njit(cache=True, nogil=True)
 def on_wall(distance, facing, tolerance, is_end):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) which pixels are near a wall and face as it does, or nearer; all behind one that `is_end`."""
+    """Return (h, w) which pixels are near a wall and face like it, or very near; if it `is_end`, also all behind."""
     height, width = distance.shape
     out = np.empty((height, width), dtype=np.bool_)
     for y in range(height):

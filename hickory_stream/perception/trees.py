@@ -1,4 +1,4 @@
-"""Boosted trees that tell whether two parts are one thing: read from the package, evaluated with Numba.
+"""Boosted trees that estimate whether two regions are one object: read from the package, evaluated with Numba.
 
 `tools/train_segmenter` grows them and writes them with a card that says from what, and how well they do.
 """
@@ -125,7 +125,7 @@ def load_trees(path: Path) -> Trees:
 
 
 def _check(trees: Trees, path: Path) -> None:
-    """Raise where a node leads nowhere or back: the walk down a tree must end."""
+    """Raise if a node has a child out of range or before itself: the descent of a tree must end."""
     count = len(trees.feature)
     inner = trees.feature >= 0
     own = np.arange(count)

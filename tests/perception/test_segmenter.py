@@ -166,7 +166,7 @@ def test_an_image_of_one_pixel_is_segmented():
     assert result.instances.max() == 0
 
 
-def test_a_box_that_a_pillar_divides_in_the_image_is_one_instance():
+def test_a_box_on_both_sides_of_an_occluding_pillar_is_one_instance():
     box = Block(low=(0.2, -0.4, 0.0), high=(0.5, 0.4, 0.3), color=BLUE)
     pillar = Block(low=(-0.3, -0.08, 0.0), high=(-0.1, 0.08, 0.9), color=RED)
     frame, shown = render([floor(), box, pillar], VIEW)

@@ -1,7 +1,7 @@
 """Absolute features of pairs of regions: metres, pixels and colours.
 
-They help in rooms with furniture of about the size in the training data, which most rooms have. `affinity` has relative
-features for the others; half of the packaged trees are grown on those alone.
+They help in rooms with furniture of about the size in the training data, which most rooms have. `pair_features` has
+relative features for the others; half of the packaged trees are grown on those alone.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from hickory_stream.perception.features import of_both
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.bodies import Bodies
     from hickory_stream.perception.features import Makers
     from hickory_stream.perception.pair_geometry import PairGeometry
+    from hickory_stream.perception.region_extents import Extents
     from hickory_stream.perception.region_graph import RegionGraph, RegionPairs, Regions
 
 _FAR_M = 0.3
@@ -28,26 +28,26 @@ _COUNTS = ("touch", "bridged_level", "bridged_upright")
 
 
 def is_size(name: str) -> bool:
-    """Return whether a feature of this name is one of `size_features`."""
+    """Return whether a feature of this name is one of `absolute_features`."""
     return name.endswith((*_UNITS, *_OTHERS)) or name in _COUNTS
 
 
-def size_features(
+def absolute_features(
     graph: RegionGraph,
     regions: Regions,
     pairs: RegionPairs,
     geometry: PairGeometry,
-    bodies: Bodies,
-    union: Bodies,
+    extents: Extents,
+    union: Extents,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
 ) -> Makers:
     """Return by name (K,) the sizes of the regions `large` and `small` of each pair, and how they lie to each other."""
-    of_regions = of_both(_of_regions(graph, regions, bodies), large, small)
-    return {**of_regions, **_of_pairs(regions, pairs, geometry, bodies, union, large, small)}
+    of_regions = of_both(_of_regions(graph, regions, extents), large, small)
+    return {**of_regions, **_of_pairs(regions, pairs, geometry, extents, union, large, small)}
 
 
-def _of_regions(graph: RegionGraph, regions: Regions, bodies: Bodies) -> Makers:
+def _of_regions(graph: RegionGraph, regions: Regions, extents: Extents) -> Makers:
     per = np.maximum(regions.pixels, 1)
     extent = regions.high - regions.low
     mean = regions.lab / per[:, None]
@@ -56,15 +56,15 @@ def _of_regions(graph: RegionGraph, regions: Regions, bodies: Bodies) -> Makers:
         "area_m2": lambda: portable.log(regions.area_m2 + 1e-4),
         "depth_m": lambda: regions.depth_m / per,
         "width_m": lambda: portable.hypot(extent[:, 0], extent[:, 1]),
-        "thickness_m": lambda: bodies.axes_m[:, 0],
-        "breadth_m": lambda: bodies.axes_m[:, 1],
-        "length_m": lambda: bodies.axes_m[:, 2],
+        "thickness_m": lambda: extents.axes_m[:, 0],
+        "breadth_m": lambda: extents.axes_m[:, 1],
+        "length_m": lambda: extents.axes_m[:, 2],
         "members": lambda: regions.members,
         "light": lambda: mean[:, 0],
         "chroma": lambda: portable.hypot(mean[:, 1], mean[:, 2]),
-        "height_m": lambda: bodies.high_m - bodies.low_m,
-        "low_m": lambda: bodies.low_m - graph.floor_z_m,
-        "high_m": lambda: bodies.high_m - graph.floor_z_m,
+        "height_m": lambda: extents.high_m - extents.low_m,
+        "low_m": lambda: extents.low_m - graph.floor_z_m,
+        "high_m": lambda: extents.high_m - graph.floor_z_m,
     }
 
 
@@ -72,8 +72,8 @@ def _of_pairs(
     regions: Regions,
     pairs: RegionPairs,
     geometry: PairGeometry,
-    bodies: Bodies,
-    union: Bodies,
+    extents: Extents,
+    union: Extents,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
 ) -> Makers:
@@ -88,10 +88,10 @@ def _of_pairs(
     return {
         "aside_m": lambda: portable.hypot(aside[:, 0], aside[:, 1]),
         "higher_m": lambda: aside[:, 2],
-        "lows_m": lambda: bodies.low_m[small] - bodies.low_m[large],
-        "highs_m": lambda: bodies.high_m[small] - bodies.high_m[large],
-        "small_over_large_m": lambda: bodies.low_m[small] - bodies.high_m[large],
-        "large_over_small_m": lambda: bodies.low_m[large] - bodies.high_m[small],
+        "lows_m": lambda: extents.low_m[small] - extents.low_m[large],
+        "highs_m": lambda: extents.high_m[small] - extents.high_m[large],
+        "small_over_large_m": lambda: extents.low_m[small] - extents.high_m[large],
+        "large_over_small_m": lambda: extents.low_m[large] - extents.high_m[small],
         "overlap_sideways_m": lambda: overlap[:, :2].min(axis=1),
         "overlap_upright_m": lambda: overlap[:, 2],
         "inset_m": lambda: inset[:, :2].min(axis=1),
@@ -100,7 +100,7 @@ def _of_pairs(
         "joined_volume_m3": lambda: portable.log(np.prod(joined + 0.01, axis=1) / (volume[large] + volume[small])),
         "joined_thickness_m": lambda: union.axes_m[:, 0],
         "joined_breadth_m": lambda: union.axes_m[:, 1],
-        "thicker_m": lambda: union.axes_m[:, 0] - np.maximum(bodies.axes_m[large, 0], bodies.axes_m[small, 0]),
+        "thicker_m": lambda: union.axes_m[:, 0] - np.maximum(extents.axes_m[large, 0], extents.axes_m[small, 0]),
         "touch": lambda: portable.log1p(pairs.touch),
         "seam_step_m": lambda: of_touching(pairs.step_m / touch),
         "seam_width_m": lambda: of_touching(portable.hypot(spread[:, 0], spread[:, 1])),

@@ -3,7 +3,7 @@
 Of two regions, "large" is the one with more pixels and "small" the other. These features are relative: sizes are
 ratios, distances are multiples of a size of the pair or of the standard deviation of depth, colours are differences.
 Absolute metres, heights, pixels and colours depend on the furniture of the training data; they are separate features
-(`sizes`). What is undefined for a pair (the contact of regions that do not touch) is NaN.
+(`absolute_features`). What is undefined for a pair (the contact of regions that do not touch) is NaN.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.perception.bodies import LEAST_M, bodies_of, union_of
+from hickory_stream.perception.absolute_features import absolute_features
 from hickory_stream.perception.features import Features, of_both
 from hickory_stream.perception.pair_geometry import pair_geometry
+from hickory_stream.perception.region_extents import LEAST_M, extents_of, union_of
 from hickory_stream.perception.region_graph import merged_pairs, merged_regions
-from hickory_stream.perception.sizes import size_features
 from hickory_stream.perception.support_contacts import support_contacts_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.bodies import Bodies
     from hickory_stream.perception.features import Makers
     from hickory_stream.perception.pair_geometry import PairGeometry
+    from hickory_stream.perception.region_extents import Extents
     from hickory_stream.perception.region_graph import RegionGraph, RegionPairs, Regions
     from hickory_stream.perception.support_contacts import SupportContacts
 
@@ -39,34 +39,34 @@ def pair_features(graph: RegionGraph, numbers: NDArray[np.int64], count: int) ->
     support = support_contacts_of(graph.contacts, np.append(numbers, count), graph.heights_m, graph.level)
     is_turned = regions.pixels[pairs.a] < regions.pixels[pairs.b]
     large, small = np.where(is_turned, pairs.b, pairs.a), np.where(is_turned, pairs.a, pairs.b)
-    bodies = bodies_of(regions, graph.bottom_m)
-    union = union_of(regions, bodies, large, small)
+    extents = extents_of(regions, graph.bottom_m)
+    union = union_of(regions, extents, large, small)
     geometry = pair_geometry(regions, pairs, large, small)
     features = Features(
         {
-            **of_both({**_shapes(regions, bodies), **_colors(regions), **_support_features(support)}, large, small),
-            **_relations(regions, geometry, bodies, union, large, small),
+            **of_both({**_shapes(regions, extents), **_colors(regions), **_support_features(support)}, large, small),
+            **_relations(regions, geometry, extents, union, large, small),
             **_colors_of_pairs(regions, large, small),
             **_mutual_support_features(support, large, small),
-            **_contact_features(pairs, regions, geometry, graph, bodies, union, large, small, is_turned),
-            **size_features(graph, regions, pairs, geometry, bodies, union, large, small),
+            **_contact_features(pairs, regions, geometry, graph, extents, union, large, small, is_turned),
+            **absolute_features(graph, regions, pairs, geometry, extents, union, large, small),
         }
     )
     return np.stack([large, small], axis=1), features
 
 
-def _shapes(regions: Regions, bodies: Bodies) -> Makers:
+def _shapes(regions: Regions, extents: Extents) -> Makers:
     """Return the shape of each region: flatness, slenderness, orientation, and the share of its outline cut off."""
     per = np.maximum(regions.pixels, 1)
-    axes_m = np.maximum(bodies.axes_m, 1e-4)
+    axes_m = np.maximum(extents.axes_m, 1e-4)
     return {
         "in_plane": lambda: 1 - regions.planes[:, 0] / per,
         "level": lambda: regions.normals[:, 2] / per,
         "flat": lambda: np.linalg.norm(regions.normals, axis=1) / per,
-        "thickness_sigmas": lambda: portable.log1p(axes_m[:, 0] / bodies.sigma_m),
+        "thickness_sigmas": lambda: portable.log1p(axes_m[:, 0] / extents.sigma_m),
         "thickness_of_breadth": lambda: axes_m[:, 0] / axes_m[:, 1],
         "breadth_of_length": lambda: axes_m[:, 1] / axes_m[:, 2],
-        "height_of_width": lambda: bodies.height_m / (bodies.height_m + bodies.width_m),
+        "height_of_width": lambda: extents.height_m / (extents.height_m + extents.width_m),
         "filled": lambda: portable.log((regions.area_m2 + 1e-4) / (axes_m[:, 1] * axes_m[:, 2] + 1e-4)),
         "cut": lambda: regions.cut / np.maximum(regions.outline, 1),
         "rugged": lambda: regions.outline / np.sqrt(per),
@@ -122,8 +122,8 @@ def _mutual_support_features(support: SupportContacts, large: NDArray[np.int64],
 def _relations(
     regions: Regions,
     geometry: PairGeometry,
-    bodies: Bodies,
-    union: Bodies,
+    extents: Extents,
+    union: Extents,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
 ) -> Makers:
@@ -141,7 +141,7 @@ def _relations(
     foot = np.clip(overlap[:, :2], 0, None).prod(axis=1) / np.maximum(sides[small, 0] * sides[small, 1], 1e-4)
     volume = np.prod(sides + LEAST_M, axis=1)
     joined = np.prod(union.box_high_m - union.box_low_m + 2 * LEAST_M, axis=1)
-    axes_m, own_m = np.maximum(union.axes_m, 1e-4), np.maximum(bodies.axes_m, 1e-4)
+    axes_m, own_m = np.maximum(union.axes_m, 1e-4), np.maximum(extents.axes_m, 1e-4)
     thickness = np.maximum(own_m[large, 0], own_m[small, 0])
     height_m = union.height_m
     return {
@@ -149,8 +149,8 @@ def _relations(
             np.maximum(regions.pixels[small], 1) / np.maximum(regions.pixels[large], 1)
         ),
         "area_ratio": lambda: portable.log((regions.area_m2[small] + 1e-4) / (regions.area_m2[large] + 1e-4)),
-        "width_ratio": lambda: portable.log(bodies.width_m[small] / bodies.width_m[large]),
-        "height_ratio": lambda: portable.log(bodies.height_m[small] / bodies.height_m[large]),
+        "width_ratio": lambda: portable.log(extents.width_m[small] / extents.width_m[large]),
+        "height_ratio": lambda: portable.log(extents.height_m[small] / extents.height_m[large]),
         "length_ratio": lambda: portable.log(own_m[small, 2] / own_m[large, 2]),
         "parallel": lambda: (normal[large] * normal[small]).sum(axis=1),
         "same_plane": lambda: ((most[large] == most[small]) & (most[large] > 0)).astype(np.float64),
@@ -160,19 +160,19 @@ def _relations(
         "before_small_sigmas": lambda: _signed_log(over_small / union.sigma_m),
         "aside": lambda: portable.hypot(aside[:, 0], aside[:, 1]) / union.width_m,
         "higher": lambda: aside[:, 2] / height_m,
-        "lows": lambda: (bodies.low_m[small] - bodies.low_m[large]) / height_m,
-        "highs": lambda: (bodies.high_m[small] - bodies.high_m[large]) / height_m,
-        "small_over_large": lambda: (bodies.low_m[small] - bodies.high_m[large]) / height_m,
-        "large_over_small": lambda: (bodies.low_m[large] - bodies.high_m[small]) / height_m,
-        "lows_sigmas": lambda: _signed_log((bodies.low_m[small] - bodies.low_m[large]) / union.sigma_m),
-        "highs_sigmas": lambda: _signed_log((bodies.high_m[small] - bodies.high_m[large]) / union.sigma_m),
+        "lows": lambda: (extents.low_m[small] - extents.low_m[large]) / height_m,
+        "highs": lambda: (extents.high_m[small] - extents.high_m[large]) / height_m,
+        "small_over_large": lambda: (extents.low_m[small] - extents.high_m[large]) / height_m,
+        "large_over_small": lambda: (extents.low_m[large] - extents.high_m[small]) / height_m,
+        "lows_sigmas": lambda: _signed_log((extents.low_m[small] - extents.low_m[large]) / union.sigma_m),
+        "highs_sigmas": lambda: _signed_log((extents.high_m[small] - extents.high_m[large]) / union.sigma_m),
         "overlap_sideways": lambda: (overlap / sides[small])[:, :2].min(axis=1),
         "overlap_upright": lambda: overlap[:, 2] / sides[small, 2],
         "overlap_foot": lambda: np.minimum(foot, 1.5),
         "inset": lambda: (inset / sides[large])[:, :2].min(axis=1),
         "inset_sigmas": lambda: _signed_log(inset[:, :2].min(axis=1) / union.sigma_m),
-        "joined_width": lambda: portable.log(union.width_m / bodies.width_m[large]),
-        "joined_height": lambda: portable.log(height_m / bodies.height_m[large]),
+        "joined_width": lambda: portable.log(union.width_m / extents.width_m[large]),
+        "joined_height": lambda: portable.log(height_m / extents.height_m[large]),
         "joined_height_of_width": lambda: height_m / (height_m + union.width_m),
         "joined_volume": lambda: portable.log(joined / (volume[large] + volume[small])),
         "joined_thickness_of_breadth": lambda: axes_m[:, 0] / axes_m[:, 1],
@@ -193,8 +193,8 @@ def _contact_features(
     regions: Regions,
     geometry: PairGeometry,
     graph: RegionGraph,
-    bodies: Bodies,
-    union: Bodies,
+    extents: Extents,
+    union: Extents,
     large: NDArray[np.int64],
     small: NDArray[np.int64],
     is_turned: NDArray[np.bool_],
@@ -212,8 +212,8 @@ def _contact_features(
     at_m, spread = geometry.contact_m[:, 2] + graph.middle[2], geometry.contact_spread_m
     away = pairs.meet - pairs.touch
     grain = regions.grain[:, 0] / np.maximum(regions.grain[:, 1], 1)
-    width_m = np.minimum(bodies.width_m[large], bodies.width_m[small])
-    height_m = np.minimum(bodies.height_m[large], bodies.height_m[small])
+    width_m = np.minimum(extents.width_m[large], extents.width_m[small])
+    height_m = np.minimum(extents.height_m[large], extents.height_m[small])
     across = np.sqrt(np.maximum(regions.pixels[small], 1))
     gap_m = np.where(np.isfinite(pairs.gap_m), pairs.gap_m, np.nan)
     return {
@@ -232,8 +232,8 @@ def _contact_features(
         "far_contrast": lambda: np.where(away > 0, pairs.far_contrast / np.maximum(away, 1), np.nan),
         "seam_width": lambda: of_touching(touch * portable.hypot(spread[:, 0], spread[:, 1]) / width_m),
         "seam_height": lambda: of_touching(touch * spread[:, 2] / height_m),
-        "seam_in_large": lambda: of_touching(touch * (at_m - bodies.low_m[large]) / bodies.height_m[large]),
-        "seam_in_small": lambda: of_touching(touch * (at_m - bodies.low_m[small]) / bodies.height_m[small]),
+        "seam_in_large": lambda: of_touching(touch * (at_m - extents.low_m[large]) / extents.height_m[large]),
+        "seam_in_small": lambda: of_touching(touch * (at_m - extents.low_m[small]) / extents.height_m[small]),
         "large_nearer": lambda: of_meeting(nearer[:, 0]),
         "small_nearer": lambda: of_meeting(nearer[:, 1]),
         "large_above": lambda: of_meeting(above[:, 0]),
@@ -241,5 +241,5 @@ def _contact_features(
         "bridged_level_share": lambda: pairs.bridged[:, 0] / across,
         "bridged_upright_share": lambda: pairs.bridged[:, 1] / across,
         "gap_sigmas": lambda: portable.log1p(gap_m / union.sigma_m),
-        "gap_of_small": lambda: gap_m / np.maximum(bodies.axes_m[small, 2], LEAST_M),
+        "gap_of_small": lambda: gap_m / np.maximum(extents.axes_m[small, 2], LEAST_M),
     }

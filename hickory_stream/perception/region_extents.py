@@ -20,7 +20,7 @@ LEAST_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Bodies:
+class Extents:
     """The extent of n regions in space; all arrays (n, ...).
 
     `axes_m` (n, 3): standard deviations along the principal axes, smallest first; `low_m`, `high_m`: 5th and 95th
@@ -44,10 +44,10 @@ class Bodies:
         object.__setattr__(self, "height_m", np.maximum(self.high_m - self.low_m, LEAST_M))
 
 
-def bodies_of(regions: Regions, bottom_m: float) -> Bodies:
+def extents_of(regions: Regions, bottom_m: float) -> Extents:
     """Return the extent of regions; heights count from `bottom_m`."""
     low_m, high_m = _heights(regions, bottom_m)
-    return Bodies(
+    return Extents(
         axes_m=_axes(regions.pixels, regions.place, regions.place_products),
         low_m=low_m,
         high_m=high_m,
@@ -57,19 +57,19 @@ def bodies_of(regions: Regions, bottom_m: float) -> Bodies:
     )
 
 
-def union_of(regions: Regions, bodies: Bodies, large: NDArray[np.int64], small: NDArray[np.int64]) -> Bodies:
+def union_of(regions: Regions, extents: Extents, large: NDArray[np.int64], small: NDArray[np.int64]) -> Extents:
     """Return the extent of the union of the two regions of each pair."""
-    return Bodies(
+    return Extents(
         axes_m=_axes(
             regions.pixels[large] + regions.pixels[small],
             regions.place[large] + regions.place[small],
             regions.place_products[large] + regions.place_products[small],
         ),
-        low_m=np.minimum(bodies.low_m[large], bodies.low_m[small]),
-        high_m=np.maximum(bodies.high_m[large], bodies.high_m[small]),
+        low_m=np.minimum(extents.low_m[large], extents.low_m[small]),
+        high_m=np.maximum(extents.high_m[large], extents.high_m[small]),
         box_low_m=np.minimum(regions.low[large], regions.low[small]),
         box_high_m=np.maximum(regions.high[large], regions.high[small]),
-        sigma_m=np.maximum(bodies.sigma_m[large], bodies.sigma_m[small]),
+        sigma_m=np.maximum(extents.sigma_m[large], extents.sigma_m[small]),
     )
 
 
