@@ -6,8 +6,9 @@ import re
 import sys
 import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.finish import finish
 from hickory_stream.cli.play import add_run_options, all_sinks, make_style, sinks_beside
@@ -61,6 +62,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
+    from hickory_stream.sinks.metrics_sink import MetricsSink
     from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
     from players.live import open_live
 
@@ -92,6 +94,9 @@ def run(options: argparse.Namespace) -> int:
         if not options.json:
             sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
             sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
+        for sink in beside:
+            if isinstance(sink, MetricsSink):
+                sink.watch(partial(_topics, source))
         options.resumed_by = resume_command(out)
         with _StatusPrinter(source, options.status, as_json=options.json):
             played = play(
@@ -113,6 +118,11 @@ def run(options: argparse.Namespace) -> int:
     if recorder is not None and recorder.lost:
         played = replace(played, lost_outputs=(*played.lost_outputs, recorder.lost))
     return finish(options, out, played)
+
+
+def _topics(source: LiveMapSource) -> list[dict[str, Any]]:
+    topics: list[dict[str, Any]] = source.status().as_dict()["topics"]
+    return topics
 
 
 def _recorder(options: argparse.Namespace) -> Recorder | None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
     from hickory_stream.records import FrameReport
 
 _MOST = 65535
@@ -16,6 +18,27 @@ _FAMILIES = {
     "engine": ("hickory_engine", "State of the engine: delay of the loop, workers, memory, frames dropped", "what"),
     "core": ("hickory_core", "State of the core: objects by phase, share of features saved", "what"),
 }
+
+
+_TOPIC_FIGURES = ("rate_hz", "age_s", "bytes_per_s", "received", "dropped", "lost")
+
+
+class _Topics:
+    """A collector of the figures of live topics."""
+
+    def __init__(self, topics: Callable[[], Sequence[Mapping[str, Any]]]) -> None:
+        self._topics = topics
+
+    def collect(self) -> Iterator[Any]:
+        """Yield the figures as they are now."""
+        from prometheus_client.core import GaugeMetricFamily
+
+        family = GaugeMetricFamily("hickory_live_topic", "Topics of a live route", labels=("topic", "what"))
+        for figures in self._topics():
+            for what in _TOPIC_FIGURES:
+                if figures[what] is not None:
+                    family.add_metric((figures["topic"], what), figures[what])
+        yield family
 
 
 class MetricsSink:
@@ -45,6 +68,14 @@ class MetricsSink:
                 f"cannot answer on {bind}:{port}: {error.strerror}; choose another --metrics-port"
             ) from error
         self.port = int(self._server.server_port)
+        self._registry = registry
+
+    def watch(self, topics: Callable[[], Sequence[Mapping[str, Any]]]) -> None:
+        """Answer how the topics of a live route are, too: asked for when somebody asks us.
+
+        Each has its name under `topic`, and the figures of `_TOPIC_FIGURES`; None is no figure.
+        """
+        self._registry.register(_Topics(topics))
 
     def show(self, report: FrameReport) -> None:
         """Take the numbers of a report."""

@@ -42,6 +42,8 @@ class LiveLog:
         self.inbox = inbox
         self.roles: dict[str, str] = {}
         """What the topics are for that were asked for, by name."""
+        self.hidden: frozenset[str] = frozenset()
+        """Topics of other robots, which whoever reads the log does not see."""
         self._most_s = most_s
         self._wanted: frozenset[str] | None = None
         self._kept: deque[LogMessage] = deque()
@@ -53,12 +55,13 @@ class LiveLog:
     @property
     def topics(self) -> tuple[Topic, ...]:
         """What was announced so far."""
-        return self.inbox.topics
+        return tuple(topic for topic in self.inbox.topics if topic.name not in self.hidden)
 
     def declared(self) -> Mapping[str, int]:
         """Return how many messages of each topic have come."""
         found = self.inbox.arrivals
-        return {topic.name: found[topic.name].num_received if topic.name in found else 0 for topic in self.topics}
+        topics = self.inbox.topics
+        return {topic.name: found[topic.name].num_received if topic.name in found else 0 for topic in topics}
 
     def left(self) -> Counter[str]:
         """Return how many messages of each topic have come and were not passed on yet."""
@@ -145,7 +148,7 @@ class LiveLog:
 
     def _forget(self, is_image: bool) -> None:
         """Drop the older half of what is kept of one kind: an opening that takes long is not to take memory."""
-        types = {topic.name: topic.type_name in _IMAGES for topic in self.topics}
+        types = {topic.name: topic.type_name in _IMAGES for topic in self.inbox.topics}
         surplus = self._kept_bytes[is_image] // 2
         rest: deque[LogMessage] = deque()
         for message in self._kept:

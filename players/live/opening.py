@@ -13,22 +13,26 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.ports import SourceAround
+from players.account import TopicAccount
 from players.discover import camera_infos, choose_images, pose_topics, tf_topics
 from players.live.inbox import Inbox
 from players.live.live_log import LiveLog
 from players.live.routes import route_of
 from players.live.status import ROLES, LiveStatus, status_of
 from players.log_opening import choose_profile, open_log
+from players.messages import POSE_TYPES, TF
 from players.options import SourceOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from hickory_stream.records import RawFrame, SourceInfo
-    from players.account import Account, TopicAccount
+    from players.account import Account
+    from players.containers import Topic
     from players.live.recorder import Recorder
     from players.live.transport import LiveSource
     from players.log_source import LogSource
+    from players.profile import Profile
 
 DEFAULT_PATIENCE_S = 60.0
 DEFAULT_ATTEMPT_S = 2.0
@@ -69,6 +73,9 @@ class LiveMapSource(SourceAround):
         kept: Account = self._log_source.account()
         left = self._log.left()
         entries = [self._entry(entry, left[entry.topic]) for entry in kept.topics]
+        for name in sorted(self._log.hidden):
+            number = self._log.declared()[name]
+            entries.append(TopicAccount(topic=name, declared=number, not_needed=number))
         return replace(kept, topics=tuple(entries), explanation=self._log.inbox.end_reason)
 
     def status(self) -> LiveStatus:
@@ -144,6 +151,25 @@ def open_live(
     return LiveMapSource(route, log, source, recorder)
 
 
+def of_other_robots(path: object, topics: Sequence[Topic], options: SourceOptions, profile: Profile) -> Iterator[str]:
+    """Yield the poses and transforms of other robots than that of the colour camera: their frames may have one name.
+
+    A robot is told by the namespace of its /tf; where there is one of these, nothing is of another.
+    """
+    robots = {topic.name.rpartition("/")[0] for topic in tf_topics(topics)}
+    if len(robots) < 2:
+        return
+    color = choose_images(path, topics, options, profile.topics).color.name
+    own = max((robot for robot in robots if color.startswith(f"{robot}/")), key=len, default=None)
+    if own is None:
+        return
+    for topic in topics:
+        if topic.type_name in (*TF, *POSE_TYPES):
+            robot = max((robot for robot in robots if topic.name.startswith(f"{robot}/")), key=len, default=own)
+            if robot != own and not own.startswith(f"{robot}/") and robot:
+                yield topic.name
+
+
 class _Patience(NamedTuple):
     """How long an opening may take, and each attempt at it."""
 
@@ -185,10 +211,13 @@ def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
     log.idle(_BETWEEN_S)
     while not log.inbox.is_quiet(_QUIET_S) and not log.inbox.is_over:
         log.idle(_BETWEEN_S)
+    log.hidden = frozenset()
     topics = log.topics
     if not topics:
         raise RecordingError(f"{log.path} has announced no topics")
     profile, _ = choose_profile(topics, options)
+    log.hidden = frozenset(of_other_robots(log.path, topics, options, profile))
+    topics = log.topics
     # What is there is asked for even where something else is missing: it may come later than that.
     small = {topic.name for topic in [*tf_topics(topics), *camera_infos(topics)]}
     try:

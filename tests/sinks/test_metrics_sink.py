@@ -44,6 +44,29 @@ def test_the_numbers_of_the_newest_report_are_answered_as_text() -> None:
     assert not any("score" in name for name in numbers)
 
 
+def test_the_topics_of_a_live_route_are_answered_as_they_are_when_asked_for() -> None:
+    topic = {
+        "topic": "/cam/image",
+        "role": "color",
+        "rate_hz": 30.0,
+        "age_s": None,
+        "bytes_per_s": 100,
+        "received": 7,
+        "dropped": 2,
+        "lost": 1,
+    }
+    sink = MetricsSink(0)
+    try:
+        sink.watch(lambda: [topic])
+        topic["received"] = 8
+        numbers = read(sink)
+    finally:
+        sink.close()
+    assert numbers['hickory_live_topic{topic="/cam/image",what="rate_hz"}'] == 30
+    assert numbers['hickory_live_topic{topic="/cam/image",what="received"}'] == 8
+    assert not any("age_s" in name for name in numbers)
+
+
 def test_a_port_that_is_taken_is_refused() -> None:
     sink = MetricsSink(0)
     try:

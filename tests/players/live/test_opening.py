@@ -200,3 +200,54 @@ def test_poses_without_images_do_not_fill_the_memory(monkeypatch: pytest.MonkeyP
     list(frames)
     track = next(track for key, track in readers[-1].tracks() if key[0] == "/odom")
     assert len(track._stamps_ns) < 60 * 50 + 2200
+
+
+def test_images_whose_size_changes_in_mid_stream_are_refused_and_counted() -> None:
+    packets = scene_packets(12)
+    m, store = Messages(2), Messages(2).store
+    color = next(packet.topic for packet in packets if packet.topic.name.endswith("image_rect/compressed"))
+    changed = []
+    for packet in packets:
+        if packet.topic == color and packet.stamp_ns > packets[-1].stamp_ns - 400_000_000:
+            message = store.deserialize_cdr(packet.data, color.type_name)
+            stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+            other = m.compressed(stamp_ns, OPTICAL, "png", png_bytes(np.zeros((30, 40, 3), dtype=np.uint8)))
+            packet = replace(packet, data=bytes(store.serialize_cdr(other, color.type_name)))
+        changed.append(packet)
+    route = ScriptedRoute(at_start=changed)
+    source = opened(route)
+    route.end()
+    frames = list(source.frames())
+    fates = source.ledger()
+    assert fates["frame_of_other_size"] + len(frames) == 12
+    assert 2 <= fates["frame_of_other_size"] <= 5
+    assert unaccounted(source, route) == {}
+
+
+def test_of_two_robots_with_frames_of_one_name_the_camera_decides_whose_poses_count() -> None:
+    def of(robot: str, shift_m: float) -> list[Packet]:
+        store, moved = Messages(2).store, []
+        for packet in scene_packets(12):
+            data = packet.data
+            if packet.topic.name == "/odom":
+                message = store.deserialize_cdr(data, packet.topic.type_name)
+                message.pose.pose.position.x += shift_m
+                data = bytes(store.serialize_cdr(message, packet.topic.type_name))
+            moved.append(replace(packet, topic=replace(packet.topic, name=f"{robot}{packet.topic.name}"), data=data))
+        return moved
+
+    ours = of("/b2", 0.0)
+    # The other one has no camera that could be taken for ours; the frames of both are odom, base_link and so on.
+    theirs = [p for p in of("/b3", 50.0) if "/cam/" not in p.topic.name and "tf_static" not in p.topic.name]
+    tf = next(packet for packet in ours if packet.topic.name.endswith("tf_static"))
+    theirs.append(replace(tf, topic=replace(tf.topic, name="/b3/tf_static")))
+    ordered = sorted([*ours, *theirs], key=lambda packet: packet.stamp_ns)
+    for packets in (ordered, [*theirs, *ours]):
+        route = ScriptedRoute(at_start=packets)
+        source = opened(route)
+        route.end()
+        frames = list(source.frames())
+        assert len(frames) == 12
+        assert all(abs(frame.world_from_camera[0, 3]) < 5.0 for frame in frames)
+        assert "/b3/odom" not in route.asked
+        assert unaccounted(source, route) == {}
