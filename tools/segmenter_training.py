@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import sklearn
 
-from hickory_stream.caches import cache_folder
+from hickory_stream.caches import cache_root
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.perception import pixel_network
 from hickory_stream.perception.join import JoinConfig, rounds
@@ -50,9 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=(_PACKAGE / EMBEDDED["odds"]).parent, help="folder of trees, card")
     parser.add_argument("--seed", type=int, default=0, help="draws the partial joins and the growth of the trees")
     parser.add_argument("--trees", type=int, help="how many are grown")
-    parser.add_argument("--frames", type=Path, help="folder of rendered views; by default in the cache of recordings")
+    parser.add_argument(
+        "--frames", type=Path, help="folder of rendered views; by default beside the caches, not capped"
+    )
     options = parser.parse_args(arguments)
-    frames = options.frames or cache_folder("recordings") / "network-frames"
+    frames = options.frames or cache_root() / "network-frames"
     num_trees = options.trees or _TREES[options.forest]
     network = PixelNetwork() if options.forest == "odds" else None
     started_s = time.process_time()

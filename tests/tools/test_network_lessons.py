@@ -83,7 +83,7 @@ def test_frames_are_kept_as_they_were_rendered(tmp_path):
         assert a.sensed_m is not None
         assert np.nanmedian(np.abs(a.sensed_m - a.depth_m)) < 0.1
         assert a.instances.min() >= -1
-    assert [path.name for path in tmp_path.iterdir()] == ["clutter-training-3-2.npz"]
+    assert [path.name for path in tmp_path.iterdir()] == ["clutter-training-3-2.npy"]
 
 
 def test_masks_are_scored_against_what_pixels_show():

@@ -18,16 +18,18 @@ from hickory_stream.perception.pixel_network import NUM_OUTPUTS, OFFSETS, THING,
 from tools.network_training.export import export  # noqa: E402
 from tools.network_training.lessons import UNKNOWN, lesson_of  # noqa: E402
 from tools.network_training.model import inputs_of  # noqa: E402
-from tools.network_training.train import Schedule, accuracies, train, truth_of  # noqa: E402
+from tools.network_training.stages import Schedule, Stage  # noqa: E402
+from tools.network_training.train import accuracies, train, truth_of  # noqa: E402
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600)]
-SHORT = Schedule(steps=6, batch=1, rising=2, told_every=100, kept_every=3, precision="float32")
+FIRST, SECOND = Stage(steps=4, batch=1, rooms=(0, 1), rising=2), Stage(steps=2, batch=2, rooms=(1, 4), rising=2)
+SHORT = Schedule(stages=(FIRST, SECOND), told_every=100, kept_every=3, precision="float32")
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     checkpoint = tmp_path_factory.mktemp("network") / "net.pt"
-    return train(lambda rng: true_frame(), SHORT, checkpoint), checkpoint
+    return train(lambda rng, stage: true_frame(), SHORT, checkpoint), checkpoint
 
 
 def test_a_run_that_was_broken_off_ends_as_one_that_was_not(trained, tmp_path):
@@ -35,11 +37,11 @@ def test_a_run_that_was_broken_off_ends_as_one_that_was_not(trained, tmp_path):
     broken_off = tmp_path / "net.pt"
     frame = true_frame()
 
-    until_step_4 = [frame] * (4 * SHORT.batch)
+    until_step_4 = [frame] * 4
     with pytest.raises(IndexError):
-        train(lambda rng: until_step_4.pop(), SHORT, broken_off)
+        train(lambda rng, stage: until_step_4.pop(), SHORT, broken_off)
     assert torch.load(broken_off, weights_only=True)["step"] == 3
-    again = train(lambda rng: frame, SHORT, broken_off)
+    again = train(lambda rng, stage: frame, SHORT, broken_off)
     for a, b in zip(whole.state_dict().values(), again.state_dict().values(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
 
@@ -85,8 +87,17 @@ def test_what_is_to_be_said_of_pairs_follows_from_their_labels():
 
 
 def test_it_learns_what_it_is_shown(tmp_path):
-    schedule = dataclasses.replace(SHORT, steps=40, rising=5, rate=4e-3)
+    schedule = dataclasses.replace(SHORT, stages=(Stage(steps=40, batch=1, rooms=(0, 1), rising=5, rate=4e-3),))
     frame = true_frame()
-    net = train(lambda rng: frame, schedule, tmp_path / "net.pt")
+    net = train(lambda rng, stage: frame, schedule, tmp_path / "net.pt")
     found = accuracies(net, [lesson_of(frame, np.random.default_rng(seed)) for seed in range(100, 104)])
     assert found["thing"] > 0.9
+
+
+def test_each_step_is_of_its_stage_and_its_rate_rises_and_falls():
+    assert SHORT.steps == 6
+    assert [SHORT.at(step) for step in (0, 3, 4, 5)] == [(FIRST, 0), (FIRST, 3), (SECOND, 0), (SECOND, 1)]
+    with pytest.raises(IndexError):
+        SHORT.at(6)
+    stage = Stage(steps=100, batch=1, rooms=(0, 1), rate=1.0, rising=10, falling_share=0.2)
+    assert [stage.rate_at(step) for step in (0, 4, 50, 90, 99)] == pytest.approx([0.1, 0.5, 1.0, 0.5, 0.05])

@@ -1,6 +1,7 @@
 """Train the network of affinities from synthetic scenes, write it in eight bits, and its card.
 
-A run that was broken off goes on from its checkpoint. Frames are rendered once and kept in the cache of recordings.
+A run that was broken off goes on from its checkpoint. Frames are rendered once and kept beside the
+caches: up to 7 GB, which no cap removes.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.caches import cache_folder
+from hickory_stream.caches import cache_root
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.perception import pixel_network
 from hickory_stream.perception.pixel_inputs import CHANNELS
 from tools.network_training.frames import frames_of_scene
-from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, drawn_frames, told
+from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, STAGES, drawn_frames, told
+from tools.network_training.stages import Schedule
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,10 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tools/train_network", description=__doc__)
     file = Path(pixel_network.EMBEDDED)
     parser.add_argument("--out", type=Path, default=_PACKAGE / file.parent, help="folder of the network and its card")
-    parser.add_argument("--frames", type=Path, help="folder of rendered frames; by default in the cache of recordings")
+    parser.add_argument(
+        "--frames", type=Path, help="folder of rendered frames; by default beside the caches, not capped"
+    )
     parser.add_argument("--checkpoint", type=Path, help="by default beside the frames; an old one is gone on from")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--threads", type=int, default=1, help="of torch")
     parser.add_argument("--export-only", action="store_true", help="write what the checkpoint has, whatever its step")
     options = parser.parse_args(arguments)
@@ -46,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from tools.network_training.export import export
         from tools.network_training.lessons import lesson_of
         from tools.network_training.model import AffinityNet
-        from tools.network_training.train import Schedule, accuracies, train
+        from tools.network_training.train import accuracies, train
     except ModuleNotFoundError as error:
         print(f"{error.name} is missing; install the extra: pip install -e '.[train]'", file=sys.stderr)
         return 2
@@ -54,10 +57,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     torch.set_num_threads(options.threads)
     cv2.setNumThreads(1)
-    frames = options.frames or cache_folder("recordings") / "network-frames"
+    frames = options.frames or cache_root() / "network-frames"
     checkpoint = options.checkpoint or frames / "affinities.pt"
     drawn = drawn_frames(frames)
-    schedule = Schedule(seed=options.seed, steps=options.steps)
+    schedule = Schedule(seed=options.seed, stages=STAGES)
     if options.export_only:
         net = AffinityNet()
         net.load_state_dict(torch.load(checkpoint, weights_only=True)["net"])
@@ -66,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         net = train(drawn, schedule, checkpoint)
     kept = torch.load(checkpoint, weights_only=True)
     rng = np.random.default_rng([options.seed, 77])
-    calibration = [lesson_of(drawn(rng), rng).inputs for _ in range(_CALIBRATED_ON)]
+    calibration = [lesson_of(drawn(rng, STAGES[-1]), rng).inputs for _ in range(_CALIBRATED_ON)]
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / file.name
     export(net, calibration, path)
@@ -80,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "UOIS-Net (Xie et al. 2021), UCN (Xiang et al. 2020): led by depth, trained on synthetic clutter",
             "Wolf et al. 2018, Lee et al. 2017: affinities at growing distances; Bailoni et al. 2019: average linkage",
         ],
-        "made_by": f"tools/train_network --seed {options.seed} --steps {schedule.steps}",
+        "made_by": f"tools/train_network --seed {options.seed}",
         "steps_done": kept["step"],
         "training_processor_minutes": round(kept["processor_s"] / 60, 1),
         "licence": LICENCE,
@@ -102,9 +105,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(text)
     return 0
 
-
-STEPS = 6600
-"""Those of the weights in the package."""
 
 if __name__ == "__main__":
     sys.exit(main())

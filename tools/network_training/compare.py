@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 import cv2
 import numpy as np
 
-from hickory_stream.caches import cache_folder
+from hickory_stream.caches import cache_root
 from hickory_stream.evaluation.ladder import TrueImages, truly_joined
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
@@ -129,7 +129,7 @@ def _frames_of_set(name: str, options: argparse.Namespace) -> Iterator[Shown]:
     scene = next((scene for scene in HELD_OUT if scene.name == name), None)
     if scene is None:
         return of_world(options.worlds, name, options.every, options.most)
-    return of_scene(scene, options.frames or cache_folder("recordings") / "network-frames")
+    return of_scene(scene, options.frames or cache_root() / "network-frames")
 
 
 def of_clouds(folder: Path) -> Iterator[Shown]:

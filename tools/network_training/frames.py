@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import from_rotation_translation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -69,14 +70,47 @@ class Scene:
         return f"{self.kind}-{self.seed}-{self.frames}"
 
 
-def frames_of_scene(scene: Scene, folder: Path) -> list[TrueFrame]:
+class KeptFrames(Sequence[TrueFrame]):
+    """The frames of a scene as they lie on the disk; each is read when it is asked for."""
+
+    def __init__(self, file: Path) -> None:
+        self._kept = np.load(file, mmap_mode="r")
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._kept)
+
+    @overload
+    def __getitem__(self, index: int) -> TrueFrame: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[TrueFrame]: ...
+
+    def __getitem__(self, index: int | slice) -> TrueFrame | list[TrueFrame]:
+        """Return a frame, or those of a slice."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        kept = self._kept[index]
+        fx, fy, cx, cy = kept["camera"].tolist()
+        return TrueFrame(
+            rgb=np.array(kept["rgb"]),
+            depth_m=_metres(kept["depth"]),
+            cosine=kept["cosine"].astype(np.float32) / np.float32(255),
+            instances=kept["instances"].astype(np.int32),
+            camera=Camera(width=WIDTH_PX, height=HEIGHT_PX, fx=fx, fy=fy, cx=cx, cy=cy),
+            world_from_camera=np.array(kept["pose"]),
+            sensed_m=_metres(kept["sensed"]) if kept["is_sensed"] else None,
+        )
+
+
+def frames_of_scene(scene: Scene, folder: Path) -> KeptFrames:
     """Return the frames of a scene; rendered if they are not kept in `folder` yet."""
-    file = folder / f"{scene.name}.npz"
+    file = folder / f"{scene.name}.npy"
     if not file.is_file():
         started = time.monotonic()
         _write(file, list(_rendered(scene)))
         print(f"rendered {scene.name} ({time.monotonic() - started:.1f} s)", file=sys.stderr, flush=True)
-    return _read(file)
+    return KeptFrames(file)
 
 
 def _rendered(scene: Scene) -> Iterator[TrueFrame]:
@@ -158,50 +192,38 @@ def _pose(kind: str, trajectory: Trajectory, rng: np.random.Generator) -> NDArra
     return from_rotation_translation(camera_rotation(float(yaw), float(pitch), float(roll)), place)
 
 
+_IMAGE = (HEIGHT_PX, WIDTH_PX)
+_KEPT = np.dtype(
+    [
+        ("rgb", np.uint8, (*_IMAGE, 3)),
+        ("depth", np.uint16, _IMAGE),
+        ("sensed", np.uint16, _IMAGE),
+        ("is_sensed", np.bool_),
+        ("cosine", np.uint8, _IMAGE),
+        ("instances", np.int16, _IMAGE),
+        ("camera", np.float64, 4),
+        ("pose", np.float64, (4, 4)),
+    ]
+)
+
+
 def _write(file: Path, frames: Sequence[TrueFrame]) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(".unfinished.npz")
-    empty = (0, HEIGHT_PX, WIDTH_PX)
-    np.savez_compressed(
-        unfinished,
-        rgb=np.array([f.rgb for f in frames], np.uint8).reshape(-1, *empty[1:], 3),
-        depth_mm=np.array([_millimetres(f.depth_m) for f in frames], np.uint16).reshape(-1, *empty[1:]),
-        cosine=np.array([f.cosine * 255 for f in frames]).astype(np.uint8).reshape(-1, *empty[1:]),
-        instances=np.array([f.instances for f in frames], np.int16).reshape(-1, *empty[1:]),
-        camera=np.array([[f.camera.fx, f.camera.fy, f.camera.cx, f.camera.cy] for f in frames]).reshape(-1, 4),
-        pose=np.array([f.world_from_camera for f in frames]).reshape(-1, 4, 4),
-        **({} if any(f.sensed_m is None for f in frames) else {"sensed": _stacked_millimetres(frames)}),
-    )
+    kept = np.zeros(len(frames), dtype=_KEPT)
+    for row, frame in zip(kept, frames, strict=True):
+        row["rgb"], row["instances"], row["pose"] = frame.rgb, frame.instances, frame.world_from_camera
+        row["depth"], row["cosine"] = _fifths_mm(frame.depth_m), (frame.cosine * 255).astype(np.uint8)
+        row["camera"] = frame.camera.fx, frame.camera.fy, frame.camera.cx, frame.camera.cy
+        if frame.sensed_m is not None:
+            row["sensed"], row["is_sensed"] = _fifths_mm(frame.sensed_m), True
+    unfinished = file.with_suffix(".unfinished.npy")
+    np.save(unfinished, kept)
     unfinished.replace(file)
 
 
-def _stacked_millimetres(frames: Sequence[TrueFrame]) -> NDArray[np.uint16]:
-    return np.array([_millimetres(f.sensed_m) for f in frames if f.sensed_m is not None], np.uint16)
-
-
-def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.float64]:
+def _fifths_mm(depth_m: NDArray[np.float32]) -> NDArray[np.float64]:
     """Return depth in a fifth of a millimetre, 0 for none."""
-    return np.nan_to_num(np.clip(np.round(5000.0 * depth_m), 0, 65535))
-
-
-def _read(file: Path) -> list[TrueFrame]:
-    with np.load(file) as kept:
-        arrays = {name: kept[name] for name in kept.files}
-    frames = []
-    for i in range(len(arrays["rgb"])):
-        fx, fy, cx, cy = arrays["camera"][i].tolist()
-        frames.append(
-            TrueFrame(
-                rgb=arrays["rgb"][i],
-                depth_m=_metres(arrays["depth_mm"][i]),
-                cosine=arrays["cosine"][i].astype(np.float32) / np.float32(255),
-                instances=arrays["instances"][i].astype(np.int32),
-                camera=Camera(width=WIDTH_PX, height=HEIGHT_PX, fx=fx, fy=fy, cx=cx, cy=cy),
-                world_from_camera=arrays["pose"][i],
-                sensed_m=_metres(arrays["sensed"][i]) if "sensed" in arrays else None,
-            )
-        )
-    return frames
+    return np.asarray(np.nan_to_num(np.clip(np.round(5000.0 * depth_m), 0, 65535)))
 
 
 def _metres(fifths_mm: NDArray[np.uint16]) -> NDArray[np.float32]:

@@ -1,7 +1,7 @@
 """Training: balanced cross entropy of affinities, small things as dear as large ones; stopped and resumed at any step.
 
 Everything is drawn from the seed and the number of the step, so that a run that was broken off goes on as if it had not
-been. The learning rate rises, stays, and falls over the last steps (Hu et al. 2024), so that a run can be prolonged.
+been. The learning rate of a stage rises, stays, and falls over its last steps (Hu et al. 2024).
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import sys
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,39 +27,21 @@ if TYPE_CHECKING:
 
     from tools.network_training.frames import TrueFrame
     from tools.network_training.lessons import Lesson
+    from tools.network_training.stages import Schedule, Stage
 
 _USUAL_AREA_PX = 400.0
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Schedule:
-    """How long, how fast and from how many lessons at a time; `precision` of the products in training."""
-
-    seed: int = 0
-    steps: int = 6600
-    batch: int = 4
-    rate: float = 2e-3
-    rising: int = 100
-    falling_share: float = 1 / 7
-    weight_decay: float = 1e-2
-    precision: str = "bfloat16"
-    told_every: int = 50
-    kept_every: int = 100
-
-    def rate_at(self, step: int) -> float:
-        """Return the learning rate of a step."""
-        falling = max(1.0, self.falling_share * self.steps)
-        return self.rate * min(1.0, (step + 1) / self.rising, max(0.01, (self.steps - step) / falling))
-
-
-def train(frame_of: Callable[[np.random.Generator], TrueFrame], schedule: Schedule, checkpoint: Path) -> AffinityNet:
-    """Return the network trained on frames that `frame_of(rng)` draws.
+def train(
+    frame_of: Callable[[np.random.Generator, Stage], TrueFrame], schedule: Schedule, checkpoint: Path
+) -> AffinityNet:
+    """Return the network trained on frames that `frame_of(rng, stage)` draws.
 
     It goes on from a checkpoint if there is one.
     """
     torch.manual_seed(schedule.seed)
     net = AffinityNet().to(memory_format=torch.channels_last)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=schedule.rate, weight_decay=schedule.weight_decay)
+    optimizer = torch.optim.AdamW(net.parameters(), weight_decay=schedule.weight_decay)
     first, before_s = 0, 0.0
     if checkpoint.is_file():
         kept = torch.load(checkpoint, weights_only=True)
@@ -71,9 +52,11 @@ def train(frame_of: Callable[[np.random.Generator], TrueFrame], schedule: Schedu
     started, started_cpu_s, told = time.monotonic(), time.process_time(), [0.0, 0]
     for step in range(first, schedule.steps):
         rng = np.random.default_rng([schedule.seed, step])
-        lessons = [lesson_of(frame_of(rng), rng) for _ in range(schedule.batch)]
+        stage, step_of_stage = schedule.at(step)
+        lessons = [lesson_of(frame_of(rng, stage), rng) for _ in range(stage.batch)]
+        rate = stage.rate_at(step_of_stage)
         for group in optimizer.param_groups:
-            group["lr"] = schedule.rate_at(step)
+            group["lr"] = rate
         loss = _loss_of(net, lessons, schedule.precision)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -86,7 +69,7 @@ def train(frame_of: Callable[[np.random.Generator], TrueFrame], schedule: Schedu
         if done % schedule.told_every == 0:
             spent = time.monotonic() - started
             print(
-                f"step {done} of {schedule.steps}: loss {told[0] / told[1]:.4f}, rate {schedule.rate_at(step):.2g}, "
+                f"step {done} of {schedule.steps}: loss {told[0] / told[1]:.4f}, rate {rate:.2g}, "
                 f"{spent / (done - first):.2f} s a step, {spent / 60:.1f} min",
                 file=sys.stderr,
                 flush=True,
