@@ -235,8 +235,14 @@ class Run:
                     group.create_task(self._reader.play(source, Pacer(rate), loops, self._start), name="read")
                 await group.create_task(self._map(), name="map")
                 watching.cancel()
-        except ExceptionGroup as errors:
-            raise errors.exceptions[0] from errors
+        except BaseException as error:
+            # The thread that reads may be waiting for a frame that never comes: a robot that is gone.
+            interrupt = getattr(source, "interrupt", None)
+            if interrupt is not None:
+                interrupt()
+            if isinstance(error, ExceptionGroup):
+                raise error.exceptions[0] from error
+            raise
         finally:
             self._reading.shutdown(wait=True)
             self._thinker.shutdown(wait=True)

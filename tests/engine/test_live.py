@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.journal import JOURNAL, Journal
 from hickory_stream.engine.replay import replay
 from hickory_stream.engine.session import open_map
-from hickory_stream.errors import RecordingError
+from hickory_stream.errors import OutputError, RecordingError
 from hickory_stream.testing import START_NS, InstanceSegmenter, RememberingSink, SceneSource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
 
@@ -221,3 +222,32 @@ def test_a_live_frame_that_is_torn_is_counted(tmp_path: Path) -> None:
 
 def _torn() -> Frame:
     raise RecordingError("a torn image")
+
+
+class SilentSource(SceneSource):
+    """Gives some frames, and then none until it is interrupted, as a robot that is gone."""
+
+    def __init__(self) -> None:
+        super().__init__(NUM_FRAMES)
+        self.interrupted = threading.Event()
+
+    def frames(self) -> Iterator[RawFrame]:
+        yield from islice(super().frames(), 3)
+        assert self.interrupted.wait(60)
+
+    def interrupt(self) -> None:
+        self.interrupted.set()
+
+
+class FailingSink(RememberingSink):
+    """Cannot show anything: the disk is full."""
+
+    def show(self, report: FrameReport) -> None:
+        raise OutputError("no space is left")
+
+
+def test_a_run_that_fails_while_a_source_is_silent_ends_all_the_same(tmp_path: Path) -> None:
+    source = SilentSource()
+    with pytest.raises(OutputError, match="no space is left"):
+        map_scene(tmp_path, *NO_SHAPES, mode="live", source=source, sinks=lambda _: [(FailingSink(), True)])
+    assert source.interrupted.is_set()
