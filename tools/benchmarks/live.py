@@ -42,6 +42,7 @@ class Sample:
     away: tuple[str, ...]
     storm: tuple[str, ...]
     map_options: tuple[str, ...]
+    mapped_720p_s: float
 
 
 _STORM = ("--loss", "0.1", "--jitter", "150", "--delay", "40", "--bandwidth", "10", "--clock-offset", "-300")
@@ -52,6 +53,7 @@ _FULL = Sample(
     away=("--seconds", "15", "--loop", "3", "--disconnect", "8:30"),
     storm=(*_STORM, "--disconnect", "40:60", "--disconnect", "150:5", "--restart", "200", "--loop", "15"),
     map_options=(),
+    mapped_720p_s=8.0,
 )
 _QUICK = Sample(
     log_s=1.0,
@@ -60,6 +62,7 @@ _QUICK = Sample(
     away=("--seconds", "4", "--disconnect", "1.5:1"),
     storm=(*_STORM, "--disconnect", "2:1", "--restart", "4", "--seconds", "6"),
     map_options=("--no-shapes",),
+    mapped_720p_s=0.0,
 )
 
 
@@ -134,6 +137,11 @@ def _map(sample: Sample, seed: int, folder: Path) -> list[Figure]:
             f"{len(recorded)} objects of the recording's map in the live one",
         ),
     ]
+    if sample.mapped_720p_s:
+        large = write_720p(_DEMO, folder / "mapped.mcap", seconds=sample.mapped_720p_s)
+        _, slow = _run("zenoh-bridge", [large], folder, "--loop", "2", to=("--out", folder / "large"))
+        told = f"the same at 1280x720 and 30 Hz, {len(slow['latency_s'])} keyframes"
+        figures.append(_figure("live_latency_720p_p95_ms", 1e3 * _p95(slow["latency_s"]), "ms", "lower", told))
     gaps_ns = np.diff(back["stamps_ns"])
     if len(gaps_ns) and away["returned_s"]:
         # The first frame after the gap in the stamps that the absence has left.
