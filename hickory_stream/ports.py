@@ -54,6 +54,13 @@ class Source(Protocol):
         ...
 
 
+def interrupt(source: Source) -> None:
+    """Wake a source that may be waiting for a frame; one that never waits need not be able to."""
+    wake = getattr(source, "interrupt", None)
+    if wake is not None:
+        wake()
+
+
 class SourceAround:
     """A `Source` that plays another one; what a subclass does not change is passed on."""
 
@@ -80,9 +87,7 @@ class SourceAround:
 
     def interrupt(self) -> None:
         """Wake the other source, where it may be waiting."""
-        interrupt = getattr(self._source, "interrupt", None)
-        if interrupt is not None:
-            interrupt()
+        interrupt(self._source)
 
     def close(self) -> None:
         """Close the other one."""

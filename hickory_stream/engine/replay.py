@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.engine.frame_reports import final_report
 from hickory_stream.engine.history import Replay
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.report_poses import in_map_frame
@@ -54,15 +55,7 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
             snapshot = again.snapshot()
             if last is not None and camera is not None:
                 for sink in sinks:
-                    final = FrameReport(
-                        index=last.index + 1,
-                        stamp_ns=last.stamp_ns,
-                        keyframe_index=num_keyframes,
-                        camera=camera,
-                        world_from_camera=last.world_from_camera,
-                        color_bytes=None,
-                        snapshot=snapshot,
-                    )
+                    final = final_report(last, camera, snapshot, keyframe_index=num_keyframes, decisions=())
                     sink.show(in_map_frame(final, snapshot))
     finally:
         for sink in sinks:

@@ -60,6 +60,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.perceive import Perceived, features_of, perceive
+from hickory_stream.ports import interrupt
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -237,9 +238,7 @@ class Run:
                 watching.cancel()
         except BaseException as error:
             # The thread that reads may be waiting for a frame that never comes: a robot that is gone.
-            interrupt = getattr(source, "interrupt", None)
-            if interrupt is not None:
-                interrupt()
+            interrupt(source)
             if isinstance(error, ExceptionGroup):
                 raise error.exceptions[0] from error
             raise
