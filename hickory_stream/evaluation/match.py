@@ -102,46 +102,62 @@ def match_boxes(
     )
 
 
+class TrueSurfaces:
+    """Truth made ready to score maps of it: many maps of one log are scored without reading its meshes again.
+
+    Raises:
+        RecordingError: the truth has no object that counts, or a mesh of it cannot be read.
+    """
+
+    def __init__(self, truth: Truth) -> None:
+        if not any(item.seen_fraction >= MIN_SEEN for item in truth.objects):
+            raise RecordingError(f"{truth.folder} has no object of which {MIN_SEEN:.0%} was seen; record a longer log")
+        self._objects = truth.objects
+        surfaces = {item.id: _true_surface(truth, item) for item in truth.objects}
+        self._boxes = {i: gravity_aligned_box(surface.vertices, _MIN_HALF_EXTENT_M) for i, surface in surfaces.items()}
+        self._scene = Scene(list(surfaces.values()))
+
+    def score(self, snapshot: MapSnapshot, meshes: Mapping[int, Mesh]) -> Score:
+        """Return how a map compares with truth; `meshes` holds layer 2 by object id, in the object frames."""
+        counting = [item for item in self._objects if item.seen_fraction >= MIN_SEEN]
+        ignored = [item for item in self._objects if item.seen_fraction < MIN_SEEN]
+        objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
+        boxes = [best_box(tracked, meshes) for tracked in objects]
+        owners = _owners(objects, self._scene)
+
+        counting_boxes = [self._boxes[item.id] for item in counting]
+        loose = match_boxes(counting_boxes, boxes, LOOSE_IOU)
+        strict = match_boxes(counting_boxes, boxes, STRICT_IOU)
+        ignored_ids = {item.id for item in ignored}
+        aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
+        aside |= {match.map_index for match in match_boxes([self._boxes[item.id] for item in ignored], boxes)}
+        of_truth = {counting[match.truth_index].id: match for match in loose}
+        of_strict = {counting[match.truth_index].id: match for match in strict}
+        rows = tuple(
+            _truth_score(item, of_truth.get(item.id), of_strict.get(item.id), objects, owners) for item in self._objects
+        )
+        tracks = [len(row.track_ids) for row in rows if row.counts and row.track_ids]
+        return Score(
+            num_truth=len(counting),
+            num_objects=len(objects),
+            recall_25=len(loose) / len(counting),
+            recall_50=len(strict) / len(counting),
+            precision_25=_precision(loose, len(objects), aside),
+            precision_50=_precision(strict, len(objects), aside),
+            tracks_per_object=sum(tracks) / len(tracks) if tracks else 0.0,
+            truth=rows,
+            stray_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner is None),
+            ignored_ids=tuple(objects[i].id for i in sorted(aside)),
+        )
+
+
 def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -> Score:
     """Return how a map compares with truth; `meshes` holds layer 2 by object id, in the object frames.
 
     Raises:
         RecordingError: the truth has no object that counts, or a mesh of it cannot be read.
     """
-    counting = [item for item in truth.objects if item.seen_fraction >= MIN_SEEN]
-    ignored = [item for item in truth.objects if item.seen_fraction < MIN_SEEN]
-    if not counting:
-        raise RecordingError(f"{truth.folder} has no object of which {MIN_SEEN:.0%} was seen; record a longer log")
-    objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
-    true_surfaces = {item.id: _true_surface(truth, item) for item in truth.objects}
-    true_boxes = {i: gravity_aligned_box(surface.vertices, _MIN_HALF_EXTENT_M) for i, surface in true_surfaces.items()}
-    boxes = [best_box(tracked, meshes) for tracked in objects]
-    owners = _owners(objects, Scene(list(true_surfaces.values())))
-
-    counting_boxes = [true_boxes[item.id] for item in counting]
-    loose = match_boxes(counting_boxes, boxes, LOOSE_IOU)
-    strict = match_boxes(counting_boxes, boxes, STRICT_IOU)
-    ignored_ids = {item.id for item in ignored}
-    aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
-    aside |= {match.map_index for match in match_boxes([true_boxes[item.id] for item in ignored], boxes)}
-    of_truth = {counting[match.truth_index].id: match for match in loose}
-    of_strict = {counting[match.truth_index].id: match for match in strict}
-    rows = tuple(
-        _truth_score(item, of_truth.get(item.id), of_strict.get(item.id), objects, owners) for item in truth.objects
-    )
-    tracks = [len(row.track_ids) for row in rows if row.counts and row.track_ids]
-    return Score(
-        num_truth=len(counting),
-        num_objects=len(objects),
-        recall_25=len(loose) / len(counting),
-        recall_50=len(strict) / len(counting),
-        precision_25=_precision(loose, len(objects), aside),
-        precision_50=_precision(strict, len(objects), aside),
-        tracks_per_object=sum(tracks) / len(tracks) if tracks else 0.0,
-        truth=rows,
-        stray_ids=tuple(tracked.id for tracked, owner in zip(objects, owners, strict=True) if owner is None),
-        ignored_ids=tuple(objects[i].id for i in sorted(aside)),
-    )
+    return TrueSurfaces(truth).score(snapshot, meshes)
 
 
 def meshes_of(saved: SavedMap) -> dict[int, Mesh]:

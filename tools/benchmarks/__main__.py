@@ -39,6 +39,9 @@ _HELPERS = {
     "processes",
     "processors",
     "repetitions",
+    "rule_constants",
+    "rule_logs",
+    "rule_switches",
     "shape_meshes",
     "shape_truth",
     "small_logs",
@@ -67,7 +70,10 @@ def main() -> int:
     parser.add_argument("--meshes", type=Path, metavar="DIR", help="shapes: measure on the meshes of a folder instead")
     parser.add_argument("--clouds", type=Path, metavar="DIR", help="perception: labelled clouds, *.pcd, of a folder")
     parser.add_argument(
-        "--worlds", type=Path, metavar="DIR", help="foreign: rooms by others; $HICKORY_WORLDS, else ../shared/worlds"
+        "--worlds",
+        type=Path,
+        metavar="DIR",
+        help="foreign, rules: rooms by others; $HICKORY_WORLDS, else ../shared/worlds",
     )
     parser.add_argument(
         "--check", action="store_true", help="exit with 1 where a figure fell back behind the committed baseline"
@@ -82,14 +88,15 @@ def main() -> int:
         type=Path,
         default=Path("out/bench"),
         metavar="DIR",
-        help="engine, damage, foreign: where what was measured is kept",
+        help="engine, damage, foreign, rules: where what was measured is kept",
     )
     parser.add_argument(
         "--only",
         nargs="+",
         default=[],
         metavar="PART",
-        help="engine: digests, kills, stops, live, soak; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen, clouds, own",
+        help="engine: digests, kills, stops, live, soak; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen, clouds, own;"
+        " rules: rules, mapping, perception",
     )
     parser.add_argument("--minutes", type=float, default=math.inf, help="what goes on later: begin nothing after this")
     parser.add_argument("--fresh", action="store_true", help="what goes on later: forget what is kept")

@@ -78,12 +78,12 @@ def play_first_layer(
             pooled, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
             return FeaturesReady(frame_index=effect.frame_index, features=pooled)
 
-        published = _handle(core, event, frame.stamp_ns, features)
+        published = answered(core, event, frame.stamp_ns, features)
         snapshot = published.snapshot
         yield PlayedKeyframe(frame=frame, perceived=perceived, snapshot=snapshot, metrics=dict(published.metrics))
 
 
-def _handle(
+def answered(
     core: MapperCore, event: Event, stamp_ns: int, features: Callable[[ComputeFeatures], FeaturesReady]
 ) -> Publish:
     """Give the core an event and the answers to what it asks for, at once; return what it published last."""
