@@ -34,7 +34,6 @@ _MOVED = {
     "mapping.track.voxel_m": ("mapping.lattice.points_m", _ONE_LATTICE),
     "perception.space.voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
     "mapping.space_voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
-    "perception.known": ("perception.map_guided_merge", "its new name"),
     "perception.geometric.shades": ("perception.geometric.color_split", "its new name"),
     "perception.geometric.hidden_area_px": ("perception.geometric.occluded_area_px", "its new name"),
     "perception.geometric.hidden_share": ("perception.geometric.occluded_share", "its new name"),
@@ -45,6 +44,12 @@ _MOVED = {
     "mapping.floating": ("mapping.unsupported", "its new name"),
 }
 """Keys of earlier versions: what to set instead, and why."""
+
+_GONE = {
+    "perception.map_guided_merge": "masks are made without the map's objects",
+    "perception.known": "masks are made without the map's objects",
+}
+"""Keys of earlier versions without a successor, or the sections of such, and why."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -136,7 +141,10 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
     fields = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in data:
         if key not in fields:
-            if (moved := _MOVED.get(f"{where}{key}".removeprefix("mapper."))) is not None:
+            old = f"{where}{key}".removeprefix("mapper.")
+            if old in _GONE:
+                raise ConfigError(f"{where}{key} is no setting any more: {_GONE[old]}")
+            if (moved := _MOVED.get(old)) is not None:
                 root = "mapper." if where.startswith("mapper.") else ""
                 raise ConfigError(f"{where}{key} is no setting any more: set {root}{moved[0]}, {moved[1]}")
             near = difflib.get_close_matches(key, fields, n=1)

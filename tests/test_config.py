@@ -8,7 +8,16 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from hickory_stream.config import _MOVED, MapperConfig, RunConfig, as_far_as_known, from_dict, read_config, to_toml
+from hickory_stream.config import (
+    _GONE,
+    _MOVED,
+    MapperConfig,
+    RunConfig,
+    as_far_as_known,
+    from_dict,
+    read_config,
+    to_toml,
+)
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.ranges import ranges_of
@@ -166,11 +175,19 @@ def test_a_misspelt_key_is_refused_with_the_nearest_one(file: Path, text: str, t
         ("[mapper.mapping.track]\nvoxel_m = 0.02", "set mapper.mapping.lattice.points_m, the one lattice"),
         ("[mapper.perception.space]\nvoxel_m = 0.1", "set mapper.mapping.lattice.space_m, the one lattice"),
         ("[mapper.mapping]\nspace_voxel_m = 0.1", "set mapper.mapping.lattice.space_m, the one lattice"),
-        ("[mapper.perception.known]\nenabled = true", "set mapper.perception.map_guided_merge, its new name"),
+        ("[mapper.mapping.parts]\nmin_apart = 3", "set mapper.mapping.split, its new name"),
     ],
 )
 def test_a_key_of_an_earlier_version_is_refused_with_the_one_to_set_instead(file: Path, text: str, told: str) -> None:
     assert told in refusal(file, text)
+
+
+@pytest.mark.parametrize(("old", "why"), list(_GONE.items()))
+def test_a_key_that_nothing_took_the_place_of_is_refused_with_the_reason(file: Path, old: str, why: str) -> None:
+    section, _, key = f"mapper.{old}".rpartition(".")
+    assert refusal(file, f"[{section}]\n{key} = 1") == f"mapper.{old} is no setting any more: {why}"
+    with pytest.raises(AttributeError):
+        value_at(MapperConfig(), old)
 
 
 @pytest.mark.parametrize(("old", "new"), [(old, new) for old, (new, _) in _MOVED.items()])

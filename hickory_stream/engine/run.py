@@ -434,7 +434,6 @@ class Run:
             prepared,
             self._segmenter,
             config.perception,
-            core.known_objects(),
             lattice=config.mapping.lattice,
         )
 

@@ -68,11 +68,8 @@ def warm_up_mapping() -> None:
         for raw in SceneSource(_NUM_MAPPED, (*SCENE_BOXES, _WALL)).frames():
             frame = raw.decode()
             prior = snapshot.submaps[0].observed_space if snapshot is not None else None
-            known = snapshot.objects if snapshot is not None else ()
             prepared = segmenter.prepare(frame)
-            perceived = perceive(
-                frame, prior, prepared, segmenter, config.perception, known, lattice=config.mapping.lattice
-            )
+            perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.lattice)
             waiting: list[Effect] = core.handle(perceived.event(frame))
             while waiting:
                 effect = waiting.pop(0)

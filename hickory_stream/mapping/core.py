@@ -239,19 +239,6 @@ class MapperCore:
         is_one = self._submaps.first == self._submaps.open_id
         return self._submap(self._submaps.states[-1]).observed_space if is_one else as_record(self._submaps.space)
 
-    def known_objects(self) -> tuple[TrackedObject, ...]:
-        """Return the objects that were seen since the odometry last jumped, as the odometry has them.
-
-        Like `observed_space` what perception knows beforehand, whatever was corrected.
-        """
-        known = []
-        for track_id, track in sorted(self._tracks.items()):
-            if self._is_judged(track):
-                shown = self._shown.get(track_id)
-                is_there = shown is not None and shown[0] is track and np.array_equal(shown[1], np.eye(4))
-                known.append(shown[2] if shown is not None and is_there else as_object(track))
-        return tuple(known)
-
     def _submap(self, state: SubmapState) -> Submap:
         cached = self._shown_submaps.get(state.id)
         if cached is None or cached[0] is not state:

@@ -11,7 +11,6 @@ from hickory_stream.events import FrameObserved
 from hickory_stream.perception.coarse import coarse_frame
 from hickory_stream.perception.descriptor import mask_feature
 from hickory_stream.perception.geometric import GeometricConfig
-from hickory_stream.perception.map_guided_merge import MapGuidedMergeConfig, merged_by_map
 from hickory_stream.perception.masks import MaskConfig
 from hickory_stream.perception.models.dinov2 import DinoConfig
 from hickory_stream.perception.models.fastsam import FastSamConfig
@@ -36,13 +35,12 @@ if TYPE_CHECKING:
         RejectedMask,
         Segmentation,
         SpaceObservation,
-        TrackedObject,
     )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PerceptionConfig:
-    """The segmenter, the lifting of masks to 3D, the observed space, and the merging of masks guided by the map.
+    """The segmenter, the lifting of masks to 3D, and the observed space.
 
     Attributes:
         segmenter: `network` divides and joins with a network of our own, whose weights come with the package; without
@@ -63,7 +61,6 @@ class PerceptionConfig:
     masks: MaskConfig = field(default_factory=MaskConfig)
     observe: ObserveConfig = field(default_factory=ObserveConfig)
     space: SpaceConfig = field(default_factory=SpaceConfig)
-    map_guided_merge: MapGuidedMergeConfig = field(default_factory=MapGuidedMergeConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -94,16 +91,15 @@ def perceive(
     prepared: object,
     segmenter: Segmenter,
     config: PerceptionConfig,
-    mapped: Sequence[TrackedObject] = (),
     *,
     lattice: Lattice,
 ) -> Perceived:
     """Return what a keyframe shows.
 
-    `prior` is the observed space of the map so far, `mapped` are its objects, `lattice` its voxel sizes; `prepared` is
-    what the segmenter's `prepare` gave for this frame, None if it was not called.
+    `prior` is the observed space of the map so far, `lattice` its voxel sizes; `prepared` is what the segmenter's
+    `prepare` gave for this frame, None if it was not called.
     """
-    segmentation = merged_by_map(frame, segmenter.segment(frame, prior, prepared), mapped, config.map_guided_merge)
+    segmentation = segmenter.segment(frame, prior, prepared)
     observations, rejected = observe(frame, segmentation, config.observe, lattice)
     return Perceived(
         segmentation=segmentation,

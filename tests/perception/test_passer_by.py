@@ -46,8 +46,8 @@ def played(steps):
             camera=shot.camera,
             world_from_camera=view,
         )
-        prior, known = (None, ()) if snapshot is None else (snapshot.submaps[0].observed_space, snapshot.objects)
-        seen = perceive(frame, prior, None, segmenter, config, known, lattice=Lattice())
+        prior = None if snapshot is None else snapshot.submaps[0].observed_space
+        seen = perceive(frame, prior, None, segmenter, config, lattice=Lattice())
         waiting = core.handle(
             FrameObserved(
                 frame_index=i,

@@ -70,8 +70,7 @@ def play_first_layer(
     snapshot: MapSnapshot | None = None
     for frame in keyframes_of(log, config, max_keyframes):
         prior = snapshot.submaps[0].observed_space if snapshot is not None else None
-        known = snapshot.objects if snapshot is not None else ()
-        perceived = perceive(frame, prior, None, segmenter, config.perception, known, lattice=config.mapping.lattice)
+        perceived = perceive(frame, prior, None, segmenter, config.perception, lattice=config.mapping.lattice)
         event = perceived.event(frame)
 
         def features(effect: ComputeFeatures, frame: Frame = frame, perceived: Perceived = perceived) -> FeaturesReady:

@@ -218,8 +218,7 @@ def _time_of(keyframes: Sequence[PlayedKeyframe]) -> Figure:
 
 def _perceive_again(seen: PlayedKeyframe, segmenter: Segmenter, config: PerceptionConfig) -> None:
     frame: Frame = seen.frame
-    space, known = seen.snapshot.submaps[0].observed_space, seen.snapshot.objects
-    perceive(frame, space, None, segmenter, config, known, lattice=Lattice())
+    perceive(frame, seen.snapshot.submaps[0].observed_space, None, segmenter, config, lattice=Lattice())
 
 
 def _memory_of(log: Path, name: str, keyframes: int) -> list[Figure]:

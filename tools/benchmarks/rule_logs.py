@@ -98,7 +98,6 @@ class RuleLog:
                 prepared if is_prepared else None,
                 segmenter,
                 perception,
-                core.known_objects() if perception.map_guided_merge.enabled else (),
                 lattice=config.mapping.lattice,
             )
             yield replace(seen.event(frame), coarse=None)

@@ -186,12 +186,6 @@ RULES = (
     ),
     # Off by default.
     Rule(
-        name="masks of one mapped object are one",
-        package="perception",
-        numbers=(("perception.map_guided_merge.enabled", True),),
-        is_on=False,
-    ),
-    Rule(
         name="the network divides fragments",
         package="perception",
         numbers=(("perception.affinities.split.odds_shift", 2.0),),
