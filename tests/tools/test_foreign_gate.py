@@ -11,7 +11,7 @@ from hickory_stream.errors import InputError, RecordingError
 from tools.benchmarks.foreign import own_seeds
 from tools.benchmarks.foreign_figures import figures_of, of_map, reasons
 from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
-from tools.benchmarks.foreign_parts import OWN, WORLDS, Part, Store, all_parts, chosen_parts
+from tools.benchmarks.foreign_parts import OUTDOORS, OWN, WORLDS, Part, Store, all_parts, chosen_parts
 from tools.benchmarks.intervals import bootstrap, wilson
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[floa
         ],
         "objects": [
             {"id": i, "size_m": 1.0, "right_25": right, "right_50": False, "ignored": ignored}
-            | {"false_because": None if right or ignored else "structure"}
+            | {"false_because": None if right or ignored else "structure", "is_ground": not right}
             for i, (right, ignored) in enumerate(objects)
         ],
         "little_seen": 5,
@@ -116,6 +116,17 @@ def test_own_worlds_are_pooled() -> None:
     assert by_name(figures_of(measured))["own_recall_25"].of == "5 of 6 true objects"
 
 
+def test_streets_are_pooled_and_their_pieces_of_ground_are_counted() -> None:
+    measured = {
+        Part(world=name): record([True, i > 0], [(True, False), (False, False)]) for i, name in enumerate(OUTDOORS)
+    }
+    found = by_name(figures_of(measured))
+    assert found["outdoor_recall_25"].of == "3 of 4 true objects"
+    assert found["outdoor_precision_25"].of == "2 of 4 objects"
+    assert (found["outdoor_ground_objects"].value, found["outdoor_ground_objects"].better) == (2, "lower")
+    assert "outdoor_ground_objects" not in by_name(figures_of({by_hand("home"): record([True], [])}))
+
+
 def test_masks_of_clouds_are_counted_over_all_of_them() -> None:
     clouds = [
         {"name": "a", "small": 1, "labelled": 4, "things": 3, "masks": 3, "right": 3},
@@ -141,6 +152,8 @@ def test_the_segmenter_is_a_name_among_the_numbers() -> None:
         ("home:masks,warehouse:masks", 2),
         ("clouds", 2),
         ("own", 3),
+        ("outdoor", 2),
+        ("outdoor2", 1),
         ("kitchen", 1),
         ("robot", 0),
         ("home:C", 0),
@@ -157,7 +170,7 @@ def test_parts_are_named_by_world_walk_camera_and_rung(only: str, count: int) ->
 def test_without_a_name_everything_is_measured_once() -> None:
     parts = chosen_parts([])
     assert parts == all_parts()
-    assert len(parts) == len({part.name for part in parts}) == 4 * 8 + 7
+    assert len(parts) == len({part.name for part in parts}) == 4 * 8 + 9
 
 
 def test_what_was_measured_is_kept_for_that_log_and_that_code_alone(tmp_path: Path) -> None:

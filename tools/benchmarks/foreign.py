@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tools.benchmarks.foreign_figures import figures_of, of_map, reasons
-from tools.benchmarks.foreign_logs import foreign_log, own_log, worlds_folder
-from tools.benchmarks.foreign_parts import OWN, ROLES, WORLDS, Part, Store, chosen_parts, map_code_hash
+from tools.benchmarks.foreign_logs import foreign_log, outdoor_log, own_log, worlds_folder
+from tools.benchmarks.foreign_parts import OUTDOORS, OWN, ROLES, WORLDS, Part, Store, chosen_parts, map_code_hash
 from tools.benchmarks.foreign_runs import clouds_scored, kitchen_scored, mapped, timed
 
 if TYPE_CHECKING:
@@ -39,7 +39,8 @@ def measure(options: Options) -> list[Figure]:
     code = map_code_hash()
     store = Store(options.state, code)
     seeds = own_seeds(options.seed, code)
-    print(f"code {code[:12]}; apartments {', '.join(map(str, seeds))}", flush=True)
+    outdoors = ", ".join(map(str, seeds[: len(OUTDOORS)]))
+    print(f"code {code[:12]}; apartments {', '.join(map(str, seeds))}; streets {outdoors}", flush=True)
     measured: dict[Part, dict[str, Any]] = {}
     left = []
     for part in chosen_parts(options.only):
@@ -69,6 +70,8 @@ def _measured(
         key = "data"
     elif part.world in OWN:
         key = str(seeds[OWN.index(part.world)])
+    elif part.world in OUTDOORS:
+        key = str(seeds[OUTDOORS.index(part.world)])
     elif not may_begin:
         key = ""
     else:
@@ -91,10 +94,13 @@ def _measured(
         elif part.world == "speed":
             record = timed(log.log)
         else:
-            log = own_log(int(key)) if part.world in OWN else log
+            if part.world in OWN:
+                log = own_log(int(key))
+            elif part.world in OUTDOORS:
+                log = outdoor_log(int(key))
             record = mapped(log.log, log.truth, part.rung, out)
     store.put(part, key, record)
-    if part.world in (*WORLDS, *OWN):
+    if part.world in (*WORLDS, *OWN, *OUTDOORS):
         print("\n".join(f"  {line}" for line in reasons(record)), flush=True)
     told = ", ".join(f"{f.name.removeprefix(part.world + '_')} {f.value:.3f}" for f in _headline(part, record))
     print(f"{part.name}: {told or 'done'} ({time.monotonic() - started:.0f} s)", flush=True)
@@ -102,7 +108,7 @@ def _measured(
 
 
 def _headline(part: Part, record: dict[str, Any]) -> list[Figure]:
-    if part.world not in (*WORLDS, *OWN):
+    if part.world not in (*WORLDS, *OWN, *OUTDOORS):
         return []
     names = (f"{part.world}_recall_25", f"{part.world}_precision_25")
     return [figure for figure in of_map(part.world, record, "") if figure.name in names]

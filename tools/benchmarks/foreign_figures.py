@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from tools.benchmarks.figures import Figure
-from tools.benchmarks.foreign_parts import CAMERAS, OWN, ROLES, WALKS, WORLDS, Part
+from tools.benchmarks.foreign_parts import CAMERAS, OUTDOORS, OWN, ROLES, WALKS, WORLDS, Part
 from tools.benchmarks.intervals import bootstrap, wilson
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ def figures_of(measured: Measured) -> list[Figure]:
         joined = _joined(own)
         figures += of_map("own", joined, ROLES["own1"])
         figures += [figure for figure in _of_shapes("own", own, ROLES["own1"]) if figure.name == "own_f1_5pct"]
+    figures += _of_outdoors([record for name in OUTDOORS if (record := measured.get(Part(world=name))) is not None])
     figures += _of_kitchen(measured.get(Part(world="kitchen")))
     for name in ("clouds_tuned", "clouds_report"):
         figures += _of_clouds(name, measured.get(Part(world=name)))
@@ -261,6 +262,24 @@ def _of_shapes(name: str, records: Sequence[dict[str, Any] | None], role: str) -
                 )
             )
     return figures
+
+
+def _of_outdoors(records: Sequence[Mapping[str, Any]]) -> list[Figure]:
+    """Return recall and precision of the streets together, and how many of their objects are pieces of ground."""
+    if not records:
+        return []
+    joined, role = _joined(records), ROLES[OUTDOORS[0]]
+    pieces = sum(row["is_ground"] for row in joined["objects"])
+    count = Figure(
+        name="outdoor_ground_objects",
+        value=pieces,
+        unit="",
+        better="lower",
+        of=f"{len(joined['objects'])} objects of {len(records)} streets",
+        left_out="tentative objects",
+        role=role,
+    )
+    return [*of_map("outdoor", joined, role), count]
 
 
 def _of_kitchen(record: Mapping[str, Any] | None) -> list[Figure]:

@@ -19,6 +19,7 @@ from hickory_stream import caches
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE
 from hickory_stream.evaluation.worlds.cache import cache_folder, cached_recording
+from hickory_stream.evaluation.worlds.outdoor.recordings import outdoors
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from tools.benchmarks.processes import ROOT
 
@@ -93,5 +94,16 @@ def own_log(seed: int) -> WorldLog:
     """Return the log of an apartment of ours, recorded if it is not kept yet."""
     config = RecordingConfig(scene="apartment", seed=seed, seconds=60.0, rate_hz=_RATE_HZ, width=640, height=480)
     print(f"apartment {seed}", flush=True)
+    return _recorded(config)
+
+
+def outdoor_log(seed: int) -> WorldLog:
+    """Return the log of a street of ours, recorded if it is not kept yet."""
+    config = RecordingConfig(scene="outdoor", seed=seed, seconds=60.0, rate_hz=_RATE_HZ, width=640, height=480)
+    print(f"street {seed}", flush=True)
+    return _recorded(outdoors(config))
+
+
+def _recorded(config: RecordingConfig) -> WorldLog:
     log, truth = cached_recording(config)
     return WorldLog(log=log, truth=truth.folder, key=log.stem.rsplit("-", 1)[-1])

@@ -24,12 +24,13 @@ if TYPE_CHECKING:
 TUNED_WORLDS, REPORTED_WORLDS = ("home", "bookstore"), ("office", "warehouse")
 WORLDS = (*TUNED_WORLDS, *REPORTED_WORLDS)
 OWN = ("own1", "own2", "own3")
+OUTDOORS = ("outdoor1", "outdoor2")
 WALKS, CAMERAS = ("A", "B"), ("hand", "robot")
 TUNED, REPORTED = "tuned on", "reported"
 ROLES = {
     **dict.fromkeys(TUNED_WORLDS, TUNED),
     **dict.fromkeys(REPORTED_WORLDS, REPORTED),
-    **dict.fromkeys(OWN, "reported, fresh seeds of a generator that is tuned on"),
+    **dict.fromkeys((*OWN, *OUTDOORS), "reported, fresh seeds of a generator that is tuned on"),
     "kitchen": REPORTED,
     "clouds_tuned": TUNED,
     "clouds_report": REPORTED,
@@ -70,7 +71,7 @@ class Part:
 def all_parts() -> list[Part]:
     """Return the parts in the order in which they are measured: what most depends on comes first."""
     parts = [Part(world=world, walk="A", camera="hand") for world in WORLDS]
-    parts += [Part(world=name) for name in ("clouds_tuned", "clouds_report", "kitchen", "speed", *OWN)]
+    parts += [Part(world=name) for name in ("clouds_tuned", "clouds_report", "kitchen", "speed", *OWN, *OUTDOORS)]
     parts += [Part(world=world, walk="A", camera="hand", rung=rung) for world in WORLDS for rung in RUNGS[1:]]
     others = [(walk, camera) for walk in WALKS for camera in CAMERAS if (walk, camera) != ("A", "hand")]
     return parts + [Part(world=world, walk=walk, camera=camera) for walk, camera in others for world in WORLDS]
@@ -92,7 +93,8 @@ def chosen_parts(only: Sequence[str]) -> list[Part]:
         if not found:
             raise InputError(
                 f"--only {name}: no such part; expected WORLD[:WALK][:CAMERA][:RUNG] of worlds {', '.join(WORLDS)}, "
-                f"walks A and B, cameras hand and robot, rungs {', '.join(RUNGS)}, or kitchen, clouds, own, speed"
+                f"walks A and B, cameras hand and robot, rungs {', '.join(RUNGS)}, "
+                "or kitchen, clouds, own, outdoor, speed"
             )
         chosen.update(found)
     return [part for part in parts if part in chosen]

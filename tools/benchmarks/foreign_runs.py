@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.ladder import TrueImages, core_of, mapping_of, segmenter_of
 from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
+from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.why import NoWhy, reasons_of
 from hickory_stream.perception.choose import make_segmenter
@@ -30,15 +32,17 @@ from tools.benchmarks.mask_scores import UNKNOWN, score_masks
 from tools.benchmarks.processes import ROOT, play
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
+    from hickory_stream.engine.session import SavedMap
     from hickory_stream.evaluation.ladder import Rung
+    from hickory_stream.evaluation.truth import Truth
     from hickory_stream.ports import Segmenter
     from hickory_stream.records import Frame, ObservedSpace, Segmentation
 
 _MIN_SHARE = 0.002
 _TIMED_KEYFRAMES = 60
 _WARM_KEYFRAMES = 5
+# Kinds of structure that one walks on.
+_GROUND = frozenset({"floor", "pavement", "road", "kerb", "lawn"})
 
 
 def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, Any]:
@@ -61,6 +65,7 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
     reasons = {item.truth_id: item.reason for item in why.missed}
     origins = {item.map_id: item.origin for item in why.false}
     matched = {row.map_id for row in found.objects if row.map_id is not None}
+    ground = _pieces_of_ground(saved, truth)
     strict = {row.strict_map_id for row in found.objects if row.strict_map_id is not None}
     return {
         "truth": [
@@ -87,12 +92,22 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
                 "right_50": item.id in strict,
                 "ignored": item.id in found.ignored_ids,
                 "false_because": origins.get(item.id),
+                "is_ground": item.id in ground,
             }
             for item in saved.snapshot.objects
             if item.phase is not Phase.TENTATIVE
         ],
         "little_seen": sum(item.seen_fraction < MIN_SEEN for item in truth.objects),
     }
+
+
+def _pieces_of_ground(saved: SavedMap, truth: Truth) -> set[int]:
+    """Return the objects of which more than half lies on what one walks on; none where the truth has no ground."""
+    ground = tuple(path for path in truth.structure if Path(path).stem.rsplit("_", 1)[-1] in _GROUND)
+    if not ground:
+        return set()
+    lies_on = Overlap(saved.snapshot, replace(truth, structure=ground)).lies_on
+    return {i for i, share in lies_on.items() if share.structure > 0.5}
 
 
 async def _play(log: Path, out: Path, config: MapperConfig, rung: Rung, images: TrueImages) -> None:

@@ -55,6 +55,10 @@ class DepthCameraConfig:
         )
 
 
+D455 = DepthCameraConfig(baseline_m=0.095, min_depth_m=0.4, max_depth_m=6.0, disparity_sigma_px=0.08)
+"""A RealSense D455 in the range that Intel calls ideal; its noise is that of `players/profiles/realsense.toml`."""
+
+
 def sensed_depth(
     depth_m: NDArray[np.float32],
     cosine: NDArray[np.float32],

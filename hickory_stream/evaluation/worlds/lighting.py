@@ -42,12 +42,16 @@ class Lamp:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lighting:
-    """`places_m` (R, L, 3): the places of the L `lamps` in each of R rooms; the first `num_shadows` throw shadows."""
+    """`places_m` (R, L, 3): the places of the L `lamps` in each of R rooms; the first `num_shadows` throw shadows.
+
+    `sky` is the colour where a ray meets nothing.
+    """
 
     places_m: NDArray[np.float64]
     lamps: tuple[Lamp, ...]
     num_shadows: int = 1
     ambient: Color = (0.5, 0.5, 0.5)
+    sky: Color = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         freeze(self, "places_m", np.float64, (None, len(self.lamps), 3))

@@ -25,9 +25,11 @@ from hickory_stream.evaluation.worlds.drift import DriftConfig, drifted
 from hickory_stream.evaluation.worlds.layouts import LAYOUTS, layout_camera, layout_files, open_layout
 from hickory_stream.evaluation.worlds.object_models import model_mesh
 from hickory_stream.evaluation.worlds.orbit import orbit
+from hickory_stream.evaluation.worlds.outdoor.street import street
+from hickory_stream.evaluation.worlds.outdoor.walk import stroll
 from hickory_stream.evaluation.worlds.person import PERSON_ID, Person, with_person
 from hickory_stream.evaluation.worlds.rendering import Renderer
-from hickory_stream.evaluation.worlds.scenes import CLUTTER, SCENES, make_world
+from hickory_stream.evaluation.worlds.scenes import CLUTTER, OUTDOOR, SCENES, make_world
 from hickory_stream.evaluation.worlds.tour import tour
 from hickory_stream.evaluation.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, walk_round
 from hickory_stream.evaluation.worlds.visibility import SeenSurface
@@ -194,6 +196,8 @@ def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
     """
     if config.scene == CLUTTER:
         return _walkable_clutter(config)
+    if config.scene == OUTDOOR:
+        return _walkable_street(config)
     for attempt in range(_WORLDS):
         world = make_world(config.scene, config.seed, attempt)
         trajectory = _walk(world, config, config.walk_index)
@@ -222,6 +226,16 @@ def _walkable_clutter(config: RecordingConfig) -> tuple[World, Trajectory]:
     raise _not_walkable(config)
 
 
+def _walkable_street(config: RecordingConfig) -> tuple[World, Trajectory]:
+    """Return the first of the seed's streets that leaves a way round, and the walk."""
+    for attempt in range(_WORLDS):
+        found = street(config.seed, attempt)
+        trajectory = stroll(found, config.seconds, config.walk, config.walk_index)
+        if not isinstance(trajectory, NoWalk):
+            return found.world, trajectory
+    raise _not_walkable(config)
+
+
 def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory | NoWalk:
     rng = np.random.default_rng([config.seed, 2, walk_index] if walk_index else [config.seed, 2])
     if config.scene == "apartment":
@@ -234,9 +248,9 @@ def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory 
 def _person(world: World, config: RecordingConfig) -> Person | None:
     """Return the person of a config: on another walk through the same world, faster than the camera.
 
-    Nobody walks through a random room.
+    Nobody walks through a random room or a street.
     """
-    if not config.person or config.scene == CLUTTER:
+    if not config.person or config.scene in (CLUTTER, OUTDOOR):
         return None
     faster = replace(config.walk, speed_mps=2 * config.walk.speed_mps)
     if config.scene == "tabletop":

@@ -95,6 +95,7 @@ class Renderer:
         self._num_shadows = lighting.num_shadows
         self._lamps = lamp_table(lighting)
         self._ambient = np.array(lighting.ambient)
+        self._sky = np.array(lighting.sky, dtype=np.float32)
         self._is_glass = np.array([model.kind == GLASS for model, _ in models])
 
     def render(self, camera: Camera, world_from_camera: NDArray[np.float64]) -> Rendered:
@@ -172,6 +173,7 @@ class Renderer:
             self._ambient,
             *table,
         )
+        sub_colors[~np.isfinite(sub_hit.t)] = self._sky
         colors.reshape(-1, 3)[edges] = sub_colors.reshape(-1, 4, 3).mean(axis=1)
         return (np.clip(colors, 0.0, 1.0) * 255 + 0.5).astype(np.uint8), glare
 

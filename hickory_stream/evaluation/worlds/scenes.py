@@ -8,6 +8,7 @@ from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.worlds.apartment import apartment
 from hickory_stream.evaluation.worlds.clutter.families import FAMILIES
 from hickory_stream.evaluation.worlds.clutter.room import clutter_room
+from hickory_stream.evaluation.worlds.outdoor.street import street
 from hickory_stream.evaluation.worlds.room import furnished_room
 from hickory_stream.evaluation.worlds.tabletop import tabletop
 
@@ -19,7 +20,9 @@ if TYPE_CHECKING:
 _SCENES: dict[str, Callable[[int, int], World]] = {"room": furnished_room, "apartment": apartment, "tabletop": tabletop}
 CLUTTER = "clutter"
 """The scene that has families: random rooms (`worlds.clutter`)."""
-SCENES = (*_SCENES, CLUTTER)
+OUTDOOR = "outdoor"
+"""The scene without rooms: a street and a lawn (`worlds.outdoor`)."""
+SCENES = (*_SCENES, CLUTTER, OUTDOOR)
 
 
 def make_world(scene: str, seed: int, attempt: int = 0) -> World:
@@ -30,6 +33,8 @@ def make_world(scene: str, seed: int, attempt: int = 0) -> World:
     """
     if scene == CLUTTER:
         return clutter_room(seed, FAMILIES[0], attempt).world
+    if scene == OUTDOOR:
+        return street(seed, attempt).world
     if scene not in _SCENES:
         raise ConfigError(f"scene {scene!r}; expected one of {', '.join(SCENES)}")
     return _SCENES[scene](seed, attempt)
