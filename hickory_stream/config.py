@@ -45,9 +45,20 @@ _MOVED = {
 }
 """Keys of earlier versions: what to set instead, and why."""
 
+_LEARNED = "trees that have learned what the network's odds are worth join fragments"
 _GONE = {
     "perception.map_guided_merge": "masks are made without the map's objects",
     "perception.known": "masks are made without the map's objects",
+    **dict.fromkeys(
+        (
+            f"perception.affinities.{name}"
+            for name in ("join", "least_odds", "far_weight", "trees_weight", "near_weight", "far_odds_weight")
+        ),
+        _LEARNED,
+    ),
+    "perception.affinities.odds_shift": _LEARNED,
+    "perception.affinities.structure_odds": "what is structure is seen by geometry",
+    "perception.affinities.thing_odds": "what is structure is seen by geometry",
 }
 """Keys of earlier versions without a successor, or the sections of such, and why."""
 

@@ -169,7 +169,7 @@ RULES = (
     _of_perception("small fragments go to a neighbour", "fragments", "_grow_into", _argument(0)),
     _of_perception("two colours divide", "color_split", "split_by_color", _argument(0)),
     _of_perception("planes that go on behind join", "occlusion_bridging", "is_bridged", _none_of),
-    _number("the network has a say in joins", ("perception.affinities.join", "trees")),
+    _number("the network has a say in joins", ("perception.segmenter", "geometric")),
     _number("few pixels are no mask", ("perception.geometric.min_area_px", 1)),
     _number("nor what is within the noise", ("perception.geometric.min_side_sigmas", 0.0)),
     _number("nor a small one that is mostly hidden", ("perception.geometric.occluded_area_px", 0)),
@@ -189,24 +189,6 @@ RULES = (
         name="the network divides fragments",
         package="perception",
         numbers=(("perception.affinities.split.odds_shift", 2.0),),
-        is_on=False,
-    ),
-    Rule(
-        name="the network says what is structure",
-        package="perception",
-        numbers=(("perception.affinities.structure_odds", 3.0), ("perception.affinities.thing_odds", 3.0)),
-        is_on=False,
-    ),
-    Rule(
-        name="trees and network by weights set by hand",
-        package="perception",
-        numbers=(("perception.affinities.join", "both"),),
-        is_on=False,
-    ),
-    Rule(
-        name="the network joins alone",
-        package="perception",
-        numbers=(("perception.affinities.join", "network"),),
         is_on=False,
     ),
 )

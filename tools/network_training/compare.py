@@ -1,4 +1,4 @@
-"""Ways to come from fragments to masks, compared on the same frames: by trees, by the network, and by either with both.
+"""Ways to come from fragments to masks, compared on the same frames: by trees with the network's odds and without.
 
 Frames are those of labelled clouds, of the worlds that may be tuned on, each keyframe with the map as the trees leave
 it, and synthetic rooms that nothing was trained on. Masks are scored as `tools/bench perception` does; `joins` is what
@@ -12,7 +12,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m tools.network_training.compare", description=__doc__)
     parser.add_argument("--sets", nargs="+", choices=SETS, default=SETS)
-    parser.add_argument("--ways", nargs="+", choices=("trees", "network", "both", "learned", "joins", "network-joins"))
+    parser.add_argument("--ways", nargs="+", choices=("trees", "learned", "joins", "network-joins"))
     parser.add_argument("--every", type=int, default=3, help="keyframes of the worlds, one of so many")
     parser.add_argument("--most", type=int, default=40, help="frames of a set")
     parser.add_argument("--worlds", type=Path, help="folder of the worlds")
@@ -99,9 +99,7 @@ def ways_of(network: PixelNetwork) -> dict[str, Callable[[Shown], NDArray[np.int
     config = GeometricConfig()
     trees = GeometricSegmenter(config)
 
-    def joined_by(way: Literal["network", "both", "learned"]) -> Callable[[Shown], NDArray[np.int32]]:
-        segmenter = NetworkSegmenter(network, NetworkJoinConfig(join=way), config)
-        return lambda shown: segmenter.segment(shown.frame, shown.prior).instances
+    learned = NetworkSegmenter(network, NetworkJoinConfig(), config)
 
     def by_truth(shown: Shown) -> NDArray[np.int32]:
         pieces = trees.fragments(shown.frame, shown.prior)
@@ -115,9 +113,7 @@ def ways_of(network: PixelNetwork) -> dict[str, Callable[[Shown], NDArray[np.int
 
     return {
         "trees": lambda shown: trees.segment(shown.frame, shown.prior).instances,
-        "network": joined_by("network"),
-        "both": joined_by("both"),
-        "learned": joined_by("learned"),
+        "learned": lambda shown: learned.segment(shown.frame, shown.prior).instances,
         "joins": by_truth,
         "network-joins": divided_by_truth,
     }
