@@ -47,7 +47,6 @@ NOT_DECIDING = {
     "perception/support_contacts.py": "what the trees were grown with",
     "perception/color_split.py:_OTSU_BINS": "the bins of a histogram",
     "perception/structure.py:_AZIMUTHS": "the bins of a histogram",
-    "perception/network_segmenter.py:_SURE": "keeps a logarithm finite",
     "perception/space.py": "the layout of keys",
     "mapping/requests.py": "when shapes are computed",
     "mapping/views.py:_SECTORS": "how many views are kept",
