@@ -9,6 +9,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.voxels import first_not_below, key_of_point
+from hickory_stream.perception.ground import uneven_ground
 from hickory_stream.perception.raised_patches import raised_patches
 from hickory_stream.perception.structure import (
     HorizontalPlane,
@@ -50,9 +51,20 @@ def room_structure_of(
     planes = horizontal_planes(surface, areas_m2, min_area_m2=support_area_m2)
     known_floor = prior.floor_z_m if prior is not None else None
     floor_z_m = floor_height_m(surface, planes, known_floor, config)
-    shown, planes_near = structure_mask(surface, areas_m2, floor_z_m, config)
+    known = _known_structure(surface, prior)
+    ground = uneven_ground(
+        surface,
+        known,
+        floor_z_m,
+        config.ground,
+        below_camera_m=config.floor_below_camera_m,
+        least_m2=config.floor_area_m2,
+    )
+    if ground is not None:
+        floor_z_m = ground.middle_z_m
+    shown, planes_near = structure_mask(surface, areas_m2, floor_z_m, ground, config)
     # Raised patches are taken off the map's structure, too: its voxels are coarser than such a patch.
-    structure = shown | _known_structure(surface, prior)
+    structure = shown | known
     off = raised_patches(planes_near, structure, surface, config.raised_patches)
     return RoomStructure(
         areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, structure=structure & ~off, shown=shown & ~off

@@ -14,6 +14,7 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
+from hickory_stream.perception.ground import Ground, GroundConfig
 from hickory_stream.perception.raised_patches import NearPlane, RaisedPatchConfig
 from hickory_stream.perception.structure_kernels import (
     along,
@@ -53,6 +54,7 @@ class StructureConfig(Ranged):
             wall even where something is seen behind it ...
         furniture_depth_m, backing_m2: ... but for a parallel surface of this area this close behind it: then it is the
             front of a cupboard, and that is the wall.
+        ground: what can be walked on where the ground is not one level plane.
         raised_patches: which pixels within the tolerance of a plane belong to objects.
     """
 
@@ -68,6 +70,7 @@ class StructureConfig(Ranged):
     furniture_depth_m: float = number(0.75, 0, 100, "m")
     backing_m2: float = number(0.15, 0, 1000, "m2")
     raised_patches: RaisedPatchConfig = field(default_factory=RaisedPatchConfig)
+    ground: GroundConfig = field(default_factory=GroundConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -170,14 +173,21 @@ def floor_height_m(
 
 
 def structure_mask(
-    surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None, config: StructureConfig
+    surface: Surface,
+    areas_m2: NDArray[np.float32],
+    floor_z_m: float | None,
+    ground: Ground | None,
+    config: StructureConfig,
 ) -> tuple[NDArray[np.bool_], list[NearPlane]]:
-    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and which are near floor and walls."""
+    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and which are near floor and walls.
+
+    The floor is the level plane at `floor_z_m`, or the `ground` where that is uneven.
+    """
     tolerance = config.tolerance_m + 2.0 * surface.sigma_m
     mask = _ceiling(surface, areas_m2, tolerance, config)
     planes: list[NearPlane] = []
     if floor_z_m is not None:
-        height = surface.points_world[..., 2] - np.float32(floor_z_m)
+        height = surface.points_world[..., 2] - np.float32(floor_z_m) if ground is None else ground.height_m
         level = surface.normals_world[..., 2] > 0.8
         near = (height < tolerance) & (level | (height < 0.6 * tolerance))
         planes.append(NearPlane(distance_m=height, near=near, is_floor=True))

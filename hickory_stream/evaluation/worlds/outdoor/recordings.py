@@ -1,4 +1,4 @@
-"""What records a street: a depth camera of short range, carried at a brisk walk."""
+"""What records a street: a depth camera of short range, carried at a slow walk."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ if TYPE_CHECKING:
 
 
 def outdoors(config: RecordingConfig) -> RecordingConfig:
-    """Return a config with the camera and the walk of a street: a D455 at 0.8 m/s, which looks a little downwards."""
-    walk = replace(config.walk, speed_mps=0.8, pitch_deg=(-28.0, -10.0))
+    """Return a config with the camera and the walk of a street: a D455 at 0.7 m/s, which looks a little downwards."""
+    walk = replace(config.walk, speed_mps=0.7, pitch_deg=(-28.0, -10.0))
     return replace(config, depth=D455, walk=walk)

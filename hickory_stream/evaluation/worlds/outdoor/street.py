@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_HALF_M = 9.0
-_CROSSINGS_M = (-7.6, 7.6)
+_HALF_M = 7.0
+_CROSSINGS_M = (-5.4, 5.4)
 _DRAWS = 30
-_MIN_THINGS, _MIN_KINDS = 24, 9
+_MIN_THINGS, _MIN_KINDS = 22, 9
 _ATTEMPTS = 40
 # What lies in the plane of the ground, its feet being apart.
 _TILTED = frozenset({"car", "park_bench", "crate", "boulder", "wheeled_bin", "planter", "junction_box"})
@@ -48,7 +48,7 @@ class Street:
 
 
 def street(seed: int, attempt: int = 0) -> Street:
-    """Return a street of a seed, `attempt` numbers them: 24 things and more of at least nine kinds.
+    """Return a street of a seed, `attempt` numbers them: 22 things and more of at least nine kinds.
 
     Raises:
         ConfigError: no draw fits, which no seed has shown so far.
@@ -68,19 +68,19 @@ def _draw(rng: np.random.Generator) -> Street:
     placed: list[Placement] = []
     # Cars park along both kerbs, between the crossings.
     for y, yaw in ((near - 1.05, 0.0), (far + 1.05, np.pi)):
-        x = uniform(rng, -5.6, -4.2)
-        while x < 5.2:
+        x = uniform(rng, -4.3, -3.6)
+        while x < 3.0:
             model = things.car(rng)
             length = float(model.bounds_m()[1, 0] - model.bounds_m()[0, 0])
-            if x + length < 6.3 and chance(rng, 0.8):
+            if x + length < 4.6 and chance(rng, 0.85):
                 _stand(
                     placed, terrain, model, (x + length / 2, y + float(rng.normal(0, 0.05))), yaw + _slightly(rng, 0.03)
                 )
-            x += length + uniform(rng, 0.7, 1.6)
+            x += length + uniform(rng, 0.6, 1.0)
     # A row of trees on the lawn, a few on the pavement beside the kerb.
-    for low, high, number in ((far - 2.3, far - 0.8, 4), (far - 6.5, far - 4.5, 3), (near + 0.5, near + 0.7, 3)):
+    for low, high, number in ((far - 2.0, far - 0.8, 3), (far - 5.6, far - 4.6, 3), (near + 0.5, near + 0.7, 2)):
         _scatter(rng, placed, terrain, things.trunk, number, (low, high), 1.0)
-    _scatter(rng, placed, terrain, things.bollard, count(rng, 3, 5), (near + 0.35, near + 0.5), 0.6)
+    _scatter(rng, placed, terrain, things.bollard, count(rng, 2, 4), (near + 0.35, near + 0.5), 0.6)
     _scatter(rng, placed, terrain, things.sign_post, count(rng, 1, 2), (near + 0.4, near + 0.6), 0.6)
     for recipe in (things.hydrant, things.litter_bin, things.junction_box):
         _scatter(rng, placed, terrain, recipe, count(rng, 1, 2), (near + 0.55, near + 0.75), 0.5)
@@ -88,12 +88,12 @@ def _draw(rng: np.random.Generator) -> Street:
     for recipe in (things.wheeled_bin, things.planter, things.crate, things.park_bench):
         _scatter(rng, placed, terrain, recipe, count(rng, 1, 2), (terrain.front_m - 0.9, terrain.front_m - 0.6), 0.4)
     for recipe in (things.park_bench, things.litter_bin, things.boulder, things.crate, things.bollard):
-        _scatter(rng, placed, terrain, recipe, count(rng, 1, 3), (far - 7.0, far - 0.8), 0.6)
+        _scatter(rng, placed, terrain, recipe, count(rng, 1, 2), (far - 5.8, far - 0.8), 0.6)
     crowns = [_crown(rng, one) for one in placed if one.model.kind == "trunk"]
     world = World(
         objects=numbered(placed),
         structure=(*terrain.models(rng), *_houses(rng, terrain), *crowns),
-        rooms_m=((-_HALF_M, far - 8.0, _HALF_M, terrain.front_m),),
+        rooms_m=((-_HALF_M, far - 6.6, _HALF_M, terrain.front_m),),
         middle_m=(0.0, (far + near) / 2),
         lighting=_daylight(rng),
     )

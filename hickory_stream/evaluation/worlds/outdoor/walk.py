@@ -56,11 +56,11 @@ def _route(street: Street, clearance: Clearance) -> NDArray[np.float64] | None:
     """Return (N, 2) points of the way round, None where something stands in it."""
     far, near = street.terrain.kerbs_m
     low, high = street.terrain.crossings_m
-    pavement, lawn = (near + street.terrain.front_m) / 2, far - 3.4
+    pavement, lawn = (near + street.terrain.front_m) / 2, far - 3.2
     # Between the two rows of trees and past both sides of what stands on the lawn.
     wanted = [
         (low + 0.9, pavement), (0.0, pavement), (high - 0.6, pavement), (high, (far + near) / 2), (high, far - 2.0),
-        (3.6, lawn - 0.8), (0.0, lawn + 0.6), (-3.6, lawn - 0.8), (low, far - 2.0), (low, (far + near) / 2),
+        (2.6, lawn - 0.5), (0.0, lawn + 0.5), (-2.6, lawn - 0.5), (low, far - 2.0), (low, (far + near) / 2),
     ]  # fmt: skip
     stops = [_clear_place(clearance, np.array(at)) for at in wanted]
     pieces = [way_between(clearance, a, b) for a, b in zip(stops, [*stops[1:], stops[0]], strict=True)]
