@@ -46,6 +46,7 @@ _MOVED = {
 """Keys of earlier versions: what to set instead, and why."""
 
 _LEARNED = "trees that have learned what the network's odds are worth join fragments"
+_SEEN = "what is filled follows from what was seen around it"
 _GONE = {
     "perception.map_guided_merge": "masks are made without the map's objects",
     "perception.known": "masks are made without the map's objects",
@@ -59,6 +60,9 @@ _GONE = {
     "perception.affinities.odds_shift": _LEARNED,
     "perception.affinities.structure_odds": "what is structure is seen by geometry",
     "perception.affinities.thing_odds": "what is structure is seen by geometry",
+    **dict.fromkeys(
+        (f"shapes.fused.completion.{name}" for name in ("full_share", "min_hidden_m", "max_hidden_m")), _SEEN
+    ),
 }
 """Keys of earlier versions without a successor, or the sections of such, and why."""
 

@@ -1,7 +1,8 @@
 """From partial evidence to a solid: which of the voxels that nobody saw belong to the object.
 
 An unknown voxel is taken as solid when looking around from it mostly meets the object and hardly ever free space: the
-inside of a box whose back was never seen fills up to the object's box, the shadow behind a chair leg does not.
+inside of a box whose back was never seen fills up, the shadow behind a leg does not. Where a wide thing was seen to end
+in the air, nothing is filled below: it stands on what was seen of its feet.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.compiled import numba
-from hickory_stream.ranges import Ranged, check_order, check_ranges, number
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,32 +31,23 @@ class CompletionConfig(Ranged):
     """How unseen space is completed.
 
     Of the 26 directions around an unknown voxel at least `min_hit_share` must meet the object, and those that meet free
-    space may be at most `max_free_ratio` times as many, times the share of the object's box that was not seen free; a
-    box of which that share is more than `full_share` is full: a nightstand of which only the front was seen.
-    What ends within `max_support_gap_m` above the support is continued down to it, through what nobody saw. So is an
-    object that would float by `min_hidden_m` to `max_hidden_m`: something hid its foot. One that floats by less may
-    well be a sofa on short feet, whose bottom is where it was seen to be.
+    space may be at most `max_free_ratio` times as many, times the share of the object's box that was not seen free.
+    What ends within `max_support_gap_m` above the support is continued down to it, through what nobody saw.
     What is wide, `min_feet_area_m2` from above, stands on feet where its surface ends in the air along `min_edge` of
     its outline, not above `max_clear` of its height, and in `edge_ratio` times as many places as it comes down to the
-    support: nothing is filled under the median height of that edge, since nobody sees far under a bed.
+    support: nothing is filled under the median height of that edge, however far under it anybody looked. Of what is
+    smaller, a side that flares out looks the same.
     `min_piece_share`: a separate piece smaller than this share of the largest is dropped.
     """
 
     min_hit_share: float = number(0.08, 0, 1, "share")
     max_free_ratio: float = number(0.9, 0, 100, "ratio")
-    full_share: float = number(0.85, 0, 1, "share")
     max_support_gap_m: float = number(0.08, 0, 10, "m")
-    min_hidden_m: float = number(0.15, 0, 10, "m")
-    max_hidden_m: float = number(0.3, 0, 10, "m")
     min_feet_area_m2: float = number(0.25, 0, 1000, "m2")
     min_edge: float = number(0.33, 0, 1, "share")
     max_clear: float = number(0.35, 0, 1, "share")
     edge_ratio: float = number(1.5, 0, 1000, "ratio")
     min_piece_share: float = number(0.02, 0, 1, "share")
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
-        check_order(self, "min_hidden_m", "max_hidden_m")
 
 
 def classify(evidence: Evidence, surface_cells: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -93,12 +85,9 @@ def solid_of(
     enclosed = np.zeros(states.shape, dtype=bool)
     # The more of the box was seen free, the less of what was not seen is likely to be solid.
     share = float((states[fillable] != FREE).mean())
-    if share > config.full_share:
-        enclosed[fillable] = True
-    else:
-        hits, frees = look_around(states)
-        max_free_ratio = config.max_free_ratio * share
-        enclosed[fillable] = ((hits >= config.min_hit_share) & (frees <= max_free_ratio * hits))[fillable]
+    hits, frees = look_around(states)
+    max_free_ratio = config.max_free_ratio * share
+    enclosed[fillable] = ((hits >= config.min_hit_share) & (frees <= max_free_ratio * hits))[fillable]
     enclosed[:, :, : support_index or 0] = False
     clear = _under_edge(states, fillable, support_index, config) if is_wide and support_index is not None else None
     if clear is not None:

@@ -193,8 +193,7 @@ def block_over(
     half = box.half_extents_m
     low_z = float(-half[2])
     float_m = 0.0 if support_z_m is None else max(low_z + float(box.center[2]) - support_z_m, 0.0)
-    is_hidden = completion.min_hidden_m <= float_m <= completion.max_hidden_m
-    rests = support_z_m is not None and (float_m <= completion.max_support_gap_m or is_hidden)
+    rests = support_z_m is not None and float_m <= completion.max_support_gap_m
     if rests and support_z_m is not None:
         low_z = min(low_z, support_z_m - float(box.center[2]))
     area = 8 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])

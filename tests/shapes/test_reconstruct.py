@@ -1,14 +1,10 @@
 """Layer 2 from rendered views of known objects: closed, close to the truth, and honest about what was seen."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-import trimesh
 from shape_fixtures import occupancy_iou, shape_inputs, test_mesh
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import is_closed, sha256_of, volume_m3
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
@@ -60,27 +56,6 @@ def test_what_is_round_and_seen_from_one_side_is_completed(name: str) -> None:
     made = reconstructed("fused", shape_inputs(test_mesh(name), 2, azimuths_rad=(0.3, 0.5), elevation_rad=0.2))
     assert is_closed(made.mesh)
     assert occupancy_iou(test_mesh(name), vertices_world(made), made.mesh.faces) >= 0.8
-
-
-def test_the_hidden_foot_of_what_would_float_is_continued_to_the_floor() -> None:
-    tall = trimesh.creation.box((0.4, 0.3, 0.8)).apply_translation([0, 0, 0.4])
-    seen = shape_inputs(tall, 3, azimuths_rad=(0.3, 0.9), elevation_rad=0.2, noise=0.002)
-    kept = seen.points_world[:, 2] > 0.25
-    crops = []
-    for crop in seen.crops:
-        z = apply(crop.world_from_camera, backproject(crop.depth_m, crop.camera).astype(np.float64))[..., 2]
-        is_low = ~(z > 0.25)
-        # Something stands in front of what is low.
-        depth = np.where(is_low, np.float32(0.4), crop.depth_m)
-        crops.append(replace(crop, depth_m=depth, mask=crop.mask & ~is_low))
-    points = seen.points_world[kept]
-    inputs = replace(
-        seen, crops=tuple(crops), points_world=points, colors=seen.colors[kept], box=gravity_aligned_box(points, 0.01)
-    )
-    made = reconstructed("fused", inputs)
-    assert vertices_world(made)[:, 2].min() == pytest.approx(0, abs=0.03)
-    hanging = reconstructed("fused", replace(inputs, support_z_m=None))
-    assert vertices_world(hanging)[:, 2].min() > 0.2
 
 
 def test_the_unseen_bottom_is_generated_and_the_seen_top_is_seen() -> None:
