@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry import portable
 from hickory_stream.perception.occlusion_bridging import BridgingConfig, is_bridged
 from hickory_stream.perception.odds_features import odds_features
 from hickory_stream.perception.pair_features import pair_features
@@ -142,12 +141,7 @@ def rounds(
         features |= odds_features(None if odds is None else odds.of_groups(numbers, len(names)), pairs, len(names))
         yield Round(numbers=numbers, pairs=pairs, features=features)
         # Certain, but too rare in the training data for the trees to learn it.
-        proven = is_bridged(
-            features["bridged_level"],
-            features["bridged_upright"],
-            portable.exp(features["small_pixels"]),
-            config.bridging,
-        )
+        proven = is_bridged(features["bridged_level"], features["bridged_upright"], config.bridging)
         chosen = _closest(pairs, np.where(proven, 1.0, probabilities(features)), len(names), config.probability)
         if len(chosen) == 0 or i == config.rounds:
             return
