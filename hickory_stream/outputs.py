@@ -102,7 +102,7 @@ class Finished(TypedDict):
     """What `play` and `resume` have made; `ledger` says what became of every message and frame.
 
     `lost_outputs` says why a recording or costmap is not there to its end, `damage` where the log is damaged ("" where
-    it is sound), `resume` how a run goes on that was stopped.
+    it is sound), `notes` what the map cannot know of floor and gravity, `resume` how a run goes on that was stopped.
     """
 
     event: Literal["finished"]
@@ -116,6 +116,7 @@ class Finished(TypedDict):
     failed_shapes: list[FailedShapes]
     lost_outputs: list[str]
     damage: str
+    notes: list[str]
     resume: NotRequired[str]
     ledger: dict[str, Any]
 

@@ -450,6 +450,7 @@ DecisionKind = Literal[
     "time_jump",  # of the stamps
     "pose_jump",  # of the odometry
     "pose_correction",  # of submaps
+    "floor",  # is another one
 ]
 
 

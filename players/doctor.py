@@ -19,6 +19,7 @@ from hickory_stream.mapping.keyframes import Keyframe, is_keyframe, motion
 from players.agreement import BorderScores, border_scores, color_agreement
 from players.depth_noise import FlatPatches, depth_bias, depth_noise, flat_patches
 from players.folder import FolderSource
+from players.gravity import SeenFloor, floor_in, gravity_notes
 from players.light import Light, light_of, light_of_all
 from players.log_opening import open_log, read_opening
 from players.log_source import LogSource
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 SOUND, UNUSABLE, WITH_LOSSES = 0, 2, 3
 
 _SAMPLES = 12
+# A frame with less depth than this says nothing of a floor.
+_NO_DEPTH = 0.9
 _KEYFRAME_S, _MEGAPIXEL_S, _SHAPE_S = 0.12, 0.9, 0.05
 _BASE_MB, _MEGAPIXEL_MB, _KEYFRAME_MB = 550.0, 260.0, 0.35
 """What `play` took on two shared cores without a GPU: to say minutes or hours, not to bet on."""
@@ -190,6 +193,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     borders: list[BorderScores] = []
     patches: list[FlatPatches] = []
     lights: list[Light] = []
+    floors: list[SeenFloor] = []
     sensor = DepthSensor()
     started_s = time.perf_counter()
     for raw in source.frames():
@@ -209,6 +213,8 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
                 sensor = config.sensor.over(frame.sensor)
                 patches.append(flat_patches(frame))
                 lights.append(light_of(frame.rgb))
+                if invalid[-1] < _NO_DEPTH:
+                    floors.append(floor_in(frame))
                 if (scores := border_scores(frame)) is not None:
                     borders.append(scores)
             except RecordingError as error:
@@ -243,6 +249,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     judge_color(found, agreement)
     judge_depth(found, noise, bias, sensor)
     judge_light(found, light)
+    found.notes += gravity_notes(floors)
     if isinstance(source, LogSource):
         setup = source.setup
         color, depth = (

@@ -23,11 +23,13 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     """Say what a run has made, and return the exit status."""
     from hickory_stream.engine.failures import failed_shapes
     from hickory_stream.engine.manifest import read_json
+    from hickory_stream.mapping.floor_notes import floor_notes
 
     objects = played.snapshot.objects if played.snapshot is not None else ()
     num_shaped = sum(tracked.shape is not None for tracked in objects)
     failures = failed_shapes(out, [tracked.id for tracked in objects if tracked.shape is None])
     ledger = read_json(out, "ledger.json")
+    notes = floor_notes(played.snapshot) if played.snapshot is not None else ()
     if options.json:
         said = {
             "event": "finished",
@@ -42,6 +44,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             "failed_shapes": [_as_dict(failure) for failure in failures],
             "lost_outputs": list(played.lost_outputs),
             "damage": _damage(ledger),
+            "notes": list(notes),
             "ledger": ledger,
         }
         print(output("play", said))
@@ -55,7 +58,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             print(ledger_table(ledger["messages"]))
         if not played.finished_cleanly:
             print(f"stopped, and saved; go on with: {resume_command(out)}")
-        told = (_damage(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
+        told = (*notes, _damage(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
         sys.stderr.writelines(f"{line}\n" for line in told if line)
     if played.was_stopped:
         return STOPPED

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.evaluation.place import Place, place_of
+from hickory_stream.mapping.floor_notes import floor_notes
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ class MapSummary:
     `num_objects` are in the map, `num_shaped` of them with layer 4; `objects` are those that were asked for.
     `num_certified` objects have a layer 4 that provably contains them; `num_fallbacks` of these are boxes instead.
     `is_altered`: the objects are not those that were saved, and none of them counts as certified. `doubt` says why what
-    is said of layer 4 may not hold, "" where it does.
+    is said of layer 4 may not hold, "" where it does. `notes`: what the map cannot know of floor and gravity.
     """
 
     objects: tuple[ObjectSummary, ...]
@@ -87,6 +88,7 @@ class MapSummary:
     num_shaped: int
     is_altered: bool
     doubt: str
+    notes: tuple[str, ...]
 
 
 def summarize(saved: SavedMap) -> MapSummary:
@@ -108,6 +110,7 @@ def summarize(saved: SavedMap) -> MapSummary:
         num_shaped=sum(row.containment is not None for row in objects),
         is_altered=saved.is_altered,
         doubt=saved.doubt,
+        notes=floor_notes(saved.snapshot),
     )
 
 
@@ -163,6 +166,7 @@ def format_table(summary: MapSummary) -> str:
             *_columns([_LAYER_HEADER, *(_layer_row(row) for row in summary.layers)]),
             "",
             _containment_line(summary),
+            *summary.notes,
             f"digest {summary.digest}",
         ]
     )

@@ -38,6 +38,7 @@ from hickory_stream.mapping.lifecycle import aged, next_phase
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import (
     as_record,
+    floor_change,
     known_no_object,
     share_in,
 )
@@ -303,6 +304,9 @@ class MapperCore:
         promoted = self._split_tracks(event, set(homes))
         matches, homes = self._moved_out(matches, homes, clouds, promoted)
         effects = [*self._merge_tracks({*homes, *promoted, *promoted.values()}), *self._age(event)]
+        changed = floor_change(self._submaps.space, event.space.floor_z_m)
+        if changed is not None:
+            self._decide("floor", None, changed)
         self._submaps = with_seen(self._submaps, event.space)
 
         candidates, keeps = self._propose_views(event, matches, homes)

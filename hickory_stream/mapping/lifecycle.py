@@ -60,7 +60,7 @@ class LifecycleConfig(Ranged):
     phantom_frames: int = number(4, 1, 1_000_000, "keyframes")
     phantom_share: float = number(0.7, 0, 1, "share")
     structure_m: float = number(2.6, 0, 1000, "m")
-    structure_m3: float = number(9.0, 0, 1e6, "m3")
+    structure_m3: float = number(12.0, 0, 1e6, "m3")
     wall_foot_m: float = number(0.7, 0, 100, "m")
     wall_top_m: float = number(1.25, 0, 100, "m")
     wall_height_m: float = number(0.75, 0, 100, "m")

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
+    cells_of_keys,
     centers_of_keys,
     contains,
     difference,
@@ -38,6 +39,10 @@ _SURE_HITS = 2
 _NO_OBJECT, _DISPROVED = 255, 251
 # When a count reaches this, both counts of the voxel are halved, so that later keyframes can still outvote it.
 _MOST_VOTES = 240
+# What lies so much lower is no step down, but something else than what was taken for the floor; what was, is no table
+# if it is this large.
+_NO_STEP_M, _NO_TABLE_M2 = 0.3, 6.0
+_STOREY_M = 2.4
 # The range of voxel indices.
 _FAR = 1 << 20
 
@@ -99,10 +104,14 @@ def empty_space(voxel_m: float) -> SpaceState:
 
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
-    """Return the space after one more keyframe. The floor follows slowly, and goes down at once.
+    """Return the space after one more keyframe. The floor follows slowly; it goes down, or to another storey, at once.
 
-    Where a track was taken for structure, and four keyframes see through it, there is none: somebody stood there.
+    Where a track was taken for structure, and four keyframes see through it, there is none: somebody stood there. Where
+    a floor appears below what was taken for it, what was concluded from that is withdrawn (`false_floor`).
     """
+    false_m = false_floor(state, seen.floor_z_m)
+    if false_m is not None:
+        state = without_level(state, false_m)
     state = _without_disproved(state, seen.free_keys)
     voters = union(seen.structure_keys, seen.surface_keys)
     state = _with_surface(state, voters)
@@ -121,6 +130,61 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     # Read-only, so that the records of the map share it: it is the largest thing in a map.
     free.flags.writeable = False
     return replace(state, free=free, hidden_free=exchanged(state.hidden_free, lost, hidden))
+
+
+def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
+    """Return the height of the floor so far if it is none, None where it stays one.
+
+    It is none where a floor `seen_m` is seen so much lower that this is no step down, and no other storey, and it is
+    no larger than a table: a second level of a room is larger.
+    """
+    known_m = state.floor_z_m
+    if known_m is None or seen_m is None or not _NO_STEP_M < known_m - seen_m < _STOREY_M:
+        return None
+    level = state.surface[_is_at(state, known_m) & state.is_structure]
+    columns = np.unique(cells_of_keys(level)[:, :2], axis=0)
+    return known_m if len(columns) * state.voxel_m * state.voxel_m < _NO_TABLE_M2 else None
+
+
+def floor_change(state: SpaceState, seen_m: float | None) -> str | None:
+    """Return in words that the floor becomes another one where `seen_m` is seen, None where it stays the same."""
+    known_m, false_m = state.floor_z_m, false_floor(state, seen_m)
+    if known_m is None or seen_m is None:
+        return None
+    if false_m is not None:
+        return (
+            f"a floor is seen at {seen_m:.2f} m: what was taken for it, at {false_m:.2f} m, is a table or the like, "
+            "and what was concluded from it is withdrawn"
+        )
+    if is_another_storey(state, seen_m):
+        return f"the floor is now at {seen_m:.2f} m, before at {known_m:.2f} m: another storey"
+    return None
+
+
+def is_another_storey(state: SpaceState, seen_m: float | None) -> bool:
+    """Return whether a floor that is seen is that of another storey."""
+    known_m = state.floor_z_m
+    return known_m is not None and seen_m is not None and abs(seen_m - known_m) > _STOREY_M / 2
+
+
+def without_level(state: SpaceState, z_m: float) -> SpaceState:
+    """Return the space in which nothing at a height is known to be structure: what keyframes show next decides."""
+    at = _is_at(state, z_m)
+    lost = state.surface[at & state.is_structure]
+    bared = lost[contains(state.hidden_free, lost)]
+    return replace(
+        state,
+        free=union(state.free, bared),
+        hidden_free=difference(state.hidden_free, bared),
+        hits=np.where(at, 0, state.hits).astype(np.uint8),
+        misses=np.where(at, 0, state.misses).astype(np.uint8),
+    )
+
+
+def _is_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
+    """Return which voxels of `surface` are within one of a height."""
+    z = centers_of_keys(state.surface, state.voxel_m)[:, 2]
+    return np.asarray(np.abs(z - z_m) < 1.5 * state.voxel_m)
 
 
 def _voted(
@@ -290,4 +354,5 @@ def as_record(state: SpaceState) -> ObservedSpace:
 def _floor(known_m: float | None, seen_m: float | None) -> float | None:
     if known_m is None or seen_m is None:
         return known_m if seen_m is None else seen_m
-    return seen_m if seen_m < known_m - 0.06 else 0.8 * known_m + 0.2 * seen_m
+    is_another = seen_m < known_m - 0.06 or seen_m > known_m + _STOREY_M / 2
+    return seen_m if is_another else 0.8 * known_m + 0.2 * seen_m

@@ -4,8 +4,9 @@ An object, like a voxel, belongs to the submap in which it was first seen. Every
 it: a correction is only a place for each submap, applied where the map is handed out. So no shape is ever recomputed,
 and the identity brings back every byte.
 
-A submap ends after a stretch of way, or where the odometry jumped. The way changes nothing but whose things are: what
-is judged by the observed space is judged by all that was seen since the last jump.
+A submap ends after a stretch of way, where the floor becomes that of another storey, or where the odometry jumped. The
+way changes nothing but whose things are: what is judged by the observed space is judged by all that was seen since the
+last jump.
 """
 
 from __future__ import annotations
@@ -18,7 +19,16 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.voxels import contains, keys_of_points, places
-from hickory_stream.mapping.observed_space import SpaceState, add, add_structure, as_record, empty_space
+from hickory_stream.mapping.observed_space import (
+    SpaceState,
+    add,
+    add_structure,
+    as_record,
+    empty_space,
+    false_floor,
+    is_another_storey,
+    without_level,
+)
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation, Submap
 
@@ -125,9 +135,17 @@ def torn(submaps: Submaps) -> Submaps:
 
 
 def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
-    """Return the submaps after one more keyframe."""
+    """Return the submaps after one more keyframe: on another storey in a new one, since each has one floor."""
+    if is_another_storey(submaps.space, seen.floor_z_m) and false_floor(submaps.space, seen.floor_z_m) is None:
+        submaps = replace(_opened(_closed(submaps)), way_m=0.0)
     if submaps.first == submaps.open_id:
         return _alone(submaps, add(submaps.space, seen))
+    false_m = false_floor(submaps.space, seen.floor_z_m)
+    if false_m is not None:
+        # No submap keeps what was concluded from it.
+        kept, open_ones = submaps.states[: submaps.first], submaps.states[submaps.first :]
+        without = tuple(replace(state, space=without_level(state.space, false_m)) for state in open_ones)
+        submaps = replace(submaps, states=(*kept, *without))
     space = add(submaps.space, seen)
     free, structure = _by_owner(submaps, seen.free_keys), _by_owner(submaps, seen.structure_keys)
     surface = _by_owner(submaps, seen.surface_keys)

@@ -48,7 +48,9 @@ class StructureConfig(Ranged):
         wall_area_m2: minimum visible area of a wall or ceiling.
         behind_share: maximum share of the frame's surface behind a wall.
         tolerance_m: maximum distance from a plane, plus 3 sigma of depth, of pixels that belong to it.
-        floor_below_camera_m: if the map has no floor yet, minimum distance of a floor below the camera.
+        floor_below_camera_m: minimum distance of a floor below the camera.
+        storey_m: nobody carries a camera so high: where it is higher above the map's floor, it was lifted to another
+            one, and a floor so much lower than the map's is that of the storey below.
         wall_height_m, wall_foot_m, wall_cut_m, wall_width_m: a vertical plane that is seen from below `wall_foot_m`
             above the floor to `wall_height_m`, or beyond `wall_cut_m` to the edge of the image, and is so wide, is a
             wall even where something is seen behind it ...
@@ -63,6 +65,7 @@ class StructureConfig(Ranged):
     behind_share: float = number(0.02, 0, 1, "share")
     tolerance_m: float = number(0.025, 0, 10, "m")
     floor_below_camera_m: float = number(0.25, 0, 100, "m")
+    storey_m: float = number(2.4, 0, 100, "m")
     wall_height_m: float = number(2.1, 0, 100, "m")
     wall_foot_m: float = number(1.2, 0, 100, "m")
     wall_cut_m: float = number(1.5, 0, 100, "m")
@@ -155,21 +158,31 @@ def horizontal_planes(
         smooth[max(0, peak - 4) : peak + 5] = 0.0
 
 
+# A plane that is no more than this above the map's floor is that floor.
+_AT_FLOOR_M = 0.06
+
+
 def floor_height_m(
     surface: Surface, planes: list[HorizontalPlane], known_m: float | None, config: StructureConfig
 ) -> float | None:
     """Return the floor's height in this frame, or that of the map if the frame shows no floor.
 
-    The map's height keeps a table that fills the view from being taken for the floor: only a lower floor replaces it.
+    The map's height keeps a table that fills the view from being taken for the floor: only a lower floor replaces it,
+    unless the camera is a storey above: then the widest plane below it is.
     """
     camera_z = float(surface.world_from_camera[2, 3])
-    for plane in planes:
-        if plane.area_m2 < config.floor_area_m2 or plane.z_m > camera_z - config.floor_below_camera_m:
-            continue
-        if known_m is not None and plane.z_m > known_m + 0.06:
-            return known_m
-        return plane.z_m
-    return known_m
+    below = [
+        plane
+        for plane in planes
+        if plane.area_m2 >= config.floor_area_m2 and plane.z_m <= camera_z - config.floor_below_camera_m
+    ]
+    if known_m is None:
+        return below[0].z_m if below else None
+    if camera_z - known_m > config.storey_m:
+        return max(below, key=lambda plane: (plane.area_m2, -plane.z_m)).z_m if below else known_m
+    # Over a railing one sees the floor of the storey below.
+    lower = [plane.z_m for plane in below if known_m - config.storey_m < plane.z_m <= known_m + _AT_FLOOR_M]
+    return lower[0] if lower else known_m
 
 
 def structure_mask(

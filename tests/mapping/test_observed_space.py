@@ -14,6 +14,8 @@ from hickory_stream.mapping.observed_space import (
     add_structure,
     as_record,
     empty_space,
+    false_floor,
+    floor_change,
     known_no_object,
     share_in,
 )
@@ -137,3 +139,44 @@ def test_only_what_was_an_object_counts_as_structure_for_objects() -> None:
     assert share_in(known_no_object(state), np.concatenate([WALL, beside]), state.voxel_m) == pytest.approx(
         0.5, abs=0.02
     )
+
+
+def level(z_m: float, side_m: float) -> np.ndarray:
+    """The sorted voxels of a level square."""
+    x, y = np.meshgrid(np.arange(0.0, side_m, 0.05) + 0.02, np.arange(0.0, side_m, 0.05) + 0.02)
+    return np.unique(keys_of_points(np.stack([x, y, np.full(x.shape, z_m)], axis=-1).reshape(-1, 3), 0.05))
+
+
+@pytest.mark.parametrize(
+    ("below_m", "side_m", "is_false"),
+    [(0.74, 1.5, True), (0.45, 1.0, True), (0.74, 3.0, False), (0.17, 1.5, False), (2.8, 1.5, False)],
+    ids=["a table", "a low table", "a level of the room", "a step", "the storey below"],
+)
+def test_a_floor_is_none_where_one_appears_that_is_no_step_and_no_storey_lower_and_it_is_small(
+    below_m: float, side_m: float, *, is_false: bool
+) -> None:
+    on_it = space(structure=level(0.76, side_m), floor_z_m=0.76)
+    state = after(on_it, on_it)
+    assert (false_floor(state, 0.76 - below_m) is not None) == is_false
+    now = add(state, space(floor_z_m=0.76 - below_m))
+    assert now.floor_z_m == pytest.approx(0.76 - below_m)
+    assert len(as_record(now).structure) == (0 if is_false else len(level(0.76, side_m)))
+    assert (floor_change(state, 0.76 - below_m) is not None) == (is_false or below_m > 2)
+
+
+def test_what_is_withdrawn_with_a_false_floor_is_free_again_where_rays_had_passed() -> None:
+    table, wall = level(0.76, 1.0), level(1.6, 1.0)
+    state = after(
+        space(free=table[:40]),
+        *[space(structure=np.union1d(table, wall), floor_z_m=0.76)] * 2,
+        space(floor_z_m=0.0),
+    )
+    record = as_record(state)
+    assert record.structure.tolist() == wall.tolist()
+    assert record.free.tolist() == table[:40].tolist()
+
+
+def test_a_floor_a_storey_higher_is_the_floor_at_once_and_a_little_higher_one_slowly() -> None:
+    state = after(space(floor_z_m=0.0))
+    assert add(state, space(floor_z_m=3.0)).floor_z_m == 3.0
+    assert add(state, space(floor_z_m=0.1)).floor_z_m == pytest.approx(0.02)

@@ -70,6 +70,16 @@ def test_a_known_floor_is_replaced_by_a_lower_one_only():
     assert heights == pytest.approx([0.0, -0.7, 0.0], abs=0.01)
 
 
+def test_on_another_storey_the_widest_plane_is_the_floor_and_over_a_railing_that_of_the_map_stays():
+    table = Block(low=(-0.5, -0.5, 0.0), high=(0.5, 0.5, 0.7), color=(120, 60, 50))
+    frame, _ = render([floor(), table], VIEW)
+    surface = surface_of(frame, SurfaceConfig(width_px=CAMERA.width))
+    planes = horizontal_planes(surface, pixel_areas_m2(surface), min_area_m2=0.05)
+    eye_m = float(surface.world_from_camera[2, 3])
+    assert floor_height_m(surface, planes, eye_m - 4.0, StructureConfig()) == pytest.approx(0.0, abs=0.01)
+    assert floor_height_m(surface, planes[:1], 2.6, StructureConfig()) == 2.6
+
+
 @pytest.mark.parametrize("factor", [1, 2, 3])
 @given(seed=seeds)
 def test_a_working_pixel_has_the_lower_median_of_the_valid_depths_of_its_block(factor: int, seed: int) -> None:

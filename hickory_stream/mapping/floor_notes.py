@@ -1,0 +1,140 @@
+"""What a map cannot know of floor and gravity, or has found out about them, in sentences for people.
+
+The tilt comes from all of the map's floor at once: the lowest structure of each column of voxels near its height, and
+a plane through them, fitted again to what lies near it. What is no plane is uneven ground, and has no tilt.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.voxels import cells_of_keys
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import MapSnapshot, ObservedSpace, Submap
+
+# Columns of voxels are looked at so far above and below the floor: 2 degrees are 0.35 m after 10 m.
+_REACH_M = 0.45
+# A column with structure along half of so much height is one of a wall.
+_WALL_M = 0.6
+# A floor that is told to be tilted is a plane to so many voxels, and so large; less than a degree is a floor.
+_PLANE_VOXELS, _LEAST_M2, _LEAST_DEG = 0.8, 2.0, 1.0
+# What is smaller may be a table, where no larger floor was ever seen.
+_TABLE_M2 = 2.0
+_ANOTHER_STOREY_M = 2.0
+
+
+def floor_notes(snapshot: MapSnapshot) -> tuple[str, ...]:
+    """Return what there is to say of the floor of a map; nothing where it has one, and that is level."""
+    floors = [submap for submap in snapshot.submaps if submap.observed_space.floor_z_m is not None]
+    if not floors:
+        if not any(len(submap.observed_space.free) for submap in snapshot.submaps):
+            return ()
+        return (
+            "no floor was seen: heights above the floor are unknown. What goes by them (what is a wall, what floats, "
+            "where one can drive) is left undecided, or taken from the lowest object; if there was a floor in view, "
+            "see whether the poses have z upwards",
+        )
+    notes = []
+    areas_m2 = [_area_m2(submap.observed_space) for submap in floors]
+    if sum(areas_m2) < _TABLE_M2:
+        notes.append(
+            f"no floor was surely seen: what is taken for it, at z = {_height_m(floors[-1]):.2f} m, is "
+            f"{sum(areas_m2):.1f} m2 in all and may be a table. If a floor appears below it, this is revised"
+        )
+    levels = _levels([_height_m(submap) for submap in floors])
+    if len(levels) > 1:
+        told = ", ".join(f"{z_m:.2f} m" for z_m in levels)
+        notes.append(f"the floor has {len(levels)} levels, at z = {told}: each submap goes by its own")
+    largest = max(floors, key=lambda submap: _area_m2(submap.observed_space))
+    tilted = tilt_note(largest.observed_space)
+    return (*notes, tilted) if tilted is not None else tuple(notes)
+
+
+def _height_m(submap: Submap) -> float:
+    place = submap.world_from_submap
+    return float(place[2, 2] * (submap.observed_space.floor_z_m or 0.0) + place[2, 3])
+
+
+def _levels(heights_m: Sequence[float]) -> list[float]:
+    """Return the heights of storeys, each once."""
+    levels: list[float] = []
+    for height_m in sorted(heights_m):
+        if not levels or height_m - levels[-1] > _ANOTHER_STOREY_M:
+            levels.append(height_m)
+    return levels
+
+
+def tilt_note(space: ObservedSpace) -> str | None:
+    """Return in words by how much the floor of a space is tilted, None where it is level, or no plane."""
+    places, voxel_m = _columns(space, _REACH_M), space.voxel_m
+    slope = _slope(places, voxel_m)
+    if slope is None:
+        return None
+    rise, share = slope
+    tilt_deg = float(np.degrees(portable.arctan2(portable.norm(rise), 1.0)))
+    if len(places) * voxel_m * voxel_m < _LEAST_M2 or share < 0.7 or tilt_deg < _LEAST_DEG:
+        return None
+    uphill_deg = float(np.degrees(portable.arctan2(rise[1], rise[0])))
+    return (
+        f"the floor is tilted by {tilt_deg:.1f} degrees against gravity, uphill towards {uphill_deg:.0f} degrees from "
+        "x: the ground slopes, or the poses are not aligned with gravity. The map goes by the floor as it is; upright "
+        "boxes are off by as much"
+    )
+
+
+def _area_m2(space: ObservedSpace) -> float:
+    return len(_columns(space, 1.5 * space.voxel_m)) * space.voxel_m * space.voxel_m
+
+
+def _columns(space: ObservedSpace, reach_m: float) -> NDArray[np.float64]:
+    """Return (N, 3) the middle of the lowest structure of each column within reach of the floor, without walls'."""
+    middles = (cells_of_keys(space.structure) + 0.5) * space.voxel_m
+    above_m = middles[:, 2] - (space.floor_z_m or 0.0)
+    near = middles[(above_m > -reach_m) & (above_m < reach_m + _WALL_M)]
+    if len(near) == 0:
+        return np.empty((0, 3))
+    # Ordered by x, y, z, as keys are.
+    starts = np.flatnonzero(np.append(True, (near[1:, :2] != near[:-1, :2]).any(axis=1)))
+    counts = np.diff(np.append(starts, len(near)))
+    lowest = near[starts]
+    is_floor = (counts * space.voxel_m < _WALL_M / 2) & (lowest[:, 2] - (space.floor_z_m or 0.0) < reach_m)
+    return np.asarray(lowest[is_floor], dtype=np.float64)
+
+
+def _slope(places: NDArray[np.float64], voxel_m: float) -> tuple[NDArray[np.float64], float] | None:
+    """Return the rise along x and y of a plane through most of (N, 3) places, and their share; None for too few."""
+    rise, level, near = np.zeros(2), float(np.median(places[:, 2])) if len(places) else 0.0, np.ones(len(places), bool)
+    middle = places[:, :2].mean(axis=0) if len(places) else np.zeros(2)
+    for reach_m in (_REACH_M, 6 * voxel_m, 3 * voxel_m, 2 * voxel_m, 2 * voxel_m):
+        flat = places[:, :2] - middle
+        off_m = places[:, 2] - level - flat[:, 0] * rise[0] - flat[:, 1] * rise[1]
+        near = np.abs(off_m) < reach_m
+        if int(near.sum()) < 50:
+            return None
+        found = _fitted(flat[near], places[near, 2])
+        if found is None:
+            return None
+        rise, level = found
+    flat = places[:, :2] - middle
+    off_m = places[:, 2] - level - flat[:, 0] * rise[0] - flat[:, 1] * rise[1]
+    return rise, float((np.abs(off_m) < _PLANE_VOXELS * voxel_m).mean())
+
+
+def _fitted(flat: NDArray[np.float64], z: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
+    """Return the least squares plane z = rise . (x, y) + level; None where the places are on one line."""
+    x, y = flat[:, 0] - flat[:, 0].mean(), flat[:, 1] - flat[:, 1].mean()
+    h = z - z.mean()
+    xx, xy, yy, xh, yh = (float((a * b).sum()) for a, b in ((x, x), (x, y), (y, y), (x, h), (y, h)))
+    determinant = xx * yy - xy * xy
+    if determinant < 1e-6 * (xx + yy) * (xx + yy):
+        return None
+    rise = np.array([(xh * yy - yh * xy) / determinant, (yh * xx - xh * xy) / determinant])
+    return rise, float(z.mean() - rise[0] * flat[:, 0].mean() - rise[1] * flat[:, 1].mean())
