@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         Containment,
         Frame,
         FrameReport,
-        ObservedSpace,
+        MapPrior,
         RawFrame,
         Segmentation,
         SemanticImage,
@@ -101,7 +101,7 @@ class Segmenter(Protocol):
         """Return what can be computed of a frame without the map; called ahead, on another thread than `segment`."""
         ...
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame.
 
         `prior` is the space as the map knows it so far; `prepared` is what `prepare` returned, or None.

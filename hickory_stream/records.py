@@ -153,12 +153,14 @@ class Segmentation:
     `instances` (H, W) int32, 0 = no object, 1..n = the n instances; `structure` (H, W) bool: floor, walls, ceiling.
     `structure_shown` (H, W) bool: what of it this frame shows by itself, without what the map knew; None: all of it.
     Only this is evidence for the map: what it knew, and had told the segmenter, proves nothing again.
-    `floor_z_m` is the height of the floor where this frame shows it.
+    `alone` (H, W) int32: the instances as this frame has them by itself, each a union of some of `instances`; None: the
+    same. `floor_z_m` is the height of the floor where this frame shows it.
     """
 
     instances: NDArray[np.int32]
     structure: NDArray[np.bool_]
     structure_shown: NDArray[np.bool_] | None = None
+    alone: NDArray[np.int32] | None = None
     floor_z_m: float | None = None
     rejected: tuple[RejectedMask, ...] = ()
 
@@ -167,6 +169,8 @@ class Segmentation:
         freeze(self, "structure", np.bool_, self.instances.shape)
         if self.structure_shown is not None:
             freeze(self, "structure_shown", np.bool_, self.instances.shape)
+        if self.alone is not None:
+            freeze(self, "alone", np.int32, self.instances.shape)
 
     @property
     def own_structure(self) -> NDArray[np.bool_]:
@@ -181,7 +185,7 @@ class Observation:
     `index` numbers the observations of the frame from 0. `box_px` = (x0, y0, x1, y1), ends exclusive; `mask` (h, w)
     bool within it. `points_world` (N, 3) float32 and `colors` (N, 3) uint8, after depth filtering. `r_area` and
     `r_depth` are the cheap factors of S (Eq. for S in the paper), in 0..1. `is_cut`: the mask touches the border of the
-    image.
+    image. `group`: observations of one number > 0 are one thing as the frame by itself has it, without the map.
     """
 
     index: int
@@ -193,6 +197,7 @@ class Observation:
     r_area: float
     r_depth: float
     is_cut: bool
+    group: int = 0
 
     def __post_init__(self) -> None:
         x0, y0, x1, y1 = self.box_px
@@ -401,6 +406,18 @@ class ObservedSpace:
     def __post_init__(self) -> None:
         freeze(self, "free", np.int64, (None,))
         freeze(self, "structure", np.int64, (None,))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MapPrior:
+    """What the map knows before a keyframe, as the odometry has it since it last jumped.
+
+    The observed `space`; the `objects`, tentative ones among them, with one point per voxel of `points_m`.
+    """
+
+    space: ObservedSpace
+    objects: tuple[TrackedObject, ...]
+    points_m: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

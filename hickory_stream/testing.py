@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.ports import ShapeInputs, Sink, Source
-    from hickory_stream.records import FrameReport, ObservedSpace
+    from hickory_stream.records import FrameReport, MapPrior
 
 SCENE_CAMERA = Camera(width=240, height=180, fx=210.0, fy=210.0, cx=119.5, cy=89.5)
 START_NS = 1_700_000_000_000_000_000
@@ -385,7 +385,7 @@ class InstanceSegmenter:
         del frame
         return None
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances of the frame's stamp; whatever is none of them and has depth is structure."""
         del prior, prepared
         instances = self._instances[frame.stamp_ns]

@@ -61,6 +61,7 @@ VALID: dict[type, dict[str, Any]] = {
         "instances": np.zeros((3, 4), np.int32),
         "structure": np.zeros((3, 4), bool),
         "structure_shown": np.zeros((3, 4), bool),
+        "alone": np.zeros((3, 4), np.int32),
     },
     records.Observation: {
         "index": 0,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from hickory_stream.perception.geometric import Fragments
     from hickory_stream.perception.pixel_network import PixelNetwork
     from hickory_stream.perception.region_graph import RegionGraph
-    from hickory_stream.records import ObservedSpace
+    from hickory_stream.records import MapPrior
     from tools.network_training.frames import Scene, TrueFrame
 
 _MIN_SHARE = 0.002
@@ -84,7 +84,7 @@ class TrueMasks:
         """Return the surface of a frame."""
         return self._segmenter.prepare(frame)
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the true instances of a frame where structure is not found; its fragments become a lesson."""
         pieces = self._segmenter.fragments(frame, prior, prepared)
         shown = true_instances(self._truth, int(np.argmin(np.abs(self._stamps - frame.stamp_ns))))

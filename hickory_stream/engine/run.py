@@ -430,7 +430,7 @@ class Run:
         core, config = self._core, self._config
         return perceive(
             frame,
-            core.observed_space(),
+            core.prior(),
             prepared,
             self._segmenter,
             config.perception,

@@ -15,7 +15,7 @@ import numpy as np
 from hickory_stream.compiled import kernels_folder
 from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.config import MapperConfig
-from hickory_stream.events import ComputeFeatures, FeaturesReady, Publish
+from hickory_stream.events import ComputeFeatures, FeaturesReady
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
@@ -64,11 +64,10 @@ def warm_up_mapping() -> None:
     with _one_at_a_time("mapping"):
         config = MapperConfig()
         segmenter, extractor = make_segmenter(config.perception), ColorTextureDescriptor()
-        core, snapshot = MapperCore(config.mapping), None
+        core = MapperCore(config.mapping)
         for raw in SceneSource(_NUM_MAPPED, (*SCENE_BOXES, _WALL)).frames():
             frame = raw.decode()
-            prior = snapshot.submaps[0].observed_space if snapshot is not None else None
-            prepared = segmenter.prepare(frame)
+            prepared, prior = segmenter.prepare(frame), core.prior()
             perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.lattice)
             waiting: list[Effect] = core.handle(perceived.event(frame))
             while waiting:
@@ -76,8 +75,6 @@ def warm_up_mapping() -> None:
                 if isinstance(effect, ComputeFeatures):
                     features, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
                     waiting += core.handle(FeaturesReady(frame_index=effect.frame_index, features=features))
-                elif isinstance(effect, Publish):
-                    snapshot = effect.snapshot
 
 
 PARTS: dict[str, Callable[[], None]] = {"mapping": warm_up_mapping, "shapes": warm_up}

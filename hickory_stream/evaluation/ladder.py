@@ -18,6 +18,7 @@ from hickory_stream.mapping.associate import Match
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.geometric import GeometricSegmenter
+from hickory_stream.perception.join import Joined
 from hickory_stream.perception.masks import enlarged_mask
 from hickory_stream.perception.network_segmenter import NetworkSegmenter
 from hickory_stream.records import Segmentation
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
     from hickory_stream.perception.geometric import Fragments
     from hickory_stream.perception.perceive import PerceptionConfig
-    from hickory_stream.records import Frame, Observation, ObservedSpace
+    from hickory_stream.records import Frame, MapPrior, Observation
 
 Rung = Literal["ours", "joins", "masks", "structure", "association"]
 RUNGS: tuple[Rung, ...] = get_args(Rung)
@@ -83,12 +84,12 @@ class TrueSegmenter:
         """Return the surface of a frame."""
         return self._ours.prepare(frame)
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame."""
         pieces = self._ours.fragments(frame, prior, prepared)
         shown = self._images.at(frame.stamp_ns)
         if self._rung == "joins":
-            return self._ours.segmentation(frame, pieces, truly_joined(pieces, shown))
+            return self._ours.segmentation(frame, pieces, Joined(labels=truly_joined(pieces, shown)))
         if self._rung == "masks":
             size = (frame.camera.width, frame.camera.height)
             structure = enlarged_mask(pieces.room.structure, pieces.surface.factor, size)

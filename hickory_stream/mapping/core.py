@@ -82,12 +82,13 @@ from hickory_stream.mapping.track_merging import (
     foreign_points,
     merge,
     pair_of,
+    pairs_of_groups,
     pairs_that_meet,
     why_one,
 )
 from hickory_stream.mapping.unsupported import attachment_of
 from hickory_stream.mapping.views import better, covers_better, score, score_bound, sector_of, view_of
-from hickory_stream.records import Decision, MapSnapshot, Phase, Submap, View
+from hickory_stream.records import Decision, MapPrior, MapSnapshot, Phase, Submap, View
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -230,15 +231,29 @@ class MapperCore:
             objects=tuple(objects),
         )
 
-    def observed_space(self) -> ObservedSpace | None:
-        """Return the space that was seen since the odometry last jumped, as the odometry has it; None: no keyframe.
+    def prior(self) -> MapPrior | None:
+        """Return what perception knows beforehand, as the odometry has it, whatever was corrected; None: no keyframe.
 
-        What perception knows beforehand, whatever was corrected and wherever submaps ended.
+        The space and the objects that were seen since the odometry last jumped, wherever submaps ended.
         """
         if self._revision == 0:
             return None
+        return MapPrior(
+            space=self._observed_space(), objects=self._known_objects(), points_m=self._config.lattice.points_m
+        )
+
+    def _observed_space(self) -> ObservedSpace:
         is_one = self._submaps.first == self._submaps.open_id
         return self._submap(self._submaps.states[-1]).observed_space if is_one else as_record(self._submaps.space)
+
+    def _known_objects(self) -> tuple[TrackedObject, ...]:
+        known = []
+        for track_id, track in sorted(self._tracks.items()):
+            if self._is_judged(track):
+                shown = self._shown.get(track_id)
+                is_there = shown is not None and shown[0] is track and np.array_equal(shown[1], np.eye(4))
+                known.append(shown[2] if shown is not None and is_there else as_object(track))
+        return tuple(known)
 
     def _submap(self, state: SubmapState) -> Submap:
         cached = self._shown_submaps.get(state.id)
@@ -515,12 +530,16 @@ class MapperCore:
         """Count the votes of this keyframe: pairs of tracks that it segments apart or, otherwise, together, each once.
 
         Apart: two whole observations with boxes that meet. Small things that touch cover each other's rims, so that
-        only a pair that is not seen apart can be seen together.
+        only a pair that is not seen apart can be seen together. What only the map holds apart was seen together: a vote
+        is what the frame by itself says, or the map would prove itself right.
         """
-        whole = [(m.observation_index, home) for m, home in zip(matches, homes, strict=True) if not m.is_part]
-        bounds = [bounds_of(event.observations[i].points_world) for i, _ in whole]
-        apart = pairs_that_meet(bounds, [home for _, home in whole])
-        together = {pair_of(home, other) for home, others in zip(homes, covered, strict=True) for other in others}
+        found = [event.observations[match.observation_index] for match in matches]
+        whole = [(o, home) for o, match, home in zip(found, matches, homes, strict=True) if not match.is_part]
+        told = pairs_of_groups([(observation.group, home) for observation, home in whole])
+        bounds = [bounds_of(observation.points_world) for observation, _ in whole]
+        apart = pairs_that_meet(bounds, [home for _, home in whole]) - told
+        overlap = {pair_of(home, other) for home, others in zip(homes, covered, strict=True) for other in others}
+        together = overlap | told
         self._votes = self._votes.plus(sorted(apart), apart=1).plus(sorted(together - apart), together=1)
 
     def _merge_tracks(self, changed: set[int]) -> list[Effect]:

@@ -7,6 +7,7 @@ points that lie on another track are not fused, they count as a vote for a merge
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,6 +102,15 @@ class VoteBook:
 def pair_of(a: int, b: int) -> tuple[int, int]:
     """Return the key of a pair of tracks, the lower id first."""
     return min(a, b), max(a, b)
+
+
+def pairs_of_groups(members: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
+    """Return the pairs of tracks in one group, of (group, track id); group 0 is none."""
+    tracks: dict[int, set[int]] = {}
+    for group, track_id in members:
+        if group > 0:
+            tracks.setdefault(group, set()).add(track_id)
+    return {pair for ids in tracks.values() for pair in combinations(sorted(ids), 2)}
 
 
 def pairs_that_meet(bounds: Sequence[NDArray[np.float32]], track_ids: Sequence[int]) -> set[tuple[int, int]]:

@@ -13,8 +13,9 @@ import numpy as np
 
 from hickory_stream.perception.color_split import ColorSplitConfig, split_by_color
 from hickory_stream.perception.fragments import FragmentConfig, concave_creases, fragments_of, support_labels
-from hickory_stream.perception.join import JoinConfig, join_fragments
+from hickory_stream.perception.join import JoinConfig, Joined, join_fragments
 from hickory_stream.perception.label_boxes import label_boxes
+from hickory_stream.perception.map_prior import fragment_owners
 from hickory_stream.perception.masks import enlarged, enlarged_mask
 from hickory_stream.perception.room_structure import RoomStructure, room_structure_of
 from hickory_stream.perception.structure import StructureConfig
@@ -26,7 +27,7 @@ from hickory_stream.records import RejectedMask, Segmentation
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.records import Frame, ObservedSpace
+    from hickory_stream.records import Frame, MapPrior
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,33 +74,36 @@ class GeometricSegmenter:
         """Return the surface of a frame: what takes longest of it, and needs no map."""
         return surface_of(frame, self._config.surface)
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
+        """Return the instances and the structure of a frame; `prior` is what the map knows."""
         pieces = self.fragments(frame, prior, prepared)
         join = self._config.join
-        labels = join_fragments(pieces.surface, pieces.labels, pieces.supports, pieces.room, self._trees, join)
-        return self.segmentation(frame, pieces, labels)
+        owners = fragment_owners(pieces.labels, pieces.surface, prior, join.map_prior)
+        joined = join_fragments(pieces.surface, pieces.labels, pieces.supports, pieces.room, self._trees, join, owners)
+        return self.segmentation(frame, pieces, joined)
 
-    def segmentation(self, frame: Frame, pieces: Fragments, labels: NDArray[np.int32]) -> Segmentation:
-        """Return the segmentation of a frame whose fragments were merged into the masks `labels` (h, w), 0 = none."""
-        labels, rejected = _usable(pieces.surface, labels, self._config)
+    def segmentation(self, frame: Frame, pieces: Fragments, joined: Joined) -> Segmentation:
+        """Return the segmentation of a frame whose fragments were merged into masks."""
+        labels, rejected = _usable(pieces.surface, joined.labels, self._config)
         size, factor = (frame.camera.width, frame.camera.height), pieces.surface.factor
         return Segmentation(
             instances=enlarged(labels, factor, size),
             structure=enlarged_mask(pieces.room.structure, factor, size),
             structure_shown=enlarged_mask(pieces.room.shown, factor, size),
+            alone=None if joined.alone is None else enlarged(joined.alone, factor, size),
             floor_z_m=pieces.room.floor_z_m,
             rejected=rejected,
         )
 
-    def fragments(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Fragments:
+    def fragments(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Fragments:
         """Return the over-segmentation of a frame, before any fragments are merged."""
         surface = prepared if isinstance(prepared, Surface) else self.prepare(frame)
         return self.divided(surface, self.room(surface, prior))
 
-    def room(self, surface: Surface, prior: ObservedSpace | None) -> RoomStructure:
-        """Return the room structure in a frame; `prior` is the observed space of the map so far."""
-        return room_structure_of(surface, prior, self._config.structure, self._config.support_area_m2)
+    def room(self, surface: Surface, prior: MapPrior | None) -> RoomStructure:
+        """Return the room structure in a frame; `prior` is what the map knows so far."""
+        space = None if prior is None else prior.space
+        return room_structure_of(surface, space, self._config.structure, self._config.support_area_m2)
 
     def divided(self, surface: Surface, room: RoomStructure) -> Fragments:
         """Return the over-segmentation of a surface without its structure."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.perception.map_prior import MapPriorConfig
 from hickory_stream.perception.occlusion_bridging import BridgingConfig, is_bridged
 from hickory_stream.perception.odds_features import odds_features
 from hickory_stream.perception.pair_features import pair_features
@@ -25,10 +26,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.perception.fragment_odds import FragmentOdds
+    from hickory_stream.perception.map_prior import FragmentOwners
     from hickory_stream.perception.region_graph import RegionGraph
     from hickory_stream.perception.room_structure import RoomStructure
     from hickory_stream.perception.surface import Surface
     from hickory_stream.perception.trees import Trees
+
+    Probabilities = Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,6 +48,7 @@ class JoinConfig(Ranged):
         reach_px: pixels are neighbours across fewer than this many unlabelled pixels.
         gap_m: maximum distance of fragments that are rated without touching in the image.
         bridging: when a plane continues behind an occluder.
+        map_prior: what the objects of the map say.
     """
 
     forest: Forest = "sizes"
@@ -52,6 +57,7 @@ class JoinConfig(Ranged):
     reach_px: int = number(3, 1, 100, "px")
     gap_m: float = number(0.2, 0, 10, "m")
     bridging: BridgingConfig = field(default_factory=BridgingConfig)
+    map_prior: MapPriorConfig = field(default_factory=MapPriorConfig)
 
 
 class Groups:
@@ -79,6 +85,17 @@ class Groups:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Joined:
+    """Instance labels (h, w) 1..n, 0 = none, numbered in the order of their first fragments.
+
+    `labels` with what the map knew; `alone` without it, unions of the others; None: the same.
+    """
+
+    labels: NDArray[np.int32]
+    alone: NDArray[np.int32] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Round:
     """The input of a round: `numbers` (n,) the region of each fragment, `pairs` (K, 2) of regions, their features."""
 
@@ -94,15 +111,35 @@ def join_fragments(
     room: RoomStructure,
     trees: Trees,
     config: JoinConfig,
-) -> NDArray[np.int32]:
-    """Return (h, w) instance labels 1..n: joined fragments, numbered in the order of their first fragment."""
+    owners: FragmentOwners | None = None,
+) -> Joined:
+    """Return the joined fragments; `owners` are what the map says of them, if anything."""
     graph = region_graph_of(surface, labels, supports, room, config)
-    if graph is None:
-        return labels
-    numbers = np.arange(len(graph.regions.pixels))
-    for step in rounds(graph, trees.probabilities, config):
-        numbers = step.numbers
-    return numbers.astype(np.int32)[labels]
+    return Joined(labels=labels) if graph is None else joined(graph, labels, trees.probabilities, config, None, owners)
+
+
+def joined(
+    graph: RegionGraph,
+    labels: NDArray[np.int32],
+    probabilities: Probabilities,
+    config: JoinConfig,
+    odds: FragmentOdds | None,
+    owners: FragmentOwners | None,
+) -> Joined:
+    """Return the fragments `labels` (h, w) of a graph as the rounds join them, with the map and without."""
+    numbers = _last(rounds(graph, probabilities, config, odds, owners))
+    together = numbers.astype(np.int32)[labels]
+    if owners is None:
+        return Joined(labels=together)
+    # What the map holds apart is one thing or not by this frame alone: its rounds go on without the map.
+    alone = _last(rounds(graph, probabilities, config, odds, start=numbers))
+    return Joined(labels=together, alone=alone.astype(np.int32)[labels])
+
+
+def _last(steps: Iterator[Round]) -> NDArray[np.int64]:
+    """Return the region of each fragment after the last round; there is always one."""
+    *_, last = steps
+    return last.numbers
 
 
 def region_graph_of(
@@ -126,15 +163,21 @@ def region_graph_of(
 
 def rounds(
     graph: RegionGraph,
-    probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]],
+    probabilities: Probabilities,
     config: JoinConfig,
     odds: FragmentOdds | None = None,
+    owners: FragmentOwners | None = None,
+    start: NDArray[np.int64] | None = None,
 ) -> Iterator[Round]:
     """Yield the rounds of merging by the `probabilities` of features, from single fragments to the final regions.
 
-    The `odds` of a network, if any, are among the features (`odds_features`).
+    The `odds` of a network, if any, are among the features (`odds_features`); `owners` are what the map says of the
+    fragments, if anything; `start` (n,) are regions to begin with instead.
     """
     groups = Groups(len(graph.regions.pixels))
+    if start is not None:
+        _, first = np.unique(start, return_index=True)
+        groups.unite((int(first[region]), i) for i, region in enumerate(start))
     for i in range(config.rounds + 1):
         numbers, names = groups.numbers()
         pairs, features = pair_features(graph, numbers, len(names))
@@ -142,7 +185,10 @@ def rounds(
         yield Round(numbers=numbers, pairs=pairs, features=features)
         # Certain, but too rare in the training data for the trees to learn it.
         proven = is_bridged(features["bridged_level"], features["bridged_upright"], config.bridging)
-        chosen = _closest(pairs, np.where(proven, 1.0, probabilities(features)), len(names), config.probability)
+        likely = np.where(proven, 1.0, probabilities(features))
+        if owners is not None:
+            likely = owners.against(likely, pairs, numbers, len(names))
+        chosen = _closest(pairs, likely, len(names), config.probability)
         if len(chosen) == 0 or i == config.rounds:
             return
         groups.unite((int(names[a]), int(names[b])) for a, b in chosen)

@@ -5,23 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from hickory_stream.perception.fragment_odds import fragment_odds
 from hickory_stream.perception.geometric import GeometricSegmenter
-from hickory_stream.perception.join import region_graph_of, rounds
+from hickory_stream.perception.join import Joined, joined, region_graph_of
+from hickory_stream.perception.map_prior import fragment_owners
 from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
 from hickory_stream.perception.trees import embedded_trees
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from hickory_stream.perception.geometric import Fragments, GeometricConfig
+    from hickory_stream.perception.map_prior import FragmentOwners
     from hickory_stream.perception.pixel_network import PixelNetwork, PixelOdds
     from hickory_stream.perception.surface import Surface
     from hickory_stream.perception.trees import Trees
-    from hickory_stream.records import Frame, ObservedSpace, Segmentation
+    from hickory_stream.records import Frame, MapPrior, Segmentation
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,29 +64,27 @@ class NetworkSegmenter:
         surface = self._geometric.prepare(frame)
         return Prepared(surface=surface, odds=self._network.odds(surface, None))
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
+        """Return the instances and the structure of a frame; `prior` is what the map knows."""
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
         pieces = self.fragments(frame, prior, found)
-        return self.segmentation(frame, pieces, self._joined(pieces, found.odds))
+        owners = fragment_owners(pieces.labels, pieces.surface, prior, self._join.map_prior)
+        return self.segmentation(frame, pieces, self._joined(pieces, found.odds, owners))
 
-    def segmentation(self, frame: Frame, pieces: Fragments, labels: NDArray[np.int32]) -> Segmentation:
-        """Return what is said of a frame whose fragments were joined into the masks `labels` (h, w), 0 = none."""
-        return self._geometric.segmentation(frame, pieces, labels)
+    def segmentation(self, frame: Frame, pieces: Fragments, joined: Joined) -> Segmentation:
+        """Return what is said of a frame whose fragments were joined into masks."""
+        return self._geometric.segmentation(frame, pieces, joined)
 
-    def fragments(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Fragments:
+    def fragments(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Fragments:
         """Return the pieces that a frame falls into, before any are joined."""
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
         pieces = self._geometric.divided(found.surface, self._geometric.room(found.surface, prior))
         return replace(pieces, labels=divided_by_odds(pieces.labels, found.odds, self._config.split))
 
-    def _joined(self, pieces: Fragments, odds: PixelOdds) -> NDArray[np.int32]:
+    def _joined(self, pieces: Fragments, odds: PixelOdds, owners: FragmentOwners | None) -> Joined:
         labels = pieces.labels
         if not labels.any():
-            return labels
+            return Joined(labels=labels)
         graph = region_graph_of(pieces.surface, labels, pieces.supports, pieces.room, self._join)
         assert graph is not None, "there are fragments"
-        numbers = np.arange(len(graph.regions.pixels))
-        for step in rounds(graph, self._trees.probabilities, self._join, fragment_odds(labels, odds)):
-            numbers = step.numbers
-        return numbers.astype(np.int32)[labels]
+        return joined(graph, labels, self._trees.probabilities, self._join, fragment_odds(labels, odds), owners)

@@ -59,6 +59,7 @@ def observe(
     """Return the observations of a frame in the order of their labels, and the masks that gave none, with reasons."""
     observations: list[Observation] = []
     rejected: list[RejectedMask] = list(segmentation.rejected)
+    alone = segmentation.alone
     for box_px, mask in _masks(segmentation.instances):
         lifted = _lift(frame, box_px, mask, config, lattice.points_m)
         if isinstance(lifted, str):
@@ -75,6 +76,7 @@ def observe(
                 r_area=float(np.count_nonzero(mask)) / mask_area_of(frame.camera),
                 r_depth=lifted.valid_share,
                 is_cut=_touches_border(box_px, frame.camera),
+                group=0 if alone is None else _group(alone, box_px, mask),
             )
         )
     return tuple(observations), tuple(rejected)
@@ -267,6 +269,13 @@ def _has_company(depth, inner, y, x, gate, least):  # type: ignore[no-untyped-de
             if count >= least:
                 return True
     return False
+
+
+def _group(alone: NDArray[np.int32], box_px: tuple[int, int, int, int], mask: NDArray[np.bool_]) -> int:
+    """Return the instance, as the frame by itself has it, of which a mask is a part: that of its first pixel."""
+    x0, y0, _, _ = box_px
+    y, x = np.unravel_index(int(mask.argmax()), mask.shape)
+    return int(alone[y0 + y, x0 + x])
 
 
 def _touches_border(box_px: tuple[int, int, int, int], camera: Camera) -> bool:

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from hickory_stream.ports import FeatureExtractor, Segmenter
     from hickory_stream.records import (
         Frame,
+        MapPrior,
         MaskFeature,
         Observation,
-        ObservedSpace,
         RejectedMask,
         Segmentation,
         SpaceObservation,
@@ -87,7 +87,7 @@ class Perceived:
 
 def perceive(
     frame: Frame,
-    prior: ObservedSpace | None,
+    prior: MapPrior | None,
     prepared: object,
     segmenter: Segmenter,
     config: PerceptionConfig,
@@ -96,8 +96,8 @@ def perceive(
 ) -> Perceived:
     """Return what a keyframe shows.
 
-    `prior` is the observed space of the map so far, `lattice` its voxel sizes; `prepared` is what the segmenter's
-    `prepare` gave for this frame, None if it was not called.
+    `prior` is what the map knows so far, `lattice` its voxel sizes; `prepared` is what the segmenter's `prepare` gave
+    for this frame, None if it was not called.
     """
     segmentation = segmenter.segment(frame, prior, prepared)
     observations, rejected = observe(frame, segmentation, config.observe, lattice)

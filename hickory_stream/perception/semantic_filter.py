@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.ports import Segmenter, SemanticModel
-    from hickory_stream.records import Frame, ObservedSpace, SemanticImage
+    from hickory_stream.records import Frame, MapPrior, SemanticImage
 
 # The classes of ADE20K and COCO that the paper leaves out, by any of their names.
 STRUCTURE = (
@@ -75,7 +75,7 @@ class FilteredSegmenter:
         """Return what needs no map: that of the segmenter, and the classes of the pixels."""
         return self._segmenter.prepare(frame), self._model.classify(np.asarray(frame.rgb))
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the segmenter's instances without those of excluded classes."""
         inner, semantics = prepared if isinstance(prepared, tuple) else self.prepare(frame)
         segmentation = self._segmenter.segment(frame, prior, inner)

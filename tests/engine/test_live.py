@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Sink
-    from hickory_stream.records import Frame, FrameReport, ObservedSpace, RawFrame, Segmentation
+    from hickory_stream.records import Frame, FrameReport, MapPrior, RawFrame, Segmentation
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -37,7 +37,7 @@ class HeldSegmenter(InstanceSegmenter):
         super().__init__(SceneSource(NUM_FRAMES).instances)
         self.go_on = threading.Event()
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         assert self.go_on.wait(60)
         return super().segment(frame, prior, prepared)
 
@@ -164,7 +164,7 @@ class AnyStamp(InstanceSegmenter):
     def __init__(self) -> None:
         super().__init__({})
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         none = np.zeros(frame.depth_m.shape, dtype=np.int32)
         return InstanceSegmenter({frame.stamp_ns: none}).segment(frame)
 

@@ -285,6 +285,16 @@ def test_halves_that_were_seen_apart_as_often_as_together_stay_two() -> None:
     assert [tracked.id for tracked in core.snapshot().objects] == [1, 2]
 
 
+def test_what_only_the_map_holds_apart_was_seen_together() -> None:
+    # The frames by themselves see one thing, and are cut by what the map knew: three such votes outweigh two of before.
+    cut = [replace(observation(0, LEFT), group=1), replace(observation(1, RIGHT), group=1)]
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, observation(0, LEFT), observation(1, RIGHT)) for i in range(2)])
+    drive(core, [frame(2 + i, *cut) for i in range(3)])
+    (one,) = core.snapshot().objects
+    assert (one.id, one.merged_ids) == (1, (2,))
+
+
 def test_small_things_that_touch_and_are_always_seen_apart_stay_two() -> None:
     # Five voxels wide: what is within a voxel of the other is a large share of them, and no vote all the same.
     left, right = (box_surface((x, 0, 0.05), (0.1, 0.1, 0.1)) for x in (0, 0.1))

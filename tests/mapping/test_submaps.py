@@ -108,13 +108,14 @@ def test_submaps_change_nothing_of_a_map_but_whose_things_are() -> None:
 
 
 def test_what_perception_knows_beforehand_does_not_end_with_a_submap() -> None:
-    split, whole = walk().observed_space(), walk(replace(CONFIG, submaps=SubmapConfig())).observed_space()
+    split, whole = walk().prior(), walk(replace(CONFIG, submaps=SubmapConfig())).prior()
     assert split is not None
     assert whole is not None
+    split, whole = split.space, whole.space
     assert np.array_equal(split.structure, whole.structure)
     assert np.array_equal(split.free, whole.free)
     assert split.floor_z_m == whole.floor_z_m
-    assert MapperCore(CONFIG).observed_space() is None
+    assert MapperCore(CONFIG).prior() is None
 
 
 def test_a_way_of_no_length_is_refused() -> None:

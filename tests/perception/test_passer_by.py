@@ -46,8 +46,7 @@ def played(steps):
             camera=shot.camera,
             world_from_camera=view,
         )
-        prior = None if snapshot is None else snapshot.submaps[0].observed_space
-        seen = perceive(frame, prior, None, segmenter, config, lattice=Lattice())
+        seen = perceive(frame, core.prior(), None, segmenter, config, lattice=Lattice())
         waiting = core.handle(
             FrameObserved(
                 frame_index=i,

@@ -8,7 +8,7 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.space import SpaceConfig, observe_space
-from hickory_stream.records import Frame, ObservedSpace
+from hickory_stream.records import Frame, MapPrior, ObservedSpace
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 RED, BLUE, GREEN, WOOD, WHITE = (190, 40, 40), (40, 60, 190), (40, 150, 60), (170, 130, 80), (225, 225, 220)
@@ -34,7 +34,8 @@ def test_what_the_map_takes_for_structure_is_structure_in_the_image_and_no_new_e
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(len(u))], axis=1)
     points = apply(frame.world_from_camera, rays * frame.depth_m[v, u][:, None].astype(np.float64))
     keys = np.unique(keys_of_points(points, 0.05))
-    prior = ObservedSpace(voxel_m=0.05, free=keys[:0], structure=keys, floor_z_m=0.0)
+    space = ObservedSpace(voxel_m=0.05, free=keys[:0], structure=keys, floor_z_m=0.0)
+    prior = MapPrior(space=space, objects=(), points_m=0.02)
     result = GeometricSegmenter(GeometricConfig()).segment(frame, prior)
     assert result.structure[shown == 1].mean() > 0.9
     assert result.structure_shown[shown == 1].mean() < 0.1

@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     from hickory_stream.events import Effect, Event
     from hickory_stream.perception.perceive import Perceived
     from hickory_stream.ports import FeatureExtractor, Segmenter
-    from hickory_stream.records import Frame, MapSnapshot
+    from hickory_stream.records import Frame, MapPrior, MapSnapshot
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlayedKeyframe:
-    """A keyframe as it was perceived, and the map after it with what the core says of itself."""
+    """A keyframe as it was perceived with what the map knew, and the map after it with what the core says of itself."""
 
     frame: Frame
+    prior: MapPrior | None
     perceived: Perceived
     snapshot: MapSnapshot
     metrics: Mapping[str, float]
@@ -67,9 +68,8 @@ def play_first_layer(
     segmenter = segmenter or make_segmenter(config.perception)
     extractor = extractor or ColorTextureDescriptor()
     core = MapperCore(config.mapping)
-    snapshot: MapSnapshot | None = None
     for frame in keyframes_of(log, config, max_keyframes):
-        prior = snapshot.submaps[0].observed_space if snapshot is not None else None
+        prior = core.prior()
         perceived = perceive(frame, prior, None, segmenter, config.perception, lattice=config.mapping.lattice)
         event = perceived.event(frame)
 
@@ -78,8 +78,13 @@ def play_first_layer(
             return FeaturesReady(frame_index=effect.frame_index, features=pooled)
 
         published = answered(core, event, frame.stamp_ns, features)
-        snapshot = published.snapshot
-        yield PlayedKeyframe(frame=frame, perceived=perceived, snapshot=snapshot, metrics=dict(published.metrics))
+        yield PlayedKeyframe(
+            frame=frame,
+            prior=prior,
+            perceived=perceived,
+            snapshot=published.snapshot,
+            metrics=dict(published.metrics),
+        )
 
 
 def answered(

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.ladder import Rung
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.ports import Segmenter
-    from hickory_stream.records import Frame, ObservedSpace, Segmentation
+    from hickory_stream.records import Frame, MapPrior, Segmentation
 
 _MIN_SHARE = 0.002
 _TIMED_KEYFRAMES = 60
@@ -184,7 +184,7 @@ class _Timed:
     def prepare(self, frame: Frame) -> object:
         return self._segmenter.prepare(frame)
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         started = time.process_time()
         found = self._segmenter.segment(frame, prior, prepared)
         self.seconds.append(time.process_time() - started)

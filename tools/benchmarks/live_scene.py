@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Segmenter, Sink
-    from hickory_stream.records import FrameReport, ObservedSpace, Segmentation
+    from hickory_stream.records import FrameReport, MapPrior, Segmentation
 
 _CAMERA = Camera(width=640, height=480, fx=560.0, fy=560.0, cx=319.5, cy=239.5)
 _PERIOD_NS = 33_333_333
@@ -115,7 +115,7 @@ class SlowedSegmenter:
         time.sleep((self._factor - 1) * (time.perf_counter() - started))
         return prepared
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Segment, slowly."""
         started = time.perf_counter()
         segmentation = self._segmenter.segment(frame, prior, prepared)

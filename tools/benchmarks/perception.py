@@ -218,7 +218,7 @@ def _time_of(keyframes: Sequence[PlayedKeyframe]) -> Figure:
 
 def _perceive_again(seen: PlayedKeyframe, segmenter: Segmenter, config: PerceptionConfig) -> None:
     frame: Frame = seen.frame
-    perceive(frame, seen.snapshot.submaps[0].observed_space, None, segmenter, config, lattice=Lattice())
+    perceive(frame, seen.prior, None, segmenter, config, lattice=Lattice())
 
 
 def _memory_of(log: Path, name: str, keyframes: int) -> list[Figure]:

@@ -94,7 +94,7 @@ class RuleLog:
         for frame, prepared in zip(self._frames, self._prepared, strict=True):
             seen = perceive(
                 frame,
-                core.observed_space(),
+                core.prior(),
                 prepared if is_prepared else None,
                 segmenter,
                 perception,

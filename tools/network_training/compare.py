@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.records import ObservedSpace
+    from hickory_stream.records import MapPrior
     from tools.network_training.frames import Scene
 
 MIN_SHARE = 0.002
@@ -53,7 +53,7 @@ class Shown:
 
     name: str
     frame: Frame
-    prior: ObservedSpace | None
+    prior: MapPrior | None
     truth: NDArray[np.int32]
 
 
@@ -140,16 +140,14 @@ def of_world(worlds: Path | None, world: str, every: int, most: int) -> Iterator
     """Yield every so many keyframes of a foreign world, walk A held by hand, up to `most`."""
     log = foreign_log(worlds_folder(worlds), world, "A", "hand")
     images = TrueImages(load_truth(log.truth))
-    prior: ObservedSpace | None = None
     count = 0
     for i, seen in enumerate(play_first_layer(log.log)):
         if i % every == 0:
             truth = images.at(seen.frame.stamp_ns)
-            yield Shown(name=f"{world}-{seen.frame.index}", frame=seen.frame, prior=prior, truth=truth)
+            yield Shown(name=f"{world}-{seen.frame.index}", frame=seen.frame, prior=seen.prior, truth=truth)
             count += 1
             if count == most:
                 return
-        prior = seen.snapshot.submaps[0].observed_space
 
 
 def of_scene(scene: Scene, folder: Path) -> Iterator[Shown]:

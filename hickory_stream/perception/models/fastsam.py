@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hickory_stream.perception.models.network import Network
     from hickory_stream.perception.structure import StructureConfig
     from hickory_stream.perception.surface import SurfaceConfig
-    from hickory_stream.records import Frame, ObservedSpace
+    from hickory_stream.records import Frame, MapPrior
 
 logger = logging.getLogger(__name__)
 
@@ -149,12 +149,13 @@ class FastSamSegmenter:
             )
         return Found(surface=surface_of(frame, self._surface), masks=masks, num_not_finite=num_not_finite)
 
-    def segment(self, frame: Frame, prior: ObservedSpace | None = None, prepared: object = None) -> Segmentation:
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
         found = prepared if isinstance(prepared, Found) else self.prepare(frame)
         surface = found.surface
         size = (frame.camera.width, frame.camera.height)
-        room = room_structure_of(surface, prior, self._structure, _SUPPORT_AREA_M2)
+        space = None if prior is None else prior.space
+        room = room_structure_of(surface, space, self._structure, _SUPPORT_AREA_M2)
         structure = enlarged_mask(room.structure, surface.factor, size)
         shown = enlarged_mask(room.shown, surface.factor, size)
         instances, rejected = compose(found.masks, surface, structure, self._masks)
