@@ -42,6 +42,8 @@ _MOST_VOTES = 240
 # What lies so much lower is no step down, but something else than what was taken for the floor; what was, is no table
 # if it is this large.
 _NO_STEP_M, _NO_TABLE_M2 = 0.3, 6.0
+# A column with structure along half of so much height above a level is one of a wall.
+_WALL_M = 0.6
 _STOREY_M = 2.4
 # The range of voxel indices.
 _FAR = 1 << 20
@@ -141,7 +143,7 @@ def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
     known_m = state.floor_z_m
     if known_m is None or seen_m is None or not _NO_STEP_M < known_m - seen_m < _STOREY_M:
         return None
-    level = state.surface[_is_at(state, known_m) & state.is_structure]
+    level = state.surface[_is_level_at(state, known_m) & state.is_structure]
     columns = np.unique(cells_of_keys(level)[:, :2], axis=0)
     return known_m if len(columns) * state.voxel_m * state.voxel_m < _NO_TABLE_M2 else None
 
@@ -168,8 +170,8 @@ def is_another_storey(state: SpaceState, seen_m: float | None) -> bool:
 
 
 def without_level(state: SpaceState, z_m: float) -> SpaceState:
-    """Return the space in which nothing at a height is known to be structure: what keyframes show next decides."""
-    at = _is_at(state, z_m)
+    """Return the space in which nothing level at a height is known to be structure: what comes next decides."""
+    at = _is_level_at(state, z_m)
     lost = state.surface[at & state.is_structure]
     bared = lost[contains(state.hidden_free, lost)]
     return replace(
@@ -181,10 +183,21 @@ def without_level(state: SpaceState, z_m: float) -> SpaceState:
     )
 
 
-def _is_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
-    """Return which voxels of `surface` are within one of a height."""
-    z = centers_of_keys(state.surface, state.voxel_m)[:, 2]
-    return np.asarray(np.abs(z - z_m) < 1.5 * state.voxel_m)
+def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
+    """Return which voxels of `surface` are within one of a height, and below no wall: walls go on above."""
+    cells = cells_of_keys(state.surface)
+    above_m = (cells[:, 2] + 0.5) * state.voxel_m - z_m
+    near = np.flatnonzero((above_m > -1.5 * state.voxel_m) & (above_m < _WALL_M))
+    if len(near) == 0:
+        return np.zeros(len(cells), dtype=bool)
+    # Ordered by x, y, z, as keys are.
+    begins = np.append(True, (cells[near[1:], :2] != cells[near[:-1], :2]).any(axis=1))
+    starts = np.flatnonzero(begins)
+    heights = np.add.reduceat(state.is_structure[near].astype(np.int64), starts)
+    is_wall = np.repeat(heights * state.voxel_m > _WALL_M / 2, np.diff(np.append(starts, len(near))))
+    out = np.zeros(len(cells), dtype=bool)
+    out[near] = ~is_wall & (above_m[near] < 1.5 * state.voxel_m)
+    return out
 
 
 def _voted(

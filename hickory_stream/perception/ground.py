@@ -202,10 +202,12 @@ def _is_ground(
     cells[0] = 0
     large = np.flatnonzero(cells * config.cell_m * config.cell_m >= least_m2)
     ground = _first_regions(regions, grid, floor_z_m, large)
-    left = [int(i) for i in large if i not in ground]
+    # However little of it is in view: what goes on structure a step away is ground that was seen before.
+    before = _known_regions(regions, grid, cells)
+    left = sorted(({int(i) for i in large} | before) - ground)
     is_ground = np.isin(regions, sorted(ground))
     while left and ground:
-        found = [i for i in left if _is_a_step_away(regions == i, is_ground, int(cells[i]), grid, config)]
+        found = [i for i in left if _is_a_step_away(regions == i, is_ground, i in before, grid, config)]
         if not found:
             break
         ground.update(found)
@@ -215,9 +217,15 @@ def _is_ground(
 
 
 # A region goes on known ground if that much of it is structure by the map; it is at the floor if some cells of it are.
-_KNOWN_SHARE = 0.25
+_KNOWN_SHARE, _SURELY_KNOWN = 0.25, 0.6
 _AT_FLOOR_M = 0.06
 _AT_FLOOR_CELLS = 3
+
+
+def _known_regions(regions: NDArray[np.int32], grid: _Grid, cells: NDArray[np.int64]) -> set[int]:
+    """Return the regions of some cells of which most is structure by the map."""
+    known = np.bincount(regions.ravel(), weights=grid.known.ravel(), minlength=len(cells))
+    return {int(i) for i in np.flatnonzero((cells >= _AT_FLOOR_CELLS) & (known >= _SURELY_KNOWN * cells))} - {0}
 
 
 def _first_regions(
@@ -239,18 +247,20 @@ def _first_regions(
 
 
 def _is_a_step_away(
-    region: NDArray[np.bool_], ground: NDArray[np.bool_], cells: int, grid: _Grid, config: GroundConfig
+    region: NDArray[np.bool_], ground: NDArray[np.bool_], was_ground: bool, grid: _Grid, config: GroundConfig
 ) -> bool:
-    """Return whether a region begins a step above or below ground that is near, or goes on at its slope."""
+    """Return whether a region begins a step above or below ground that is near, or goes on at its slope.
+
+    A level above it has room to stand, unless it was ground before.
+    """
     at, there = np.argwhere(region), np.argwhere(ground)
     rise_m, gap_m = _nearest_step(at, there, grid.z_m, np.float32(config.cell_m))
     if not gap_m <= config.gap_m:
         return False
     most_m = config.step_m + 0.1 * gap_m
-    # What lies lower than the ground is ground, if it is no deeper than one can step; a level has room to stand.
-    return bool(
-        -2 * most_m <= rise_m <= most_m and (rise_m < 0 or cells * config.cell_m * config.cell_m >= config.level_m2)
-    )
+    # What lies lower than the ground is ground, if it is no deeper than one can step.
+    has_room = len(at) * config.cell_m * config.cell_m >= config.level_m2
+    return bool(-2 * most_m <= rise_m <= most_m and (rise_m < 0 or was_ground or has_room))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -296,7 +306,7 @@ def _filled(z, steps):  # type: ignore[no-untyped-def] # pragma: no cover
 def _above(points, z, low, cell, step):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (h, w) the height of points above the ground: between cells of one level it is interpolated.
 
-    At the edge of a step the higher side counts: the face of a kerb is no thing.
+    At the edge of a step the higher side counts, also in a cell that has both: the face of a kerb is no thing.
     """
     height, width, _ = points.shape
     nx, ny = z.shape
@@ -323,5 +333,13 @@ def _above(points, z, low, cell, step):  # type: ignore[no-untyped-def] # pragma
             if weight <= 0:
                 continue
             ground = most if most - least > step else total / weight
+            i, j = int(np.floor(fx + half)), int(np.floor(fy + half))
+            for k in range(max(i - 1, 0), min(i + 2, nx)):
+                for m in range(max(j - 1, 0), min(j + 2, ny)):
+                    if not np.isnan(z[k, m]):
+                        least, most = min(least, z[k, m]), max(most, z[k, m])
+            # Over three cells a slope rises, too: by as much as over two, and a half more.
+            if most - least > np.float32(1.5) * step:
+                ground = most
             out[y, x] = points[y, x, 2] - ground
     return out

@@ -164,6 +164,16 @@ def test_a_floor_is_none_where_one_appears_that_is_no_step_and_no_storey_lower_a
     assert (floor_change(state, 0.76 - below_m) is not None) == (is_false or below_m > 2)
 
 
+def test_walls_make_a_table_no_larger_and_stay_where_it_is_withdrawn() -> None:
+    along, up = np.meshgrid(np.arange(-4.0, 4.0, 0.05) + 0.02, np.arange(0.0, 2.4, 0.05) + 0.02)
+    walls = [np.stack([np.full(along.shape, x), along, up], axis=-1).reshape(-1, 3) for x in np.arange(-2.0, 4.0, 0.1)]
+    wall = np.unique(keys_of_points(np.concatenate(walls), 0.05))
+    table = np.setdiff1d(level(0.76, 1.5), wall)
+    seen = space(structure=np.union1d(table, wall), floor_z_m=0.76)
+    record = as_record(after(seen, seen, space(floor_z_m=0.0)))
+    assert record.structure.tolist() == wall.tolist()
+
+
 def test_what_is_withdrawn_with_a_false_floor_is_free_again_where_rays_had_passed() -> None:
     table, wall = level(0.76, 1.0), level(1.6, 1.0)
     state = after(

@@ -86,3 +86,22 @@ def test_the_floor_of_uneven_ground_is_the_middle_of_what_is_seen_of_it():
     pavement = Block(low=(-0.9, -9.0, -1.0), high=(9.0, 9.0, 0.13), color=GREY)
     room, _, _ = seen([floor(), pavement])
     assert room.floor_z_m == pytest.approx(0.13, abs=0.02)
+
+
+def test_of_a_level_that_was_ground_before_a_corner_in_view_is_enough():
+    kerb = Block(low=(0.2, 0.35, -1.0), high=(2.0, 0.95, 0.13), color=GREY)
+    pavement = Block(low=(-9.0, -9.0, -1.0), high=(-0.6, 9.0, 0.14), color=GREY)
+    room, ids, surface = seen([floor(), kerb, pavement], start=(-2.4, -0.2, 1.54))
+    assert share(room, ids, 1) < 0.5, "alone it has no room to stand"
+    known = (ids == 1) & np.isfinite(surface.depth_m)
+    found = uneven_ground(surface, known, room.floor_z_m, GroundConfig(), below_camera_m=0.25, least_m2=0.25)
+    assert np.median(np.abs(found.height_m[known])) < 0.02
+
+
+@pytest.mark.parametrize("edge_m", [0.30, 0.34, 0.37, 0.41, 0.45])
+def test_the_face_of_a_kerb_is_ground_wherever_it_lies_in_the_cells_of_the_grid(edge_m):
+    pavement = Block(low=(edge_m, -9.0, -1.0), high=(9.0, 9.0, 0.14), color=GREY)
+    room, _, surface = seen([floor(), pavement])
+    face = np.abs(surface.points_world[..., 0] - edge_m) < 0.02
+    assert face.sum() > 100
+    assert room.shown[face].mean() > 0.98
