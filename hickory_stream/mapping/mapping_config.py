@@ -14,7 +14,6 @@ from hickory_stream.mapping.split_candidates import TrackSplitConfig
 from hickory_stream.mapping.submaps import SubmapConfig
 from hickory_stream.mapping.track import TrackConfig
 from hickory_stream.mapping.track_merging import MergeConfig
-from hickory_stream.mapping.unsupported import UnsupportedConfig
 from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.ranges import Ranged
 
@@ -33,5 +32,4 @@ class MappingConfig(Ranged):
     views: ViewConfig = field(default_factory=ViewConfig)
     requests: RequestConfig = field(default_factory=RequestConfig)
     flush: FlushConfig = field(default_factory=FlushConfig)
-    unsupported: UnsupportedConfig = field(default_factory=UnsupportedConfig)
     submaps: SubmapConfig = field(default_factory=SubmapConfig)
