@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import TYPE_CHECKING
 
 import cv2
@@ -10,16 +11,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.testing import SCENE_BOXES, SCENE_CAMERA, cast_scene, scene_pose
+from hickory_stream.testing import SCENE_BOXES, SCENE_CAMERA, SceneBox, cast_scene
+from tests.mapping.test_bad_gravity import AROUND_THE_TABLE, CIRCLE, LEG, ON_TABLE, OVER_THE_TABLE, TABLE
 from tests.test_cli import run
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
-_FRAMES = 14
+    from tests.mapping.test_bad_gravity import Pose
 
 
-def log_of(folder: Path, tilt_deg: float) -> Path:
+def log_of(
+    folder: Path, tilt_deg: float, boxes: Sequence[SceneBox] = SCENE_BOXES, poses_of: Sequence[Pose] = CIRCLE
+) -> Path:
     """Write a folder in the layout of TUM whose poses are tilted by so much about x."""
     angle = np.radians(tilt_deg)
     rotation = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
@@ -29,9 +34,9 @@ def log_of(folder: Path, tilt_deg: float) -> Path:
     for name in images:
         (folder / name).mkdir(parents=True)
     np.savetxt(folder / "camera-intrinsics.txt", SCENE_CAMERA.K)
-    for i in range(_FRAMES):
-        stem, pose = f"{1000 + 0.5 * i:.6f}", scene_pose(i)
-        rgb, depth_m, _ = cast_scene(SCENE_BOXES, SCENE_CAMERA, pose)
+    for i, pose in enumerate(poses_of):
+        stem = f"{1000 + 0.5 * i:.6f}"
+        rgb, depth_m, _ = cast_scene(boxes, SCENE_CAMERA, pose)
         units = np.nan_to_num(np.where(depth_m < 5.0, depth_m, 0.0) * 5000.0).round().astype(np.uint16)
         for name, image in (("rgb", rgb[..., ::-1]), ("depth", units)):
             cv2.imwrite(str(folder / name / f"{stem}.png"), image)
@@ -53,16 +58,21 @@ def test_a_log_whose_gravity_is_off_is_mapped_and_play_inspect_and_doctor_say_so
     assert ended.status == 0, ended.stderr
     assert "the floor is tilted by 2.0 degrees against gravity" in ended.stderr
     assert ended.stdout.startswith(f"{out}: 3 objects")
-    assert "the floor is tilted by 2.0 degrees" in run("inspect", out).stdout
     assert json.loads(run("inspect", out, "--json").stdout)["notes"][0].startswith("the floor is tilted by 2.0 degrees")
     examined = json.loads(run("doctor", folder, "--json").stdout)
     assert any("the floor is tilted by 2.0 degrees" in note for note in examined["notes"])
 
 
-def test_a_log_that_stands_on_its_head_is_mapped_and_told_to_have_no_floor(coarse_config: Path, tmp_path: Path) -> None:
-    folder, out = log_of(tmp_path / "log", 180.0), tmp_path / "map"
-    ended = run("play", folder, "--out", out, "--config", coarse_config, "--viewer", "none", "--json")
+def test_explain_says_that_what_was_the_floor_is_a_table(coarse_config: Path, tmp_path: Path) -> None:
+    boxes, poses = (TABLE, LEG, *ON_TABLE), [*OVER_THE_TABLE[::3], *AROUND_THE_TABLE[:2]]
+    folder, out = log_of(tmp_path / "log", 0.0, boxes, poses), tmp_path / "map"
+    ended = run("play", folder, "--out", out, "--config", coarse_config, "--viewer", "none")
     assert ended.status == 0, ended.stderr
-    (note,) = json.loads(ended.stdout.splitlines()[-1])["notes"]
-    assert "no floor was seen" in note
-    assert "see whether the poses have z upwards" in run("doctor", folder).stdout
+    told = run("explain", out, "--point=0.6,0.6,0.72").stdout
+    assert re.search(r"frame \d+: a floor is seen at -?0\.0. m: what was taken for it, at 0\.72 m, is a table", told)
+
+
+def test_doctor_says_of_a_log_that_stands_on_its_head_that_no_floor_is_in_view(tmp_path: Path) -> None:
+    told = run("doctor", log_of(tmp_path / "log", 180.0)).stdout
+    assert "shows a floor below the camera" in told
+    assert "see whether the poses have z upwards" in told

@@ -57,7 +57,8 @@ class AskedPixel:
 class PlaceStory:
     """The fate of a place: `point_m` in the map's world, None where a pixel has none.
 
-    `num_looking` of `num_keyframes` keyframes have it in the image; `verdict` is the answer in a sentence.
+    `num_looking` of `num_keyframes` keyframes have it in the image; `verdict` is the answer in a sentence. Each of
+    `floor_changes` says in which frame the map's floor became another one, and why.
     """
 
     point_m: tuple[float, float, float] | None
@@ -69,6 +70,7 @@ class PlaceStory:
     tracks: tuple[TrackStory, ...]
     stretches: tuple[Stretch, ...]
     sightings: tuple[PlaceSighting, ...]
+    floor_changes: tuple[str, ...] = ()
 
 
 def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel | None = None) -> PlaceStory:
@@ -78,12 +80,14 @@ def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel
         MapFolderError: there is no map or no journal, or it is damaged or of another version.
     """
     final, config = final_snapshot(path), told_config(path)
-    book, sightings, num_keyframes = TrackHistories(), [], 0
+    book, sightings, floor_changes, num_keyframes = TrackHistories(), [], [], 0
     for step in recorded_steps(path, final):
         keyframe = step.keyframe
         book.add(None if keyframe is None else keyframe.observed.frame_index, step.decisions)
         if keyframe is not None:
             num_keyframes += 1
+            changes = [decision.text for decision in step.decisions if decision.kind == "floor"]
+            floor_changes += [f"frame {keyframe.observed.frame_index}: {text}" for text in changes]
             sighting = sighting_of(keyframe, point_map, config, book)
             if sighting is not None:
                 sightings.append(sighting)
@@ -100,6 +104,7 @@ def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel
         tracks=tuple(track_story(book.by_id[i], book.final(i)) for i in tracks),
         stretches=stretches_of((s.frame, s.text) for s in sightings),
         sightings=tuple(sightings),
+        floor_changes=tuple(floor_changes),
     )
 
 

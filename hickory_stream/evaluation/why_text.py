@@ -62,7 +62,8 @@ def place_text(story: PlaceStory) -> str:
         lines.append(f"at ({', '.join(f'{value:.2f}' for value in story.point_m)}) m: {story.verdict}")
     else:
         lines.append(story.verdict)
-    return "\n".join([*lines, *_history(story.tracks, story.stretches)])
+    floor = ["", "the floor:", *(f"  {change}" for change in story.floor_changes)] if story.floor_changes else []
+    return "\n".join([*lines, *_history(story.tracks, story.stretches), *floor])
 
 
 def _history(tracks: Sequence[TrackStory], stretches: Sequence[Stretch]) -> list[str]:
