@@ -37,7 +37,7 @@ TUNED = ("home", "bookstore")
 OWN = (24, 30)
 _BY = 0.2
 _KNIFE_EDGE = 0.02
-# Perception is done again for each of its numbers: on every second keyframe.
+# For each of the numbers on every second keyframe: there are hundreds of changes.
 _STEP = 2
 # What perception reads of the map: a change of it changes what is perceived.
 _READ_BY_PERCEPTION = ("mapping.lattice.", "mapping/observed_space.py")
@@ -210,7 +210,7 @@ def _measured(
             if not missing or kept.is_time_up:
                 continue
             print(f"{part}: {name}, {len(missing)} changes", flush=True)
-            played = RuleLog(log(), config, _STEP if part == "perception" else 1)
+            played = RuleLog(log(), config, 1 if part == "rules" else _STEP)
             if name not in measured[_BASELINE]:
                 measured[_BASELINE][name] = played.baseline
                 kept.add(change=_BASELINE, log=name, counts=asdict(played.baseline))
