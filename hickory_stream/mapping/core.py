@@ -387,6 +387,11 @@ class MapperCore:
         part = " as a part" if match.is_part else ""
         foreign, covered = foreign_points(seen, track, self._neighbors(track, observation), self._config.merge)
         left = f"; {foreign.mean():.0%} of it lies on others and is left out" if foreign.any() else ""
+        left += (
+            "; this frame alone has it as one with another mask, the map does not"
+            if _is_cut(event, observation)
+            else ""
+        )
         text = f"mask {observation.box_px}{part}: {how}; candidates by IoU: {others}{left}"
         self._decide("associate", track.id, text, observation_index=observation.index)
         track = replace(
@@ -756,6 +761,11 @@ class MapperCore:
         ]
         saved = 1.0 - self._num_features / self._num_masks if self._num_masks else 0.0
         return (*counts, ("core/features_saved", saved), *scores)
+
+
+def _is_cut(event: FrameObserved, observation: Observation) -> bool:
+    """Return whether the frame by itself has an observation as one with another, from which the map's prior cut it."""
+    return observation.group > 0 and sum(other.group == observation.group for other in event.observations) > 1
 
 
 def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:

@@ -290,7 +290,9 @@ def test_what_only_the_map_holds_apart_was_seen_together() -> None:
     cut = [replace(observation(0, LEFT), group=1), replace(observation(1, RIGHT), group=1)]
     core = MapperCore(CONFIG)
     drive(core, [frame(i, observation(0, LEFT), observation(1, RIGHT)) for i in range(2)])
-    drive(core, [frame(2 + i, *cut) for i in range(3)])
+    effects = drive(core, [frame(2 + i, *cut) for i in range(3)])
+    told = [d.text for e in effects if isinstance(e, Publish) for d in e.decisions if d.kind == "associate"]
+    assert all("this frame alone has it as one with another mask" in text for text in told)
     (one,) = core.snapshot().objects
     assert (one.id, one.merged_ids) == (1, (2,))
 
