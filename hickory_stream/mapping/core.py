@@ -31,6 +31,16 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.mapping.absorbed import (
+    Absorbed,
+    after_merge,
+    after_split,
+    recalled,
+    restored,
+    views_of,
+    without_lost_views,
+    without_views_of,
+)
 from hickory_stream.mapping.associate import Match, associate, is_swollen
 from hickory_stream.mapping.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
 from hickory_stream.mapping.existence import Existence, doubted, no_evidence, sighted
@@ -129,6 +139,7 @@ class MapperCore:
         self._tracks: dict[int, Track] = {}
         self._votes = VoteBook()
         self._split_candidates: SplitCandidates = {}
+        self._absorbed: Absorbed = {}
         self._submaps = first_submap(config.lattice.space_m)
         self._clock_ns = 0
         self._stamp_ns: int | None = None
@@ -191,8 +202,9 @@ class MapperCore:
         return core
 
     def view_names(self) -> set[str]:
-        """Return the names of the views that the map has."""
-        return {view.name for track in self._tracks.values() for view in track.views}
+        """Return the names of the views that the map has, or would have again after a split."""
+        own = {view.name for track in self._tracks.values() for view in track.views}
+        return own.union(views_of(self._absorbed))
 
     def going_on_after(self, later: MapperCore, lost_views: Collection[str]) -> MapperCore:
         """Return a core with this one's map that goes on after a later one was left.
@@ -209,6 +221,7 @@ class MapperCore:
         for track_id, track in self._tracks.items():
             if not lost.isdisjoint(view.name for view in track.views):
                 core._tracks[track_id] = without_views(track, lost)
+        core._absorbed = without_lost_views(core._absorbed, lost)
         return core
 
     def snapshot(self) -> MapSnapshot:
@@ -503,9 +516,20 @@ class MapperCore:
         self._next_id += 1
         self._votes = votes
         # Its points were the host's, so that they lie in the same submap.
-        self._tracks[host_id] = left
-        self._tracks[new.id] = replace(new, is_promoted=True, submap_id=host.submap_id)
+        new = replace(new, is_promoted=True, submap_id=host.submap_id)
         text = f"seen apart from #{host_id} in {num_apart} keyframes, as one in {candidate.together}"
+        same_share, voxel_m = self._config.split.same_share, self._config.lattice.points_m
+        before = recalled(self._absorbed, host_id, cloud, same_share)
+        if before is None and (before := recalled(self._absorbed, host_id, left.solid, same_share)) is not None:
+            # The part is what the host was before, and the rest of it is what was merged into it.
+            rest_of_host = left.cloud
+            left, new = with_cloud(host, cloud, num_apart, voxel_m), with_cloud(new, rest_of_host, num_apart, voxel_m)
+        if before is not None:
+            self._absorbed = after_split(self._absorbed, host_id, before)
+            new, left = restored(new, before), without_views_of(left, before)
+            text += f"; it was #{before.id} before that was merged"
+        self._tracks[host_id] = left
+        self._tracks[new.id] = new
         self._decide("split", new.id, text, other_id=host_id)
         return new.id
 
@@ -562,6 +586,7 @@ class MapperCore:
         self._tracks[kept_id] = merge(kept, gone, self._config.lattice.points_m, self._config.views)
         self._votes = self._votes.merged(kept_id, gone_id)
         self._split_candidates = reassigned(self._split_candidates, kept_id, gone_id)
+        self._absorbed = after_merge(self._absorbed, kept_id, gone)
         self._shown.pop(gone_id, None)
         self._decide("merge", kept_id, f"#{gone_id} is the same: {reason}", other_id=gone_id)
         open_ticket = gone.shape_state.open_ticket
@@ -610,6 +635,7 @@ class MapperCore:
         self._shown.pop(track.id, None)
         self._votes = self._votes.without(track.id)
         self._split_candidates.pop(track.id, None)
+        self._absorbed.pop(track.id, None)
         self._decide("drop", track.id, f"{reason or cause}, after {track.sightings} sightings", cause=cause)
         ticket = track.shape_state.open_ticket
         return [] if ticket is None else [CancelShape(ticket=ticket)]
@@ -665,7 +691,7 @@ class MapperCore:
         return view if wins else None
 
     def _drop_views(self) -> list[Effect]:
-        used = {view.name for track in self._tracks.values() for view in track.views}
+        used = self.view_names()
         gone = sorted(self._kept_views - used)
         self._kept_views &= used
         return [DropView(name=name) for name in gone]
@@ -722,6 +748,7 @@ class MapperCore:
             track = self._tracks[track_id]
             if track.phase is Phase.TENTATIVE:
                 effects += self._drop_track(track, "never confirmed")
+        self._absorbed = {}  # nothing splits any more
         effects += [*self._request_shapes(is_final=True), *self._drop_views()]
         decisions, self._decisions = tuple(self._decisions), []
         return [*effects, Publish(snapshot=self.snapshot(), decisions=decisions, metrics=self._metrics())]

@@ -297,6 +297,25 @@ def test_what_only_the_map_holds_apart_was_seen_together() -> None:
     assert (one.id, one.merged_ids) == (1, (2,))
 
 
+def test_halves_that_a_merge_made_one_by_mistake_are_two_again_with_their_histories() -> None:
+    core = MapperCore(CONFIG)
+    drive(core, [frame(i, observation(0, LEFT), observation(1, RIGHT)) for i in range(3)])
+    before = by_id(core.snapshot())[2]
+    drive(core, [frame(3 + i, observation(0, WHOLE)) for i in range(4)])
+    assert [tracked.id for tracked in core.snapshot().objects] == [1]
+    effects = drive(core, [frame(7 + i, observation(0, LEFT), observation(1, RIGHT)) for i in range(12)])
+    left, again = core.snapshot().objects
+    (split,) = (d for e in effects if isinstance(e, Publish) for d in e.decisions if d.kind == "split")
+    assert "it was #2 before that was merged" in split.text
+    assert (left.id, again.id) == (1, split.object_id)
+    assert again.first_seen_ns == before.first_seen_ns == 0
+    assert {view.name for view in before.views} <= {view.name for view in again.views}
+    assert {view.object_id for view in again.views} == {again.id}
+    assert not {view.name for view in left.views} & {view.name for view in again.views}
+    assert np.allclose(left.box.center, LEFT.mean(axis=0), atol=0.01)
+    assert np.allclose(again.box.center, RIGHT.mean(axis=0), atol=0.01)
+
+
 def test_small_things_that_touch_and_are_always_seen_apart_stay_two() -> None:
     # Five voxels wide: what is within a voxel of the other is a large share of them, and no vote all the same.
     left, right = (box_surface((x, 0, 0.05), (0.1, 0.1, 0.1)) for x in (0, 0.1))
