@@ -20,12 +20,14 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
 
 _SAME_FLOOR_M = 0.15
-# Four voxels of the default lattice of points: what is nearer may touch, for all that depth tells.
-_NEAR_M = 0.04
+_BESIDE_M = 0.04
+_LEG_BESIDE_M = 0.08
 _THIN_LEG = 0.04
 _MIN_POINTS = 10
 _INSIDE, _MOST_OF_IT = 0.8, 0.3
 _WAS_INSIDE, _WAS_MOST_OF_IT = 0.55, 0.5
+_FOOT_CELL_M = 0.02
+_RING_M = 0.04
 _RISE_M = 0.025
 _CORNER_M = 0.06
 _OUTLIERS_PCT = (2, 98)
@@ -45,7 +47,7 @@ def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float
     top = float(small.bounds[1, 2])
     # A thin leg may stand slightly outside of the visible part of the seat.
     is_thin = size[0] * size[1] < _THIN_LEG * 4 * float(np.prod(large.box.half_extents_m[:2]))
-    beside_m = 2 * _NEAR_M if is_thin else 0.0
+    beside_m = _LEG_BESIDE_M if is_thin else 0.0
     above = large.solid.points[small.box.is_over_or_under(large.solid.points, beside_m)]
     above = above[(above[:, 2] > top - 0.05) & (above[:, 2] < top + max_gap_m)]
     return len(above) >= _MIN_POINTS
@@ -62,7 +64,7 @@ def is_on_foot(upper: Track, lower: Track) -> bool:
     if not -0.2 < low - top < 0.2 or low - base < 0.1:
         return False
     foot = points[points[:, 2] < low + max(0.03, 0.15 * (high - low))]
-    if len(foot) < _MIN_POINTS or float(lower.box.is_over_or_under(foot, _NEAR_M).mean()) < 0.7:
+    if len(foot) < _MIN_POINTS or float(lower.box.is_over_or_under(foot, _BESIDE_M).mean()) < 0.7:
         return False
     # A pot rests on a counter, but does not cover it as a seat covers its foot.
     if float(upper.box.is_over_or_under(lower.solid.points, _CORNER_M).mean()) < 0.8:
@@ -80,7 +82,7 @@ def is_inner_part(small: Track, large: Track, others: Iterable[Track], *, was_on
     inside, most = (_WAS_INSIDE, _WAS_MOST_OF_IT) if was_one else (_INSIDE, _MOST_OF_IT)
     if small.box.volume_m3 > most * large.box.volume_m3:
         return False
-    if intersection_volume_m3(small.box, large.box.grown(_NEAR_M / 2)) < inside * small.box.volume_m3:
+    if intersection_volume_m3(small.box, large.box.grown(0.02)) < inside * small.box.volume_m3:
         return False
     return not any(_stands_on(small, support) for support in (large, *others))
 
@@ -91,15 +93,14 @@ def _stands_on(small: Track, large: Track) -> bool:
     The smaller one occludes the surface right below it. What does not rise above that surface does not rest on it.
     """
     low, high = _ends_m(small.solid)
-    around = large.solid.points[small.box.is_over_or_under(large.solid.points, _NEAR_M)]
-    around = around[(around[:, 2] > low - _NEAR_M) & (around[:, 2] < low + _NEAR_M / 2)]
+    around = large.solid.points[small.box.is_over_or_under(large.solid.points, _RING_M)]
+    around = around[(around[:, 2] > low - 0.04) & (around[:, 2] < low + 0.02)]
     if len(around) < _MIN_POINTS or high - float(np.median(around[:, 2])) < _RISE_M:
         return False
-    cell_m = _NEAR_M / 2
-    cells = np.unique(np.floor(around[:, :2] / cell_m), axis=0)
+    cells = np.unique(np.floor(around[:, :2] / _FOOT_CELL_M), axis=0)
     x, y = 2 * small.box.half_extents_m[:2]
-    ring = 2 * _NEAR_M * float(x + y + 2 * _NEAR_M)
-    return len(cells) * cell_m * cell_m > 0.2 * ring
+    ring = 2 * _RING_M * float(x + y + 2 * _RING_M)
+    return len(cells) * _FOOT_CELL_M * _FOOT_CELL_M > 0.2 * ring
 
 
 _ENDS_M: WeakKeyDictionary[Cloud, tuple[float, float]] = WeakKeyDictionary()
