@@ -39,6 +39,7 @@ _MOVED = {
     "perception.geometric.join.hidden": ("perception.geometric.join.bridging", "its new name"),
     "perception.masks.hidden_share": ("perception.masks.occluded_share", "its new name"),
     "mapping.parts": ("mapping.split", "its new name"),
+    "mapping.floating": ("mapping.unsupported", "its new name"),
 }
 """Keys of earlier versions: what to set instead, and why."""
 
@@ -47,8 +48,6 @@ _SEEN = "what is filled follows from what was seen around it"
 _GONE = {
     "perception.map_guided_merge": "masks are made without the map's objects",
     "perception.known": "masks are made without the map's objects",
-    "mapping.unsupported": "what seems to float is an object of its own",
-    "mapping.floating": "what seems to float is an object of its own",
     **dict.fromkeys(
         (
             f"perception.affinities.{name}"

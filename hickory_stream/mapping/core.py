@@ -96,6 +96,7 @@ from hickory_stream.mapping.track_merging import (
     pairs_that_meet,
     why_one,
 )
+from hickory_stream.mapping.unsupported import attachment_of
 from hickory_stream.mapping.views import better, covers_better, score, score_bound, sector_of, view_of
 from hickory_stream.records import Decision, MapPrior, MapSnapshot, Phase, Submap, View
 
@@ -110,6 +111,7 @@ if TYPE_CHECKING:
     Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 
 
+_UNSUPPORTED = "unsupported but for this one, which it touches"
 # An observation may be under-segmented with the tracks of the best IoU; those that it barely overlaps do not count.
 _MOST_DOUBTED = 4
 # Given, or made anew from the rest.
@@ -508,10 +510,8 @@ class MapperCore:
         votes = self._votes.plus([pair], apart=num_apart).plus([pair], together=candidate.together)
         small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
         near = touching(new.bounds, [self._tracks[i] for i in sorted(self._tracks) if i != host_id])
-        if (
-            is_inner_part(small, large, near, was_one=True)
-            or why_one(left, new, near, votes, self._config.merge) is not None
-        ):
+        belongs = is_inner_part(small, large, near, inside=0.55, max_volume=0.5, was_one=True)
+        if belongs or why_one(left, new, near, votes, self._config.merge) is not None:
             return None
         self._next_id += 1
         self._votes = votes
@@ -616,11 +616,21 @@ class MapperCore:
                 effects += self._drop_track(track, "looked through" if track.seen_through else "never confirmed")
                 continue
             if is_judged and phase is Phase.DORMANT and track.phase is Phase.ACTIVE:
+                if (host := self._attachment_of(track)) is not None:
+                    effects += self._unite(host.id, track_id, _UNSUPPORTED)
+                    continue
                 track = self._without_wall(track)
             if phase is not track.phase:
                 self._decide("phase", track_id, f"{track.phase} -> {phase} after {track.sightings} sightings")
             self._tracks[track_id] = sketched(aged(track, phase), self._config.track)
         return effects
+
+    def _attachment_of(self, track: Track) -> Track | None:
+        """Return the track that an unsupported track is attached to; None if it is supported, or near nothing."""
+        if self._associator is not None:
+            return None
+        others = (o for o in self._tracks.values() if o.phase is not Phase.TENTATIVE and self._is_judged(o))
+        return attachment_of(track, others, self._submaps.space, self._config.unsupported)
 
     def _without_wall(self, track: Track) -> Track:
         """Return a track without its points in structure, if these are more than a narrow strip along a wall."""
@@ -748,6 +758,8 @@ class MapperCore:
             track = self._tracks[track_id]
             if track.phase is Phase.TENTATIVE:
                 effects += self._drop_track(track, "never confirmed")
+            elif self._is_judged(track) and (host := self._attachment_of(track)) is not None:
+                effects += self._unite(host.id, track_id, _UNSUPPORTED)
         self._absorbed = {}  # nothing splits any more
         effects += [*self._request_shapes(is_final=True), *self._drop_views()]
         decisions, self._decisions = tuple(self._decisions), []

@@ -14,6 +14,7 @@ from hickory_stream.mapping.split_candidates import TrackSplitConfig
 from hickory_stream.mapping.submaps import SubmapConfig
 from hickory_stream.mapping.track import TrackConfig
 from hickory_stream.mapping.track_merging import MergeConfig
+from hickory_stream.mapping.unsupported import UnsupportedConfig
 from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.ranges import Ranged
 
@@ -32,4 +33,5 @@ class MappingConfig(Ranged):
     views: ViewConfig = field(default_factory=ViewConfig)
     requests: RequestConfig = field(default_factory=RequestConfig)
     flush: FlushConfig = field(default_factory=FlushConfig)
+    unsupported: UnsupportedConfig = field(default_factory=UnsupportedConfig)
     submaps: SubmapConfig = field(default_factory=SubmapConfig)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.rigid import apply, invert
@@ -324,6 +325,15 @@ def is_edge(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
     centers = _structure_around(state, box, config.edge_reach_m)
     distances_m = np.linalg.norm(axis[:, None] - centers[None], axis=2).min(axis=1, initial=np.inf)
     return float((distances_m < config.edge_reach_m).mean()) > config.edge_share
+
+
+def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float32], reach_m: float) -> bool:
+    """Return whether structure lies within `reach_m` of at least a tenth of an object's (N, 3) points."""
+    centers = _structure_around(state, box, reach_m)
+    if len(centers) == 0:
+        return False
+    distances_m, _ = cKDTree(centers).query(points[:: max(1, len(points) // 400)], distance_upper_bound=reach_m)
+    return float(np.isfinite(distances_m).mean()) > 0.1
 
 
 def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> NDArray[np.float32]:

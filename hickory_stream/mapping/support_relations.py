@@ -1,4 +1,4 @@
-"""Support relations that make two tracks one object: what carries another one, alone or as one of several legs.
+"""Support relations that make two tracks one object: a leg under its table, a plant in its pot, a panel in its desk.
 
 As long as their contact is occluded, the segmenter sees two masks, so that neither the overlap of their clouds nor the
 votes of keyframes merge the two. How one supports the other does.
@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
+from hickory_stream.mapping.cloud import is_near
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from numpy.typing import NDArray
 
     from hickory_stream.mapping.cloud import Cloud
     from hickory_stream.mapping.track import Track
@@ -24,12 +28,16 @@ _BESIDE_M = 0.04
 _LEG_BESIDE_M = 0.08
 _THIN_LEG = 0.04
 _MIN_POINTS = 10
-_INSIDE, _MOST_OF_IT = 0.8, 0.3
-_WAS_INSIDE, _WAS_MOST_OF_IT = 0.55, 0.5
+_TOUCH_SHARE = 0.03
+_SAMPLE = 600
+_PANEL_M = (0.1, 0.2, 0.4)
+_PANEL_GAP_M = 0.05
 _FOOT_CELL_M = 0.02
 _RING_M = 0.04
 _RISE_M = 0.025
 _CORNER_M = 0.06
+_COVER_CELL_M = 0.04
+_COVERED = 0.4
 _OUTLIERS_PCT = (2, 98)
 
 
@@ -50,7 +58,33 @@ def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float
     beside_m = _LEG_BESIDE_M if is_thin else 0.0
     above = large.solid.points[small.box.is_over_or_under(large.solid.points, beside_m)]
     above = above[(above[:, 2] > top - 0.05) & (above[:, 2] < top + max_gap_m)]
-    return len(above) >= _MIN_POINTS
+    if len(above) < _MIN_POINTS:
+        return False
+    # A thick leg must be covered by a board: a speaker beside a shelf only has the side of the shelf above its edge.
+    return is_thin or _covered_share(small, above) >= _COVERED
+
+
+def _covered_share(track: Track, above: NDArray[np.float32]) -> float:
+    """Return the share of a track's footprint that has points above it."""
+    plan, cover = (
+        {(i, j) for i, j in np.floor(points[:, :2] / _COVER_CELL_M).astype(np.int64).tolist()}
+        for points in (track.solid.points, above)
+    )
+    return len(plan & cover) / len(plan)
+
+
+def stands_in(large: Track, small: Track) -> bool:
+    """Return whether the larger track is supported by the smaller one alone: a plant in its pot.
+
+    The smaller box is mostly inside the larger one, and the lowest points of the larger track are over or under the
+    smaller one. A bin under a desk is inside the desk's box, too, but the desk also has legs elsewhere.
+    """
+    if intersection_volume_m3(small.box, large.box) < 0.6 * small.box.volume_m3:
+        return False
+    points = large.solid.points
+    low, high = float(large.bounds[0, 2]), float(large.bounds[1, 2])
+    foot = points[points[:, 2] < low + 0.15 * (high - low)]
+    return len(foot) >= _MIN_POINTS and float(small.box.is_over_or_under(foot, _BESIDE_M).mean()) > 0.7
 
 
 def is_on_foot(upper: Track, lower: Track) -> bool:
@@ -72,19 +106,52 @@ def is_on_foot(upper: Track, lower: Track) -> bool:
     return not _stands_on(upper, lower)
 
 
-def is_inner_part(small: Track, large: Track, others: Iterable[Track], *, was_one: bool = False) -> bool:
-    """Return whether the smaller of two tracks that touch is part of the larger one.
+def is_inner_part(
+    small: Track,
+    large: Track,
+    others: Iterable[Track] = (),
+    *,
+    inside: float = 0.8,
+    max_volume: float = 0.3,
+    was_one: bool = False,
+) -> bool:
+    """Return whether the smaller track is part of the larger one: inside its box, touching it, and resting on nothing.
 
-    It is inside the larger one's box and rests on nothing: the panel of a desk, the board of a shelf. What is in a
-    shelf rests on a board; a mug rests on the table, one of the `others`, although it is inside the box of a chair that
-    is pushed under the table. Where their points `was_one` track's, less of it need be inside.
+    The panel of a desk, the board of a shelf, the foot of a chair. An object in a shelf rests on a board, and one under
+    a desk does not touch it. A mug rests on the table, one of the `others`, although it is inside the box of a chair
+    that is pushed under the table. `was_one`: their points were of one track, so that they touch. A panel may touch
+    across a wider gap, since depth at its edges is less complete than on its face.
     """
-    inside, most = (_WAS_INSIDE, _WAS_MOST_OF_IT) if was_one else (_INSIDE, _MOST_OF_IT)
-    if small.box.volume_m3 > most * large.box.volume_m3:
+    box = large.box.grown(0.02)
+    if small.box.volume_m3 > max_volume * large.box.volume_m3:
         return False
-    if intersection_volume_m3(small.box, large.box.grown(0.02)) < inside * small.box.volume_m3:
+    if intersection_volume_m3(small.box, box) < inside * small.box.volume_m3:
         return False
+    if not was_one:
+        touching = _touches_across(small, large, _PANEL_GAP_M) if is_panel(small) else _touches(small, large)
+        if not touching:
+            return False
     return not any(_stands_on(small, support) for support in (large, *others))
+
+
+def is_panel(track: Track) -> bool:
+    """Return whether a track is a thin board of the size of furniture panels, larger than a book."""
+    thin, width, length = sorted(2 * track.box.half_extents_m)
+    return bool(thin < _PANEL_M[0] and width > _PANEL_M[1] and length > _PANEL_M[2])
+
+
+def _touches(small: Track, large: Track) -> bool:
+    keys = small.solid.keys[:: max(1, len(small.solid.keys) // _SAMPLE)]
+    return float(is_near(keys, large.solid).mean()) >= _TOUCH_SHARE
+
+
+def _touches_across(small: Track, large: Track, gap_m: float) -> bool:
+    points = small.solid.points[:: max(1, len(small.solid.points) // _SAMPLE)]
+    around = large.solid.points[small.box.grown(gap_m).contains(large.solid.points)]
+    if len(around) == 0:
+        return False
+    distances_m, _ = cKDTree(around).query(points, distance_upper_bound=gap_m)
+    return float(np.isfinite(distances_m).mean()) >= _TOUCH_SHARE
 
 
 def _stands_on(small: Track, large: Track) -> bool:

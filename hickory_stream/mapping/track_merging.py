@@ -16,7 +16,7 @@ from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.existence import united
-from hickory_stream.mapping.support_relations import is_inner_part, is_leg, is_on_foot
+from hickory_stream.mapping.support_relations import is_inner_part, is_leg, is_on_foot, stands_in
 from hickory_stream.mapping.track import Track, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 from hickory_stream.ranges import Ranged, number
@@ -205,7 +205,9 @@ def why_one(a: Track, b: Track, near: Sequence[Track], book: VoteBook, config: M
     if min(a.sightings, b.sightings) >= config.min_votes:
         if not less.is_promoted and is_leg(less, more):
             return "the smaller stands under the larger like a leg"
+        if not less.is_promoted and stands_in(more, less):
+            return "the larger stands in the smaller"
         others = [track for track in near if track.id not in (a.id, b.id)]
-        if not less.is_promoted and share > 0 and is_inner_part(less, more, others):
+        if not less.is_promoted and is_inner_part(less, more, others):
             return "the smaller is a part inside the larger"
     return None

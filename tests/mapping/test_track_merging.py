@@ -109,6 +109,15 @@ def test_a_mug_on_a_table_is_not_the_table() -> None:
     assert found(VoteBook(), track(1, table), track(2, mug)) is None
 
 
+def test_what_stands_on_a_third_thing_is_no_part_of_the_one_around_it() -> None:
+    seat, back = box_surface((0, 0, 0.45), (0.4, 0.4, 0.04)), box_surface((0.19, 0, 0.75), (0.02, 0.4, 0.24))
+    chair = track(1, np.concatenate([seat, back]))
+    mug = track(2, box_surface((0.13, 0, 0.65), (0.08, 0.08, 0.1)))
+    table = track(3, box_surface((-0.3, 0, 0.575), (0.96, 1.0, 0.04)))
+    assert found(VoteBook(), chair, mug) == (1, 2)
+    assert found(VoteBook(), chair, mug, table) is None
+
+
 @pytest.mark.parametrize(
     ("together", "apart", "verdict"),
     [(2, 0, None), (3, 0, (1, 2)), (3, 2, (1, 2)), (3, 3, None), (3, 9, None), (10, 9, (1, 2)), (0, 0, None)],

@@ -63,6 +63,7 @@ NOT_DECIDING = {
     "mapping/observed_space.py:_NO_OBJECT": "a mark",
     "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
     "mapping/track.py:_BOX_POINTS": "how many points are looked at",
+    "mapping/support_relations.py:_SAMPLE": "how many points are looked at",
 }
 """Why a number decides nothing, by the beginning of its name."""
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from hickory_stream.mapping.support_relations import is_inner_part
 from hickory_stream.mapping.track_merging import Votes, foreign_points
 from tools.benchmarks.rule_constants import patched, with_number
 
@@ -73,6 +74,14 @@ def _all_pixels(depth: Any, inner: Any, *_: object) -> Any:
     return inner & (depth > 0)
 
 
+def _inner_part_where_merged(*given: Any, was_one: bool = False, **told: Any) -> bool:
+    return not was_one and is_inner_part(*given, **told)
+
+
+def _inner_part_where_split(*given: Any, was_one: bool = False, **told: Any) -> bool:
+    return was_one and is_inner_part(*given, was_one=True, **told)
+
+
 def _whole(*given: Any) -> Any:
     foreign, covered = foreign_points(*given)
     return np.zeros_like(foreign), covered
@@ -108,10 +117,15 @@ RULES = (
     _number("even if apart as often, if together often", ("mapping.merge.sure_votes", _NEVER)),
     _relation("the foot of a seat", "is_on_foot"),
     _relation("a leg under its table", "is_leg"),
+    _relation("a plant stands in its pot", "stands_in"),
+    _of_mapping("a part inside, touching", "support_relations", "is_inner_part", _inner_part_where_split),
+    _relation("a panel touches across a wider gap", "is_panel"),
     _relation("what rests on a surface is no part", "_stands_on"),
+    _of_mapping("a thick leg is covered by a board", "support_relations", "_covered_share", _always(1.0)),
+    _of_mapping("what floats free belongs to the nearest", "unsupported", "attachment_of", _always(None)),
     # One track that is two things.
     _number("a part seen apart is split off", ("mapping.split.min_apart", _NEVER)),
-    _relation("but no inner part", "is_inner_part"),
+    _of_mapping("but no inner part", "support_relations", "is_inner_part", _inner_part_where_merged),
     _number("nor a rim or a board", ("mapping.split.min_size_m", 0.0)),
     _of_mapping(
         "what was split off is no leg or part again",
