@@ -35,6 +35,8 @@ _MOVED = {
     "perception.space.voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
     "mapping.space_voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
     "perception.geometric.shades": ("perception.geometric.color_split", "its new name"),
+    "perception.geometric.hidden_area_px": ("perception.geometric.occluded_area_px", "its new name"),
+    "perception.geometric.hidden_share": ("perception.geometric.occluded_share", "its new name"),
     "perception.geometric.structure.relief": ("perception.geometric.structure.raised_patches", "its new name"),
     "perception.geometric.join.hidden": ("perception.geometric.join.bridging", "its new name"),
     "perception.masks.hidden_share": ("perception.masks.occluded_share", "its new name"),
@@ -56,18 +58,6 @@ _GONE = {
         _LEARNED,
     ),
     "perception.affinities.odds_shift": _LEARNED,
-    **dict.fromkeys(
-        (
-            f"perception.geometric.{name}"
-            for name in ("occluded_area_px", "occluded_share", "hidden_area_px", "hidden_share", "min_side_sigmas")
-        ),
-        "only masks with fewer than min_area_px working pixels are rejected",
-    ),
-    "perception.geometric.max_extent_m": "masks are rejected by the length of their box, perception.observe.max_box_m",
-    **dict.fromkeys(
-        (f"perception.geometric.join.bridging.{name}" for name in ("min_share", "other_lines")),
-        "perception.geometric.join.bridging.min_lines counts the lines of both planes",
-    ),
     "perception.affinities.structure_odds": "what is structure is seen by geometry",
     "perception.affinities.thing_odds": "what is structure is seen by geometry",
     **dict.fromkeys(

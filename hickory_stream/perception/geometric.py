@@ -16,7 +16,7 @@ from hickory_stream.perception.fragments import FragmentConfig, concave_creases,
 from hickory_stream.perception.join import JoinConfig, Joined, join_fragments
 from hickory_stream.perception.label_boxes import label_boxes
 from hickory_stream.perception.map_prior import fragment_owners
-from hickory_stream.perception.masks import enlarged, enlarged_mask
+from hickory_stream.perception.masks import enlarged, enlarged_mask, occluded_shares, why_no_object
 from hickory_stream.perception.room_structure import RoomStructure, room_structure_of
 from hickory_stream.perception.structure import StructureConfig
 from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
@@ -35,7 +35,12 @@ class GeometricConfig(Ranged):
     """The stages of the geometric segmenter, and which masks it rejects.
 
     Attributes:
-        min_area_px: masks with fewer working pixels are rejected.
+        min_area_px: masks with fewer working pixels are rejected ...
+        min_side_sigmas: ... and so are those whose area is less than a square with a side of so many sigmas of depth:
+            they cannot be told from noise.
+        occluded_area_px: a mask with fewer working pixels ...
+        occluded_share: ... and more of its outline than this behind nearer surfaces is rejected.
+        max_extent_m: longer masks are rejected as structure.
         support_area_m2: minimum visible area of a support plane ...
         support_area_px: ... and minimum number of working pixels of a connected region of it.
     """
@@ -46,6 +51,10 @@ class GeometricConfig(Ranged):
     color_split: ColorSplitConfig = field(default_factory=ColorSplitConfig)
     join: JoinConfig = field(default_factory=JoinConfig)
     min_area_px: int = number(16, 1, 1_000_000, "px")
+    min_side_sigmas: float = number(2.5, 0, 100, "sigmas")
+    occluded_area_px: int = number(720, 0, 1_000_000, "px")
+    occluded_share: float = number(0.6, 0, 1, "share")
+    max_extent_m: float = number(4.0, 0.01, 1000, "m")
     support_area_m2: float = number(0.03, 0, 1000, "m2")
     support_area_px: int = number(60, 1, 1_000_000, "px")
 
@@ -123,15 +132,50 @@ def _usable(
     """Return the labels of the masks worth lifting, renumbered, and the others with their reasons."""
     count = int(labels.max()) + 1
     pixels = np.bincount(labels.ravel(), minlength=count)
-    is_kept = pixels >= config.min_area_px
-    is_kept[0] = False
-    boxes = label_boxes(labels, count)
+    occluded = occluded_shares(surface.depth_m, labels, count)
+    keep = np.zeros(count, dtype=np.int32)
     rejected: list[RejectedMask] = []
-    for i in (np.flatnonzero(~is_kept[1:]) + 1).tolist():
-        x0, y0, x1, y1 = (int(v) * surface.factor for v in boxes[i])
-        u0, v0, u1, v1 = boxes[i]
-        mask = enlarged_mask(labels[v0:v1, u0:u1] == i, surface.factor, (x1 - x0, y1 - y0))
-        reason = f"{pixels[i]} working pixels, fewer than {config.min_area_px}"
-        rejected.append(RejectedMask(box_px=(x0, y0, x1, y1), reason=reason, mask=mask))
-    numbers = np.where(is_kept, np.cumsum(is_kept), 0).astype(np.int32)
-    return numbers[labels], tuple(rejected)
+    kept = 0
+    boxes = label_boxes(labels, count)
+    for i in range(1, count):
+        reason = _why_not(surface, labels, i, int(pixels[i]), float(occluded[i]), boxes[i], config)
+        if reason is None:
+            kept += 1
+            keep[i] = kept
+        else:
+            x0, y0, x1, y1 = (int(v) * surface.factor for v in boxes[i])
+            u0, v0, u1, v1 = boxes[i]
+            mask = enlarged_mask(labels[v0:v1, u0:u1] == i, surface.factor, (x1 - x0, y1 - y0))
+            rejected.append(RejectedMask(box_px=(x0, y0, x1, y1), reason=reason, mask=mask))
+    return keep[labels], tuple(rejected)
+
+
+def _why_not(
+    surface: Surface,
+    labels: NDArray[np.int32],
+    label: int,
+    pixels: int,
+    occluded: float,
+    box: NDArray[np.int64],
+    config: GeometricConfig,
+) -> str | None:
+    if pixels < config.min_area_px:
+        return f"{pixels} working pixels, fewer than {config.min_area_px}"
+    side_m, sigma_m = _side_and_sigma_m(surface, labels, label, pixels, box)
+    if side_m < config.min_side_sigmas * sigma_m:
+        return f"{100 * side_m:.1f} cm in a square, less than {config.min_side_sigmas:g} sigmas of depth"
+    if occluded > config.occluded_share and pixels < config.occluded_area_px:
+        return f"{occluded:.0%} of the outline is occluded by nearer surfaces"
+    return why_no_object(surface, labels, label, box, config.max_extent_m)
+
+
+def _side_and_sigma_m(
+    surface: Surface, labels: NDArray[np.int32], label: int, pixels: int, box: NDArray[np.int64]
+) -> tuple[float, float]:
+    """Return the side of a square that covers as much of the view as a mask does, and the sigma of depth, there."""
+    x0, y0, x1, y1 = box
+    inside = labels[y0:y1, x0:x1] == label
+    # Every pixel of a fragment has a depth.
+    depth_m = float(np.median(surface.depth_m[y0:y1, x0:x1][inside]))
+    sigma_m = float(np.median(surface.sigma_m[y0:y1, x0:x1][inside]))
+    return float(np.sqrt(pixels / (surface.camera.fx * surface.camera.fy))) * depth_m, sigma_m

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.perception.map_prior import MapPriorConfig
 from hickory_stream.perception.occlusion_bridging import BridgingConfig, is_bridged
 from hickory_stream.perception.odds_features import odds_features
@@ -184,7 +185,12 @@ def rounds(
         features |= odds_features(None if odds is None else odds.of_groups(numbers, len(names)), pairs, len(names))
         yield Round(numbers=numbers, pairs=pairs, features=features)
         # Certain, but too rare in the training data for the trees to learn it.
-        proven = is_bridged(features["bridged_level"], features["bridged_upright"], config.bridging)
+        proven = is_bridged(
+            features["bridged_level"],
+            features["bridged_upright"],
+            portable.exp(features["small_pixels"]),
+            config.bridging,
+        )
         likely = np.where(proven, 1.0, probabilities(features))
         if owners is not None:
             likely = owners.against(likely, pairs, numbers, len(names))

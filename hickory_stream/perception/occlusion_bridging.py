@@ -29,13 +29,16 @@ class BridgingConfig(Ranged):
     Attributes:
         gap_m: maximum length of the extrapolation.
         tolerance_m: maximum distance of a point from the plane, plus 3 sigma of depth.
-        min_lines: minimum number of rows and columns (every other one is scanned) that bridge a horizontal plane of two
-            regions, and of those that bridge a vertical one, for the two to be one object.
+        min_lines: minimum number of rows and columns (every other one is scanned) that bridge two regions ...
+        min_share: ... and the same as a share of the square root of the smaller region's pixels.
+        other_lines: minimum number of lines that bridge a horizontal plane, and of those that bridge a vertical one.
     """
 
     gap_m: float = number(0.5, 0, 100, "m")
     tolerance_m: float = number(0.006, 0, 10, "m")
-    min_lines: int = number(3, 0, 10_000, "lines")
+    min_lines: int = number(4, 0, 10_000, "lines")
+    min_share: float = number(0.12, 0, 1, "share")
+    other_lines: int = number(2, 0, 10_000, "lines")
 
 
 def bridges(surface: Surface, labels: NDArray[np.int32], config: BridgingConfig) -> NDArray[np.int64]:
@@ -56,12 +59,17 @@ def bridges(surface: Surface, labels: NDArray[np.int32], config: BridgingConfig)
     return found
 
 
-def is_bridged(level: NDArray[np.float64], upright: NDArray[np.float64], config: BridgingConfig) -> NDArray[np.bool_]:
+def is_bridged(
+    level: NDArray[np.float64], upright: NDArray[np.float64], pixels: NDArray[np.float64], config: BridgingConfig
+) -> NDArray[np.bool_]:
     """Return (K,) which pairs of regions are one object behind an occluder.
 
-    `level` and `upright` (K,) count the lines that bridge a horizontal and a vertical plane.
+    `level` and `upright` (K,) count the lines that bridge a horizontal and a vertical plane; `pixels` (K,) is the area
+    of the smaller region.
     """
-    return np.asarray(np.minimum(level, upright) >= config.min_lines)
+    most, other = np.maximum(level, upright), np.minimum(level, upright)
+    enough = np.maximum(config.min_lines, config.min_share * np.sqrt(pixels))
+    return np.asarray((most >= enough) & (other >= config.other_lines))
 
 
 @numba.njit(cache=True, nogil=True)

@@ -62,7 +62,7 @@ def _argument(i: int) -> Callable[..., Any]:
 
 
 def _none_of(*given: Any, **_: object) -> Any:
-    """Return that none of the first argument's rows are."""
+    """Return that none of the first argument's rows or pixels are."""
     return np.zeros(np.asarray(given[0]).shape[:1], dtype=bool)
 
 
@@ -171,7 +171,9 @@ RULES = (
     _of_perception("planes that go on behind join", "occlusion_bridging", "is_bridged", _none_of),
     _number("the network has a say in joins", ("perception.segmenter", "geometric")),
     _number("few pixels are no mask", ("perception.geometric.min_area_px", 1)),
-    _number("nor a long one", ("perception.observe.max_box_m", 1000.0)),
+    _number("nor what is within the noise", ("perception.geometric.min_side_sigmas", 0.0)),
+    _number("nor a small one that is mostly hidden", ("perception.geometric.occluded_area_px", 0)),
+    _number("nor a long one", ("perception.geometric.max_extent_m", 1000.0), ("perception.observe.max_box_m", 1000.0)),
     # Masks in space.
     _of_perception("rims of masks must agree", "observe", "_agreeing", _argument(1)),
     _of_perception("returns must have company", "observe", "_supported", _all_pixels),
