@@ -45,11 +45,12 @@ _MOVED = {
 }
 """Keys of earlier versions: what to set instead, and why."""
 
+_PRIOR = "what the map says of a frame is perception.geometric.join.map_prior"
 _LEARNED = "trees that have learned what the network's odds are worth join fragments"
 _SEEN = "what is filled follows from what was seen around it"
 _GONE = {
-    "perception.map_guided_merge": "masks are made without the map's objects",
-    "perception.known": "masks are made without the map's objects",
+    "perception.map_guided_merge": _PRIOR,
+    "perception.known": _PRIOR,
     **dict.fromkeys(
         (
             f"perception.affinities.{name}"

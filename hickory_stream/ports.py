@@ -104,7 +104,7 @@ class Segmenter(Protocol):
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame.
 
-        `prior` is the space as the map knows it so far; `prepared` is what `prepare` returned, or None.
+        `prior` is what the map knows so far; `prepared` is what `prepare` returned, or None.
         """
         ...
 

@@ -89,7 +89,7 @@ class TrueSegmenter:
         pieces = self._ours.fragments(frame, prior, prepared)
         shown = self._images.at(frame.stamp_ns)
         if self._rung == "joins":
-            return self._ours.segmentation(frame, pieces, Joined(labels=truly_joined(pieces, shown)))
+            return self._ours.segmentation(frame, pieces, truly_joined(pieces, shown))
         if self._rung == "masks":
             size = (frame.camera.width, frame.camera.height)
             structure = enlarged_mask(pieces.room.structure, pieces.surface.factor, size)
@@ -102,8 +102,8 @@ class TrueSegmenter:
         )
 
 
-def truly_joined(pieces: Fragments, shown: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return (h, w) the fragments joined by the thing that most of their pixels show; those of no thing are gone."""
+def truly_joined(pieces: Fragments, shown: NDArray[np.int32]) -> Joined:
+    """Return the fragments joined by the thing that most of their pixels show; those of no thing are gone."""
     factor, labels = pieces.surface.factor, pieces.labels
     height, width = labels.shape
     ids, place = np.unique(shown[::factor, ::factor][:height, :width], return_inverse=True)
@@ -111,7 +111,7 @@ def truly_joined(pieces: Fragments, shown: NDArray[np.int32]) -> NDArray[np.int3
     votes = np.bincount(labels.ravel() * len(ids) + place.ravel(), minlength=count * len(ids)).reshape(count, len(ids))
     owners = np.maximum(ids[votes.argmax(axis=1)], 0)
     owners[0] = 0
-    return _dense(owners)[labels]
+    return Joined(labels=_dense(owners)[labels])
 
 
 class TrueAssociation:

@@ -402,11 +402,8 @@ class MapperCore:
         part = " as a part" if match.is_part else ""
         foreign, covered = foreign_points(seen, track, self._neighbors(track, observation), self._config.merge)
         left = f"; {foreign.mean():.0%} of it lies on others and is left out" if foreign.any() else ""
-        left += (
-            "; this frame alone has it as one with another mask, the map does not"
-            if _is_cut(event, observation)
-            else ""
-        )
+        if _is_cut(event, observation):
+            left += "; this frame alone has it as one with another mask, the map does not"
         text = f"mask {observation.box_px}{part}: {how}; candidates by IoU: {others}{left}"
         self._decide("associate", track.id, text, observation_index=observation.index)
         track = replace(

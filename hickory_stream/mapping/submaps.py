@@ -136,11 +136,11 @@ def torn(submaps: Submaps) -> Submaps:
 
 def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
     """Return the submaps after one more keyframe: on another storey in a new one, since each has one floor."""
-    if is_another_storey(submaps.space, seen.floor_z_m) and false_floor(submaps.space, seen.floor_z_m) is None:
+    false_m = false_floor(submaps.space, seen.floor_z_m)
+    if false_m is None and is_another_storey(submaps.space, seen.floor_z_m):
         submaps = replace(_opened(_closed(submaps)), way_m=0.0)
     if submaps.first == submaps.open_id:
         return _alone(submaps, add(submaps.space, seen))
-    false_m = false_floor(submaps.space, seen.floor_z_m)
     if false_m is not None:
         # No submap keeps what was concluded from it.
         kept, open_ones = submaps.states[: submaps.first], submaps.states[submaps.first :]

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from hickory_stream.perception.surface import Surface
     from hickory_stream.perception.trees import Trees
 
-    Probabilities = Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]]
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JoinConfig(Ranged):
@@ -113,27 +111,21 @@ def join_fragments(
     trees: Trees,
     config: JoinConfig,
     owners: FragmentOwners | None = None,
+    odds: FragmentOdds | None = None,
 ) -> Joined:
-    """Return the joined fragments; `owners` are what the map says of them, if anything."""
+    """Return the fragments `labels` (h, w) as the rounds join them, with the map and without.
+
+    `owners` are what the map says of them, `odds` those of a network, if any.
+    """
     graph = region_graph_of(surface, labels, supports, room, config)
-    return Joined(labels=labels) if graph is None else joined(graph, labels, trees.probabilities, config, None, owners)
-
-
-def joined(
-    graph: RegionGraph,
-    labels: NDArray[np.int32],
-    probabilities: Probabilities,
-    config: JoinConfig,
-    odds: FragmentOdds | None,
-    owners: FragmentOwners | None,
-) -> Joined:
-    """Return the fragments `labels` (h, w) of a graph as the rounds join them, with the map and without."""
-    numbers = _last(rounds(graph, probabilities, config, odds, owners))
+    if graph is None:
+        return Joined(labels=labels)
+    numbers = _last(rounds(graph, trees.probabilities, config, odds, owners))
     together = numbers.astype(np.int32)[labels]
     if owners is None:
         return Joined(labels=together)
     # What the map holds apart is one thing or not by this frame alone: its rounds go on without the map.
-    alone = _last(rounds(graph, probabilities, config, odds, start=numbers))
+    alone = _last(rounds(graph, trees.probabilities, config, odds, start=numbers))
     return Joined(labels=together, alone=alone.astype(np.int32)[labels])
 
 
@@ -164,7 +156,7 @@ def region_graph_of(
 
 def rounds(
     graph: RegionGraph,
-    probabilities: Probabilities,
+    probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]],
     config: JoinConfig,
     odds: FragmentOdds | None = None,
     owners: FragmentOwners | None = None,

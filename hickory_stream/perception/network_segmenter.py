@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.perception.fragment_odds import fragment_odds
 from hickory_stream.perception.geometric import GeometricSegmenter
-from hickory_stream.perception.join import Joined, joined, region_graph_of
+from hickory_stream.perception.join import join_fragments
 from hickory_stream.perception.map_prior import fragment_owners
 from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
 from hickory_stream.perception.trees import embedded_trees
@@ -15,7 +15,7 @@ from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from hickory_stream.perception.geometric import Fragments, GeometricConfig
-    from hickory_stream.perception.map_prior import FragmentOwners
+    from hickory_stream.perception.join import Joined
     from hickory_stream.perception.pixel_network import PixelNetwork, PixelOdds
     from hickory_stream.perception.surface import Surface
     from hickory_stream.perception.trees import Trees
@@ -69,7 +69,11 @@ class NetworkSegmenter:
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
         pieces = self.fragments(frame, prior, found)
         owners = fragment_owners(pieces.labels, pieces.surface, prior, self._join.map_prior)
-        return self.segmentation(frame, pieces, self._joined(pieces, found.odds, owners))
+        odds = fragment_odds(pieces.labels, found.odds)
+        joined = join_fragments(
+            pieces.surface, pieces.labels, pieces.supports, pieces.room, self._trees, self._join, owners, odds
+        )
+        return self.segmentation(frame, pieces, joined)
 
     def segmentation(self, frame: Frame, pieces: Fragments, joined: Joined) -> Segmentation:
         """Return what is said of a frame whose fragments were joined into masks."""
@@ -80,11 +84,3 @@ class NetworkSegmenter:
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
         pieces = self._geometric.divided(found.surface, self._geometric.room(found.surface, prior))
         return replace(pieces, labels=divided_by_odds(pieces.labels, found.odds, self._config.split))
-
-    def _joined(self, pieces: Fragments, odds: PixelOdds, owners: FragmentOwners | None) -> Joined:
-        labels = pieces.labels
-        if not labels.any():
-            return Joined(labels=labels)
-        graph = region_graph_of(pieces.surface, labels, pieces.supports, pieces.room, self._join)
-        assert graph is not None, "there are fragments"
-        return joined(graph, labels, self._trees.probabilities, self._join, fragment_odds(labels, odds), owners)

@@ -150,7 +150,7 @@ class FastSamSegmenter:
         return Found(surface=surface_of(frame, self._surface), masks=masks, num_not_finite=num_not_finite)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the structure of a frame; `prior` is the space as the map knows it."""
+        """Return the instances and the structure of a frame; `prior` is what the map knows."""
         found = prepared if isinstance(prepared, Found) else self.prepare(frame)
         surface = found.surface
         size = (frame.camera.width, frame.camera.height)
