@@ -6,6 +6,7 @@ observation is matched with the track on whose points it lies.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,11 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
     from hickory_stream.records import Observation
 
+# Shares that differ by less are the same: they are quotients of the same counts.
+_TIE = 1e-12
+# A product that is a whole number but for its last bit counts as one.
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AssociateConfig(Ranged):
@@ -34,12 +40,23 @@ class AssociateConfig(Ranged):
         min_lies_on: minimum share of a partial view's points that lie on the track.
         settled_sightings, swollen: an observation whose box is `swollen` times that of a track which was seen so often
             is the track and more; it is not fused into it unless that repeats itself.
+        swollen_over: such an observation has more than this share of the track's box in its own.
+        most_doubted: an observation may be under-segmented with so many tracks, those of the best IoU; tracks that it
+            barely overlaps do not count.
+        patience, patience_share: after so many doubts, and this share of its sightings more, a track is taken to be
+            larger after all.
+        lies_in: an observation can lie on a track only if this share of its box is in the track's.
     """
 
     min_iou: float = number(0.2, 0, 1, "IoU")
     min_lies_on: float = number(0.55, 0, 1, "share")
     settled_sightings: int = number(5, 0, 1_000_000, "sightings")
     swollen: float = number(2.2, 1, 1000, "ratio")
+    swollen_over: float = number(0.5, 0, 1, "share")
+    most_doubted: int = number(4, 0, 10_000, "tracks")
+    patience: int = number(3, 0, 1_000_000, "observations")
+    patience_share: float = number(0.2, 0, 1000, "share")
+    lies_in: float = number(0.2, 0, 1, "share")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -91,7 +108,7 @@ def associate(
     for observation in observations:
         near_ids = [i for i in sorted(ious[observation.index]) if i not in swollen[observation.index]]
         if observation.index not in by_observation and near_ids:
-            track_id, share = _lies_on_most(observation, [tracks[i] for i in near_ids], voxel_m)
+            track_id, share = _lies_on_most(observation, [tracks[i] for i in near_ids], voxel_m, config)
             lying[observation.index] = (track_id if share >= config.min_lies_on else None, share)
     num_points = {observation.index: len(observation.points_world) for observation in observations}
     parts: set[int] = set()
@@ -122,25 +139,26 @@ def associate(
 def is_swollen(observation: Observation, track: Track, config: AssociateConfig) -> bool:
     """Return whether an observation is under-segmented: it contains an established track and something beside it.
 
-    The size of a track with many sightings is known. Each such observation is a doubt about it; after as many as a
-    fifth of its sightings, plus three, the track is taken to be larger after all.
+    The size of a track with many sightings is known. Each such observation is a doubt about it.
     """
     return (
         track.sightings >= config.settled_sightings
-        and track.doubts < 3 + track.sightings // 5
+        and track.doubts < config.patience + math.floor(config.patience_share * track.sightings + _ROUNDING)
         and observation.box.volume_m3 > config.swollen * track.box.volume_m3
-        and intersection_volume_m3(observation.box, track.box) > 0.5 * track.box.volume_m3
+        and intersection_volume_m3(observation.box, track.box) > config.swollen_over * track.box.volume_m3
     )
 
 
-def _lies_on_most(observation: Observation, tracks: Sequence[Track], voxel_m: float) -> tuple[int | None, float]:
+def _lies_on_most(
+    observation: Observation, tracks: Sequence[Track], voxel_m: float, config: AssociateConfig
+) -> tuple[int | None, float]:
     """Return the track on which most of an observation's points lie, and their share; ties go to the lower id."""
     keys = keys_of_points(observation.points_world, voxel_m)
     best_id, best_share = None, 0.0
     for track in tracks:
-        if intersection_volume_m3(observation.box, track.box) < 0.2 * observation.box.volume_m3:
+        if intersection_volume_m3(observation.box, track.box) < config.lies_in * observation.box.volume_m3:
             continue
         share = share_near(keys, track.cloud)
-        if share > best_share + 1e-12:
+        if share > best_share + _TIE:
             best_id, best_share = track.id, share
     return best_id, float(np.round(best_share, 6))

@@ -30,6 +30,8 @@ class TrackSplitConfig(Ranged):
         alone_share: ... unless this share of the observation lies on the candidate.
         min_voxels: candidates with fewer voxels are noise.
         min_size_m: a part that is thinner, or less than twice that wide, is a rim or a board of its host.
+        part_inside, part_volume: a part with this share of its box within that of its host, and at most this share of
+            the host's volume, stays with it where it rests on nothing: a panel, a board, a drawer.
     """
 
     min_apart: int = number(4, 1, 1_000_000, "keyframes")
@@ -39,6 +41,8 @@ class TrackSplitConfig(Ranged):
     alone_share: float = number(0.8, 0, 1, "share")
     min_voxels: int = number(40, 1, 1_000_000, "voxels")
     min_size_m: float = number(0.025, 0, 10, "m")
+    part_inside: float = number(0.55, 0, 1, "share")
+    part_volume: float = number(0.5, 0, 1000, "ratio")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

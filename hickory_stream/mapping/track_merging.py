@@ -46,6 +46,8 @@ class MergeConfig(Ranged):
         min_votes: minimum number of votes; they must also outnumber the keyframes in which the two were seen apart.
         sure_votes, sure_ratio: so many votes, and this many for each keyframe that saw them apart, are enough, too:
             close views over-segment objects more often than distant views under-segment them.
+        neighbor_sightings: an observation's points are left out where they lie on another track that was seen so often.
+        foreign_share: where this share of an observation lies on other tracks, nothing of it is fused.
     """
 
     duplicate_share: float = number(0.5, 0, 1, "share")
@@ -54,6 +56,8 @@ class MergeConfig(Ranged):
     min_votes: int = number(3, 1, 1_000_000, "votes")
     sure_votes: int = number(6, 1, 1_000_000, "votes")
     sure_ratio: float = number(0.7, 0, 1000, "votes per keyframe")
+    neighbor_sightings: int = number(2, 1, 1_000_000, "sightings")
+    foreign_share: float = number(0.9, 0, 1, "share")
 
 
 @dataclass(frozen=True, slots=True)

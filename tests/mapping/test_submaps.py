@@ -224,7 +224,7 @@ def with_shapes(core: MapperCore) -> MapperCore:
     """The core after the shapes that it had asked for, and asks for at the end, have come."""
     asked = drive(core, [SourceEnded(stamp_ns=9 * SECOND_NS)])
     open_tickets = {(e.ticket, e.object_id) for e in asked if isinstance(e, RequestShape)}
-    tracks: Any = core.state()["_tracks"]
+    tracks: Any = core.state()["tracks"]
     open_tickets |= {(t.shape_state.open_ticket, t.id) for t in tracks.values() if t.shape_state.open_ticket}
     drive(core, [shape_ready(ticket, object_id) for ticket, object_id in sorted(open_tickets)])
     return core

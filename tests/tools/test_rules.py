@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.mapping import cloud, core, track, track_merging
+from hickory_stream.mapping import cloud, track, track_merging, track_splitting
 from hickory_stream.mapping.support_relations import is_leg
 from tools.benchmarks.foreign_logs import WorldLog
 from tools.benchmarks.processes import ROOT
@@ -90,7 +90,7 @@ def test_a_function_is_another_one_for_whoever_imported_it_and_where_it_was_impo
     assert track_merging.is_leg is is_leg
     with patched("mapping.track_merging", "share_near", None):
         assert track_merging.share_near is None
-        assert core.share_near is cloud.share_near is not None
+        assert track_splitting.share_near is cloud.share_near is not None
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)

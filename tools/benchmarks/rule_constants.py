@@ -108,7 +108,7 @@ def constants() -> list[Constant]:
 
 
 def inline_numbers() -> list[str]:
-    """Return where a function of the two packages has a number with a fraction of its own: `mapping/core.py:395 0.9`.
+    """Return where a function of the two packages has a number with a fraction of its own: `mapping/cloud.py:395 0.9`.
 
     Whole numbers and halves are not counted, which mostly are indices, axes, or the halves of formulas; nor is what is
     so small that it only keeps a division finite.

@@ -1,0 +1,85 @@
+"""The best views of the tracks: proposed from what is known before features are computed, judged with these."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.events import DropView, KeepView
+from hickory_stream.mapping.views import better, covers_better, score, score_bound, sector_of, view_of
+
+if TYPE_CHECKING:
+    from hickory_stream.events import Effect, FeaturesReady, FrameObserved
+    from hickory_stream.mapping.map_state import MapState, PendingFeatures
+    from hickory_stream.mapping.sighting import Sighting
+    from hickory_stream.mapping.views import ViewConfig
+    from hickory_stream.records import MaskFeature, View
+
+
+def propose_views(
+    state: MapState, event: FrameObserved, sightings: list[Sighting], config: ViewConfig
+) -> tuple[dict[int, View], list[Effect]]:
+    """Return the views whose bound beats the best view, by observation, and what is kept for its direction."""
+    candidates: dict[int, View] = {}
+    keeps: list[Effect] = []
+    for sighting in sightings:
+        track_id = state.current_id(sighting.track_id)
+        if track_id is None or sighting.is_part:
+            continue
+        observation, track = sighting.observation, state.tracks[track_id]
+        view = view_of(event, observation, track_id)
+        best = track.best_view
+        bound = score_bound(view, config)
+        if best is None or best.score is None or bound > best.score:
+            candidates[observation.index] = view
+        else:
+            state.decide("view", track_id, f"frame {event.frame_index}: bound {bound:.3f} <= best {best.score:.3f}")
+        sector = sector_of(view, track.box.center)
+        coverage = dict(track.coverage)
+        if covers_better(view, coverage.get(sector), config):
+            coverage[sector] = view
+            state.tracks[track_id] = replace(track, coverage=tuple(sorted(coverage.items(), key=lambda kv: kv[0])))
+            state.kept_views.add(view.name)
+            keeps.append(KeepView(view=view, observation_index=observation.index))
+    return candidates, keeps
+
+
+def judge_views(state: MapState, pending: PendingFeatures, event: FeaturesReady, config: ViewConfig) -> list[Effect]:
+    """Make candidates best views where their scores win; return which pixels are to be kept."""
+    effects: list[Effect] = []
+    for feature in sorted(event.features, key=lambda f: f.observation_index):
+        view = _judged(state, pending.candidates[feature.observation_index], feature, config)
+        if view is not None and view.name not in state.kept_views:
+            state.kept_views.add(view.name)
+            effects.append(KeepView(view=view, observation_index=feature.observation_index))
+    return effects
+
+
+def drop_unused_views(state: MapState) -> list[Effect]:
+    """Return which pixels nothing refers to any more."""
+    used = state.view_names()
+    gone = sorted(state.kept_views - used)
+    state.kept_views &= used
+    return [DropView(name=name) for name in gone]
+
+
+def _judged(state: MapState, candidate: View, feature: MaskFeature, config: ViewConfig) -> View | None:
+    """Make a candidate the best view if its score wins; return it then."""
+    track_id = state.current_id(candidate.object_id)
+    if track_id is None:
+        return None
+    track = state.tracks[track_id]
+    value = score(candidate, feature.variance, config)
+    view = replace(candidate, object_id=track_id, score=value, variance=feature.variance, feature=feature.pooled)
+    coverage = tuple((sector, view if kept.name == view.name else kept) for sector, kept in track.coverage)
+    wins = better(track.best_view, view) is view
+    before = "no view before" if track.best_view is None else f"best was {track.best_view.score or 0.0:.3f}"
+    state.decide(
+        "view",
+        track_id,
+        f"frame {view.frame_index}: {config.strategy} {value:.3f} "
+        f"(sigma^2 {feature.variance:.3f}, area {view.r_area:.4f}, depth {view.r_depth:.2f}), {before}: "
+        + ("best" if wins else "kept out"),
+    )
+    state.tracks[track_id] = replace(track, coverage=coverage, best_view=view if wins else track.best_view)
+    return view if wins else None

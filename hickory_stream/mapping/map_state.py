@@ -1,0 +1,157 @@
+"""The state of the map: all that decides what comes next, with one owner for each part.
+
+Only the rooms that `MapperCore` calls change it. Tracks, submaps and the vote book are immutable: a state is copied
+without copying them, and what was handed out never changes.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, Self
+
+from hickory_stream.mapping.absorbed import Absorbed, views_of, without_lost_views
+from hickory_stream.mapping.track import Track, without_views
+from hickory_stream.mapping.track_merging import VoteBook
+from hickory_stream.records import Decision, View
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from hickory_stream.mapping.split_candidates import SplitCandidates
+    from hickory_stream.mapping.submaps import Submaps
+    from hickory_stream.records import DecisionKind, DropCause
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PendingFeatures:
+    """The keyframe whose features are being computed: candidates for best view by observation, and where each went."""
+
+    frame_index: int
+    candidates: dict[int, View]
+    object_ids: tuple[int | None, ...]
+
+
+@dataclass(kw_only=True, slots=True, eq=False)
+class MapState:
+    """The map, and what is known of how it came about.
+
+    Attributes:
+        submaps: where things lie, and the observed space.
+        tracks: the tracks by id.
+        votes: how often pairs of tracks were segmented together and apart.
+        split_candidates: parts of tracks that keyframes segmented apart, by host.
+        absorbed: the tracks that each track took in, by host.
+        clock_ns: seconds that passed in all, whatever the stamps did; `stamp_ns` is None before a first keyframe and
+            after a jump of the stamps.
+        revision: the number of keyframes.
+        next_id, next_ticket: the ids of the next track and of the next shape job.
+        pending: the keyframe whose features were asked for, until they come.
+        kept_views: the names of the views whose pixels are kept.
+        decisions: what was decided since the last publication.
+        num_masks, num_features: of how many masks, and of how many of them features were asked for.
+    """
+
+    submaps: Submaps
+    tracks: dict[int, Track] = field(default_factory=dict)
+    votes: VoteBook = field(default_factory=VoteBook)
+    split_candidates: SplitCandidates = field(default_factory=dict)
+    absorbed: Absorbed = field(default_factory=dict)
+    clock_ns: int = 0
+    stamp_ns: int | None = None
+    revision: int = 0
+    next_id: int = 1
+    next_ticket: int = 1
+    pending: PendingFeatures | None = None
+    kept_views: set[str] = field(default_factory=set)
+    decisions: list[Decision] = field(default_factory=list)
+    num_masks: int = 0
+    num_features: int = 0
+
+    def ordered(self) -> list[Track]:
+        """Return the tracks in the order of their ids."""
+        return [self.tracks[i] for i in sorted(self.tracks)]
+
+    def is_judged(self, track: Track) -> bool:
+        """Return whether a track was seen since the last pose jump, so that it can be judged by the observed space."""
+        return track.seen_in >= self.submaps.first
+
+    def current_id(self, track_id: int | None) -> int | None:
+        """Return the id of a track, or of the one that it was merged into; None if it was dropped."""
+        if track_id is None or track_id in self.tracks:
+            return track_id
+        return next((i for i in sorted(self.tracks) if track_id in self.tracks[i].merged_ids), None)
+
+    def view_names(self) -> set[str]:
+        """Return the names of the views that the map has, or would have again after a split."""
+        own = {view.name for track in self.tracks.values() for view in track.views}
+        return own.union(views_of(self.absorbed))
+
+    def advance_clock(self, stamp_ns: int) -> None:
+        """Let the time pass up to a stamp."""
+        if self.stamp_ns is not None:
+            self.clock_ns += max(0, stamp_ns - self.stamp_ns)
+        self.stamp_ns = stamp_ns
+
+    def decide(
+        self,
+        kind: DecisionKind,
+        object_id: int | None,
+        text: str,
+        *,
+        observation_index: int | None = None,
+        other_id: int | None = None,
+        cause: DropCause | None = None,
+    ) -> None:
+        """Note a decision and its reason, for the next publication."""
+        decision = Decision(
+            kind=kind,
+            object_id=object_id,
+            text=text,
+            observation_index=observation_index,
+            other_id=other_id,
+            cause=cause,
+        )
+        self.decisions.append(decision)
+
+    def taken_decisions(self) -> tuple[Decision, ...]:
+        """Return the decisions since the last publication, and forget them."""
+        decisions, self.decisions = tuple(self.decisions), []
+        return decisions
+
+    def parts(self) -> dict[str, object]:
+        """Return the state by the names of its parts; later events do not change it."""
+        return {part.name: copy(getattr(self, part.name)) for part in fields(self)}
+
+    @classmethod
+    def of_parts(cls, parts: Mapping[str, Any], empty: MapState) -> Self:
+        """Return the state that `parts` was taken of; `empty` is that of a new map.
+
+        Raises:
+            ValueError: the state is that of another version.
+        """
+        expected = {part.name: getattr(empty, part.name) for part in fields(cls)}
+        if parts.keys() != expected.keys():
+            raise ValueError(f"a state of {sorted(parts)}; expected {sorted(expected)}")
+        # A written state has tuples where there were lists.
+        return cls(
+            **{
+                name: type(expected[name])(value) if isinstance(expected[name], (list, dict, set)) else value
+                for name, value in parts.items()
+            }
+        )
+
+    def going_on_after(self, later: MapState, lost_views: Collection[str]) -> None:
+        """Number objects, jobs and revisions on from a later state that was left, and be without some views.
+
+        So each number means one thing. `lost_views` have no pixels any more: nothing can be made of them.
+        """
+        self.next_id = max(self.next_id, later.next_id)
+        self.next_ticket = max(self.next_ticket, later.next_ticket)
+        self.revision = max(self.revision, later.revision)
+        lost = set(lost_views)
+        self.kept_views -= lost
+        for track_id, track in self.tracks.items():
+            if not lost.isdisjoint(view.name for view in track.views):
+                self.tracks[track_id] = without_views(track, lost)
+        self.absorbed = without_lost_views(self.absorbed, lost)

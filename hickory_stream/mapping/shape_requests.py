@@ -1,0 +1,70 @@
+"""Shape jobs of the tracks: asked for and replaced as `requests` ranks them, and ended."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.events import CancelShape, ShapeReady
+from hickory_stream.mapping.requests import (
+    gain_of,
+    increase_in_score,
+    next_replacements,
+    next_requests,
+    predicted_s,
+    shape_request,
+    state_of_request,
+    support_height_m,
+)
+
+if TYPE_CHECKING:
+    from hickory_stream.events import Effect, ShapeFailed
+    from hickory_stream.mapping.map_state import MapState
+    from hickory_stream.mapping.requests import RequestConfig
+
+
+def request_shapes(state: MapState, config: RequestConfig, *, is_final: bool) -> list[Effect]:
+    """Ask for the shapes that are worth it now, within the budget of jobs; for all that are missing at the end."""
+    num_open = sum(track.shape_state.open_ticket is not None for track in state.tracks.values())
+    replaced = [] if is_final else next_replacements(state.tracks, state.clock_ns, config)
+    wanted = next_requests(state.tracks, num_open, state.clock_ns, is_final=is_final, config=config)
+    return [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, config)]
+
+
+def _requested(state: MapState, track_id: int, config: RequestConfig) -> list[Effect]:
+    """Ask for the shape of a track, in place of the job that is open."""
+    effects: list[Effect] = []
+    track = state.tracks[track_id]
+    if (gone := track.shape_state.open_ticket) is not None:
+        effects.append(CancelShape(ticket=gone))
+        state.decide("shape", track_id, f"job {gone} is replaced: S grew by {increase_in_score(track):.3f}")
+    ticket = state.next_ticket
+    state.next_ticket += 1
+    support_z_m = support_height_m(track, state.tracks.values(), state.submaps.space.floor_z_m)
+    due_ns = (state.stamp_ns or 0) + int(config.latency_s * 1e9)
+    request = shape_request(track, ticket=ticket, support_z_m=support_z_m, due_ns=due_ns)
+    effects.append(request)
+    state.decide(
+        "shape",
+        track_id,
+        f"job {ticket} asked for: S {increase_in_score(track):+.3f} in {predicted_s(track, config):.1f} s, "
+        f"new {gain_of(track):.2f}, {len(request.views)} views",
+    )
+    asked = state_of_request(track, ticket, state.clock_ns, is_replacement=gone is not None)
+    state.tracks[track_id] = replace(track, shape_state=asked)
+    return effects
+
+
+def end_shape(state: MapState, event: ShapeReady | ShapeFailed) -> None:
+    """Note how the job of a track ended, if it is still wanted."""
+    track = state.tracks.get(event.object_id)
+    if track is None or track.shape_state.open_ticket != event.ticket:
+        state.decide("shape", event.object_id, f"job {event.ticket} ended, but is no longer wanted")
+        return
+    ended = replace(track.shape_state, open_ticket=None)
+    if isinstance(event, ShapeReady):
+        state.decide("shape", track.id, f"job {event.ticket}: {len(event.shape.fitted)} superquadrics")
+        state.tracks[track.id] = replace(track, shape=event.shape, shape_state=replace(ended, failures=0))
+    else:
+        state.decide("shape", track.id, f"job {event.ticket} gave no shape: {event.reason}")
+        state.tracks[track.id] = replace(track, shape_state=replace(ended, failures=ended.failures + 1))

@@ -1,0 +1,27 @@
+"""A sighting: one observation of a keyframe, and the track that it went to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hickory_stream.mapping.cloud import Cloud
+    from hickory_stream.records import Observation
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Sighting:
+    """An observation, its cloud and the track that it went to.
+
+    `is_part`: it shows only a part of the track, which another observation of the keyframe shows as well. `lies_on` is
+    the share of its points on the track where it was matched by them, else 0. `covered` are the other tracks that it
+    covers, so that the keyframe segments them together with the track.
+    """
+
+    observation: Observation
+    cloud: Cloud
+    track_id: int
+    is_part: bool
+    lies_on: float
+    covered: tuple[int, ...]

@@ -1,0 +1,43 @@
+"""How a track ends: dropped, or merged into another. All that refers to it follows in the same step."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hickory_stream.events import CancelShape
+from hickory_stream.mapping.absorbed import after_merge
+from hickory_stream.mapping.split_candidates import reassigned
+from hickory_stream.mapping.track_merging import merge
+
+if TYPE_CHECKING:
+    from hickory_stream.events import Effect
+    from hickory_stream.mapping.map_state import MapState
+    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.track import Track
+    from hickory_stream.records import DropCause
+
+
+def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:
+    """Drop a track: it was no object."""
+    del state.tracks[track.id]
+    state.votes = state.votes.without(track.id)
+    state.split_candidates.pop(track.id, None)
+    state.absorbed.pop(track.id, None)
+    state.decide("drop", track.id, f"{reason or cause}, after {track.sightings} sightings", cause=cause)
+    return _cancelled(track)
+
+
+def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: MappingConfig) -> list[Effect]:
+    """Merge a track into another one, which takes over its points, its views, its votes and its candidates."""
+    kept, gone = state.tracks[kept_id], state.tracks.pop(gone_id)
+    state.tracks[kept_id] = merge(kept, gone, config.lattice.points_m, config.views)
+    state.votes = state.votes.merged(kept_id, gone_id)
+    state.split_candidates = reassigned(state.split_candidates, kept_id, gone_id)
+    state.absorbed = after_merge(state.absorbed, kept_id, gone)
+    state.decide("merge", kept_id, f"#{gone_id} is the same: {reason}", other_id=gone_id)
+    return _cancelled(gone)
+
+
+def _cancelled(gone: Track) -> list[Effect]:
+    ticket = gone.shape_state.open_ticket
+    return [] if ticket is None else [CancelShape(ticket=ticket)]

@@ -1,0 +1,204 @@
+"""The tracker: which observation of a keyframe is which track; births, doubts and votes.
+
+A keyframe's masks may be wrong. So an observation is not fused where its points lie on another track, and what one
+keyframe segments as one or as two is a vote: splitting and merging (`track_splitting`, `merge_tracks`) count votes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.mapping.associate import associate, is_swollen
+from hickory_stream.mapping.cloud import cloud_of, without
+from hickory_stream.mapping.existence import Existence, no_evidence, sighted
+from hickory_stream.mapping.sighting import Sighting
+from hickory_stream.mapping.split_candidates import with_keyframe
+from hickory_stream.mapping.track import grown, new_track, touching
+from hickory_stream.mapping.track_endings import unite
+from hickory_stream.mapping.track_merging import find_pair, foreign_points, pair_of, pairs_of_groups, pairs_that_meet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from hickory_stream.events import Effect, FrameObserved
+    from hickory_stream.mapping.associate import Match
+    from hickory_stream.mapping.cloud import Cloud
+    from hickory_stream.mapping.map_state import MapState
+    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.track import Track
+    from hickory_stream.records import Observation
+
+    Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
+
+
+class Tracker:
+    """Associates the observations of a keyframe with the tracks of a state, and keeps these up to date.
+
+    `associator` says which observation of a keyframe is which track, one match per observation in their order, and it
+    has the last word: all points of an observation are its track's, and no two tracks are made one. None: by boxes and
+    points, as configured.
+    """
+
+    def __init__(self, config: MappingConfig, associator: Associator | None = None) -> None:
+        self._config = config
+        self._associator = associator
+
+    @property
+    def is_told(self) -> bool:
+        """Whether somebody else has the last word on which tracks there are."""
+        return self._associator is not None
+
+    def track(self, state: MapState, event: FrameObserved) -> list[Sighting]:
+        """Give every observation of a keyframe to a track, a new one where it matches none; return where each went."""
+        matches = self._matches(state, event)
+        self._doubt(state, event, matches)
+        sightings = [self._place(state, event, match) for match in matches]
+        self._vote(state, sightings)
+        self._note_split_candidates(state, event, sightings)
+        return sightings
+
+    def merge_tracks(self, state: MapState, changed: set[int]) -> list[Effect]:
+        """Merge tracks with those that have changed as long as there is a reason to."""
+        if self.is_told:
+            return []
+        effects: list[Effect] = []
+        while (pair := find_pair(state.tracks, changed, state.votes, self._config.merge)) is not None:
+            kept_id, gone_id, reason = pair
+            effects += unite(state, kept_id, gone_id, reason, self._config)
+            changed = (changed - {gone_id}) | {kept_id}
+        return effects
+
+    def _matches(self, state: MapState, event: FrameObserved) -> list[Match]:
+        if self._associator is not None:
+            return self._associator(event, state.tracks)
+        return associate(event.observations, state.tracks, self._config.lattice.points_m, self._config.associate)
+
+    def _doubt(self, state: MapState, event: FrameObserved, matches: list[Match]) -> None:
+        """Count doubts: under-segmented observations of each established track; a match of its own resets them."""
+        config = self._config.associate
+        seen = {match.track_id for match in matches}
+        for match in matches:
+            observation = event.observations[match.observation_index]
+            for track_id, _ in match.candidates[: config.most_doubted]:
+                track = state.tracks[track_id]
+                if track_id not in seen and is_swollen(observation, track, config):
+                    state.tracks[track_id] = replace(track, doubts=track.doubts + 1)
+        for track_id in sorted(i for i in seen if i is not None):
+            state.tracks[track_id] = replace(state.tracks[track_id], doubts=0)
+
+    def _place(self, state: MapState, event: FrameObserved, match: Match) -> Sighting:
+        """Fuse an observation into its track, or make a new one."""
+        observation = event.observations[match.observation_index]
+        cloud = cloud_of(observation.points_world, observation.colors, self._config.lattice.points_m)
+        if match.track_id is None:
+            track_id = self._born(state, event, match, cloud)
+            covered: tuple[int, ...] = ()
+        else:
+            track_id, covered = match.track_id, self._seen_again(state, event, match, cloud)
+        return Sighting(
+            observation=observation,
+            cloud=cloud,
+            track_id=track_id,
+            is_part=match.is_part,
+            lies_on=match.lies_on,
+            covered=covered,
+        )
+
+    def _born(self, state: MapState, event: FrameObserved, match: Match, cloud: Cloud) -> int:
+        """Make a new track of an observation; return its id."""
+        observation = event.observations[match.observation_index]
+        track_id = state.next_id
+        state.tracks[track_id] = new_track(
+            track_id,
+            cloud,
+            stamp_ns=event.stamp_ns,
+            clock_ns=state.clock_ns,
+            sightings=1,
+            submap_id=state.submaps.open_id,
+            existence=self._sighted(no_evidence(), event, observation),
+            voxel_m=self._config.lattice.points_m,
+        )
+        state.next_id += 1
+        text = f"mask {observation.box_px}: new; candidates by IoU: {_candidates(match)}"
+        state.decide("create", track_id, text, observation_index=observation.index)
+        return track_id
+
+    def _seen_again(self, state: MapState, event: FrameObserved, match: Match, cloud: Cloud) -> tuple[int, ...]:
+        """Fuse an observation into the track that it matches; return the other tracks that it covers."""
+        assert match.track_id is not None
+        observation, track = event.observations[match.observation_index], state.tracks[match.track_id]
+        how = f"IoU {match.iou:.2f}" if match.lies_on == 0 else f"IoU {match.iou:.2f}, {match.lies_on:.0%} lies on it"
+        part = " as a part" if match.is_part else ""
+        foreign, covered = foreign_points(cloud, track, self._neighbors(state, track, observation), self._config.merge)
+        left = f"; {foreign.mean():.0%} of it lies on others and is left out" if foreign.any() else ""
+        if _is_cut(event, observation):
+            left += "; this frame alone has it as one with another mask, the map does not"
+        text = f"mask {observation.box_px}{part}: {how}; candidates by IoU: {_candidates(match)}{left}"
+        state.decide("associate", track.id, text, observation_index=observation.index)
+        track = replace(
+            track,
+            last_seen_ns=event.stamp_ns,
+            seen_clock_ns=state.clock_ns,
+            seen_through=0,
+            seen_in=state.submaps.open_id,
+        )
+        if foreign.mean() < self._config.merge.foreign_share:
+            own, sightings = without(cloud, foreign), track.sightings + (not match.is_part)
+            track = grown(track, own, sightings, self._config.lattice.points_m)
+            if not match.is_part:
+                track = replace(track, existence=self._sighted(track.existence, event, observation))
+        state.tracks[track.id] = track
+        return tuple(covered)
+
+    def _sighted(self, known: Existence, event: FrameObserved, observation: Observation) -> Existence:
+        return sighted(known, observation, event.world_from_camera[:3, 3], self._config.existence)
+
+    def _neighbors(self, state: MapState, track: Track, observation: Observation) -> list[Track]:
+        """Return the other tracks, seen before, whose boxes reach into an observation's, and may have points of it."""
+        if self.is_told:
+            return []
+        near = touching(bounds_of(observation.points_world), state.ordered())
+        least = self._config.merge.neighbor_sightings
+        return [other for other in near if other.id != track.id and other.sightings >= least]
+
+    def _vote(self, state: MapState, sightings: list[Sighting]) -> None:
+        """Count the votes of this keyframe: pairs of tracks that it segments apart or, otherwise, together, each once.
+
+        Apart: two whole observations with boxes that meet. Small things that touch cover each other's rims, so that
+        only a pair that is not seen apart can be seen together. What only the map holds apart was seen together: a vote
+        is what the frame by itself says, or the map would prove itself right.
+        """
+        whole = [sighting for sighting in sightings if not sighting.is_part]
+        told = pairs_of_groups([(sighting.observation.group, sighting.track_id) for sighting in whole])
+        bounds = [bounds_of(sighting.observation.points_world) for sighting in whole]
+        apart = pairs_that_meet(bounds, [sighting.track_id for sighting in whole]) - told
+        overlap = {pair_of(sighting.track_id, other) for sighting in sightings for other in sighting.covered}
+        together = overlap | told
+        state.votes = state.votes.plus(sorted(apart), apart=1).plus(sorted(together - apart), together=1)
+
+    def _note_split_candidates(self, state: MapState, event: FrameObserved, sightings: list[Sighting]) -> None:
+        """Count for split candidates the keyframe's masks: those apart from their track, and those of the whole track.
+
+        A mask is also apart from its track where a mask of another object covers the rest: a mug, where the tray under
+        it is segmented together with the table.
+        """
+        apart: list[tuple[int, Cloud]] = []
+        whole: list[tuple[int, Cloud]] = []
+        taken = {track_id for sighting in sightings for track_id in sighting.covered}
+        for sighting in sightings:
+            is_part = sighting.is_part or (sighting.lies_on > 0 and sighting.track_id in taken)
+            (apart if is_part else whole).append((sighting.track_id, sighting.cloud))
+        state.split_candidates = with_keyframe(
+            state.split_candidates, event.frame_index, apart, whole, self._config.split
+        )
+
+
+def _candidates(match: Match) -> str:
+    return ", ".join(f"#{i} {iou:.2f}" for i, iou in match.candidates) or "none"
+
+
+def _is_cut(event: FrameObserved, observation: Observation) -> bool:
+    """Return whether the frame by itself has an observation as one with another, from which the map's prior cut it."""
+    return observation.group > 0 and sum(other.group == observation.group for other in event.observations) > 1
