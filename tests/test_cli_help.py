@@ -1,4 +1,4 @@
-"""What the command line says of itself: help with examples, completion in a shell, the README's lines, public names."""
+"""What the command line says of itself: help with examples, completion in a shell, the READMEs' lines, public names."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -16,16 +16,17 @@ from hickory_stream.cli import main
 from hickory_stream.cli.completion import commands_of, fish_script, zsh_script
 from hickory_stream.cli.examples import TEXTS
 from hickory_stream.cli.parser import make_parser
+from tests.readmes import READMES, blocks_of
 
-ROOT = Path(__file__).resolve().parent.parent
+if TYPE_CHECKING:
+    from pathlib import Path
+
 COMMANDS = [" ".join(path) for path, _ in commands_of(make_parser()) if path]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def readme_commands() -> list[str]:
-    """Return the arguments of every line of the README's shell blocks that is a whole command."""
-    blocks = re.findall(r"^```sh\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
-    lines = "".join(blocks).replace("\\\n", " ").splitlines()
+    """Return the arguments of every line of the READMEs' shell blocks that is a whole command."""
+    lines = "".join(blocks_of("sh", readme) for readme in READMES).replace("\\\n", " ").splitlines()
     starts = re.compile(r"^(?:\.venv/bin/)?hickory-stream ([^#]+)")
     found = [hit[1].strip() for line in lines if (hit := starts.match(line))]
     return [text.replace("[C ...]", "C").replace("LOG...", "LOG").replace("LOG ...", "LOG") for text in found]
@@ -50,9 +51,9 @@ def test_help_of_a_command_has_a_sentence_and_an_example_that_is_understood(
     assert callable(make_parser().parse_args(shlex.split(example.split(" > ")[0])).run)
 
 
-def test_the_lines_of_the_readme_are_understood() -> None:
+def test_the_lines_of_the_readmes_are_understood() -> None:
     lines = readme_commands()
-    assert len(lines) > 25
+    assert len(lines) > 45
     for line in lines:
         # Of alternatives, such as list|add|check|where, the first one.
         text = re.sub(r"\b(\w+)\|[\w|]+", r"\1", line)
@@ -60,7 +61,7 @@ def test_the_lines_of_the_readme_are_understood() -> None:
 
 
 @pytest.mark.timeout(300)
-def test_the_plans_of_the_readme_find_a_path_in_the_demo(
+def test_the_plans_of_the_readmes_find_a_path_in_the_demo(
     demo_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     no_shapes = ("--set", "mapper.mapping.requests.max_failures=0", "--viewer", "none")
@@ -73,10 +74,9 @@ def test_the_plans_of_the_readme_find_a_path_in_the_demo(
         assert "verified along the whole length" in capsys.readouterr().out
 
 
-def test_the_names_that_the_readme_uses_are_imported_from_the_package() -> None:
-    used = set(
-        re.findall(r"`?\b(Mapper|MapperConfig|ClearanceScene|free_space_of|load_robot|plan|open_map)[.(]", README)
-    )
+def test_the_names_that_the_readmes_use_are_imported_from_the_package() -> None:
+    text = "".join(readme.read_text(encoding="utf-8") for readme in READMES)
+    used = set(re.findall(r"`?\b(Mapper|MapperConfig|ClearanceScene|free_space_of|load_robot|plan|open_map)[.(]", text))
     assert {"Mapper", "ClearanceScene", "free_space_of", "open_map"} <= used
     assert used <= set(hickory_stream.__all__)
     for name in hickory_stream.__all__:

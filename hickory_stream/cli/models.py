@@ -75,7 +75,7 @@ def _list(options: argparse.Namespace) -> int:
         print(f"{row['name']}  {row['kind']}  {size}  {row['licence']}  {row['source']}  {row['state']}")
     if not rows:
         print(
-            f"no models in {folder}; export one (README: Models) and add it with "
+            f"no models in {folder}; export one (hickory_stream/perception/models/README.md) and add it with "
             "`hickory-stream models add FILE.onnx --kind KIND`"
         )
     return 0

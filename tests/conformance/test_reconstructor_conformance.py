@@ -17,6 +17,7 @@ from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.build import ReconstructorName, ShapeConfig, make_reconstructor
 from hickory_stream.testing import SCENE_BOXES, BoxReconstructor
 from tests.engine.run_fixtures import scene_request
+from tests.examples.hull_reconstructor import HullReconstructor
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,7 +33,8 @@ TRUE_VOLUME_M3 = float(np.prod(np.array(TRUTH.high) - np.array(TRUTH.low)))
 
 def reconstructors() -> dict[str, Reconstructor]:
     ours = {name: make_reconstructor(name, ShapeConfig()) for name in get_args(ReconstructorName)}
-    return {**ours, "box": BoxReconstructor()}
+    # A reconstructor of one's own adds its line here.
+    return {**ours, "box": BoxReconstructor(), "hull": HullReconstructor()}
 
 
 @pytest.fixture(params=sorted(reconstructors()))
@@ -62,7 +64,7 @@ def made(reconstructor: Reconstructor, inputs: ShapeInputs) -> Reconstruction:
 
 def test_it_goes_by_the_name_that_the_configuration_chooses_it_by() -> None:
     assert {name: reconstructor.name for name, reconstructor in reconstructors().items()} == {
-        name: name for name in (*get_args(ReconstructorName), "box")
+        name: name for name in (*get_args(ReconstructorName), "box", "hull")
     }
 
 

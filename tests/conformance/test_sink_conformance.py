@@ -17,6 +17,7 @@ from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink
 from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind
 from hickory_stream.testing import RememberingSink, SlowSink
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
+from tests.examples.csv_sink import COLUMNS, CsvSink
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,9 +46,15 @@ def _rerun_of_nothing(folder: MapFolder) -> Sink:
     return RerunSink(RerunConfig(), folder.path, None, ViewerChoice(kind=ViewerKind.NONE))
 
 
+def _example(folder: MapFolder) -> Sink:
+    return CsvSink(folder.path.parent / "objects.csv")
+
+
+# A sink of one's own adds its line here.
 SINKS: dict[str, Callable[[MapFolder], Sink]] = {
     "costmap": _costmap,
     "disk": _disk,
+    "example": _example,
     "rerun_file": _rerun_file,
     "rerun_of_nothing": _rerun_of_nothing,
     "remembering": lambda _: RememberingSink(),
@@ -131,3 +138,16 @@ def test_a_sink_on_a_thread_of_its_own_does_not_change_the_map(
 ) -> None:
     run = map_scene(tmp_path, *NO_SHAPES, sinks=lambda folder: [(_disk(folder), True), (make_sink(folder), True)])
     assert run.digest == undisturbed_digest
+
+
+def test_the_example_writes_a_line_for_each_object_of_each_keyframe(
+    folder: MapFolder, played: tuple[MapFolder, list[FrameReport]]
+) -> None:
+    sink = _example(folder)
+    for report in played[1]:
+        sink.show(report)
+    sink.close()
+    lines = (folder.path.parent / "objects.csv").read_text().splitlines()
+    assert lines[0] == ",".join(COLUMNS)
+    assert len(lines) - 1 == sum(len(report.snapshot.objects) for report in played[1] if report.snapshot)
+    assert {line.rsplit(",", 1)[1] for line in lines[1:]} == {"0", "1"}

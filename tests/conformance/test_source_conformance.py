@@ -13,6 +13,7 @@ import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
 from players import SourceOptions, open_source
+from tests.examples.npz_source import NpzSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,16 +61,36 @@ def _mcap_without_index(path: Path, frames: list[scenes.SceneFrame]) -> Path:
     )
 
 
-FORMATS: dict[str, tuple[Callable[[Path, list[scenes.SceneFrame]], Path], SourceOptions]] = {
-    "7scenes": (scenes.write_seven_scenes, REGISTERED),
-    "tum": (scenes.write_tum, SourceOptions()),
-    "posed": (scenes.write_posed_folder, SourceOptions()),
-    "ros1": (_ros1, SourceOptions()),
-    "ros2_sqlite": (_ros2_sqlite, SourceOptions()),
-    "ros2_database": (_ros2_database, SourceOptions()),
-    "ros2_mcap": (_ros2_mcap, SourceOptions()),
-    "mcap": (_mcap, SourceOptions()),
-    "mcap_without_index": (_mcap_without_index, SourceOptions()),
+def _npz(path: Path, frames: list[scenes.SceneFrame]) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    camera = scenes.CAMERA
+    np.savez(
+        path.with_suffix(".npz"),
+        rgb=np.stack([frame.rgb for frame in frames]),
+        depth_m=np.stack([frame.depth_m for frame in frames]),
+        stamps_ns=np.array([frame.stamp_ns for frame in frames], np.int64),
+        world_from_camera=np.stack([frame.world_from_camera for frame in frames]),
+        intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+    )
+    return path.with_suffix(".npz")
+
+
+def _open_registered(path: Path) -> Source:
+    return open_source(path, REGISTERED)
+
+
+# How the scene is written in a format, and how what was written is opened. A source of one's own adds its line here.
+FORMATS: dict[str, tuple[Callable[[Path, list[scenes.SceneFrame]], Path], Callable[[Path], Source]]] = {
+    "7scenes": (scenes.write_seven_scenes, _open_registered),
+    "tum": (scenes.write_tum, open_source),
+    "posed": (scenes.write_posed_folder, open_source),
+    "ros1": (_ros1, open_source),
+    "ros2_sqlite": (_ros2_sqlite, open_source),
+    "ros2_database": (_ros2_database, open_source),
+    "ros2_mcap": (_ros2_mcap, open_source),
+    "mcap": (_mcap, open_source),
+    "mcap_without_index": (_mcap_without_index, open_source),
+    "example": (_npz, NpzSource),
 }
 HAS_NO_STAMPS = ("7scenes", "posed")
 
@@ -85,7 +106,7 @@ def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
 @pytest.fixture
 def source(recording: tuple[str, Path]) -> Source:
     name, path = recording
-    return open_source(path, FORMATS[name][1])
+    return FORMATS[name][1](path)
 
 
 def _fields(frame: RawFrame) -> tuple[object, ...]:
@@ -178,12 +199,12 @@ def test_the_identity_moves_with_the_log_and_differs_from_other_logs(
     source: Source, recording: tuple[str, Path], tmp_path: Path
 ) -> None:
     name, path = recording
-    write, options = FORMATS[name]
+    write, opened = FORMATS[name]
     copy = tmp_path / "elsewhere" / path.name
     (shutil.copytree if path.is_dir() else _copy_file)(path, copy)
-    assert open_source(copy, options).info.identity == source.info.identity
+    assert opened(copy).info.identity == source.info.identity
     shorter = write(tmp_path / "log", TRUTH[:-1])
-    assert open_source(shorter, options).info.identity != source.info.identity
+    assert opened(shorter).info.identity != source.info.identity
 
 
 def test_a_log_without_the_files_it_needs_is_an_input_error(recording: tuple[str, Path], tmp_path: Path) -> None:
@@ -198,7 +219,7 @@ def test_a_log_without_the_files_it_needs_is_an_input_error(recording: tuple[str
         broken = tmp_path / path.name
         broken.write_bytes(path.read_bytes()[:700])
     with pytest.raises(InputError, match=r"log"):
-        list(open_source(broken, FORMATS[name][1]).frames())
+        list(FORMATS[name][1](broken).frames())
 
 
 def _copy_file(source: Path, target: Path) -> None:

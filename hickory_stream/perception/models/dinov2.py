@@ -98,7 +98,8 @@ class DinoExtractor:
             if fixed not in (None, given):
                 raise ModelError(
                     f"{self._network.path} takes images of {side} {fixed} only, and the frames give {given} (made "
-                    f"whole patches of {self._config.patch_px}); export it with open sizes (README: Models)"
+                    f"whole patches of {self._config.patch_px}); export it with open sizes "
+                    "(hickory_stream/perception/models/README.md)"
                 )
         return self._features(padded, is_warm_up=False)
 

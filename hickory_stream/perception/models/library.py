@@ -161,7 +161,7 @@ def how_to_get(name: str, kind: Kind) -> str:
     adds = f"`hickory-stream models add {name}.onnx --kind {kind}`"
     if kind == "semantic":
         return f"add {_ORIGINS[kind]}, with {adds}"
-    return f"export it to ONNX (README: Models; {_ORIGINS[kind]}), then add it with {adds}"
+    return f"export it to ONNX (hickory_stream/perception/models/README.md; {_ORIGINS[kind]}), then add it with {adds}"
 
 
 def sha256_of(path: Path) -> str:

@@ -1,0 +1,27 @@
+"""The READMEs: that of the project, and those beside the code of a package."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+FOLDERS = ("hickory_stream", "players", "tools", "recordings")
+READMES = (ROOT / "README.md", *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("README.md")))
+
+
+def blocks_of(language: str, readme: Path) -> str:
+    """Return the code blocks of a language in a README, one after the other."""
+    text = readme.read_text(encoding="utf-8")
+    return "".join(re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL))
+
+
+def prose_of(readme: Path) -> list[tuple[int, str]]:
+    """Return the lines, with their numbers from 1, that are neither in a code block nor in a table."""
+    prose, is_code = [], False
+    for number, line in enumerate(readme.read_text(encoding="utf-8").splitlines(), start=1):
+        if line.startswith("```"):
+            is_code = not is_code
+        elif not is_code and not line.startswith("|"):
+            prose.append((number, line))
+    return prose
