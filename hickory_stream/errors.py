@@ -10,7 +10,8 @@
     |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
     |   |-- ViewerError             a viewer that was asked for and cannot be had
     |   `-- OutputError             a file that was asked for and could not be written to its end
-    `-- WorkerError                 a shape worker that could not be started or broke its protocol
+    |-- WorkerError                 a shape worker that could not be started or broke its protocol
+    `-- InvariantError              the map's state contradicts itself, as checks with --debug have found
 
 A message names what was found, what was expected, and what to do.
 """
@@ -64,3 +65,7 @@ class OutputError(InputError):
 
 class WorkerError(HickoryError):
     """A shape worker that could not be started, or that broke its protocol."""
+
+
+class InvariantError(HickoryError):
+    """The state of the map contradicts itself: a defect of the mapping, found by its checks."""

@@ -90,7 +90,11 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"hickory-stream {__version__}")
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--json", action="store_true", help="print JSON for machines")
-    common.add_argument("--debug", action="store_true", help="log more, and show the trace of an internal failure")
+    common.add_argument(
+        "--debug",
+        action="store_true",
+        help="log more, check the map's state after every event, show the trace of an internal failure",
+    )
     configured = argparse.ArgumentParser(add_help=False)
     configured.add_argument("--config", type=Path, metavar="TOML", help="configuration file; see `config dump`")
     configured.add_argument(

@@ -6,6 +6,7 @@ same map, to the byte. What happens in a keyframe is listed in `_keyframe`; each
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any, assert_never
 
 from hickory_stream.events import (
@@ -24,6 +25,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry import portable
 from hickory_stream.mapping.best_views import drop_unused_views, judge_views, propose_views
+from hickory_stream.mapping.invariants import validate
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
 from hickory_stream.mapping.observed_space import floor_change
 from hickory_stream.mapping.shape_requests import end_shape, request_shapes
@@ -39,6 +41,8 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.tracker import Associator
     from hickory_stream.records import MapPrior, MapSnapshot
+
+logger = logging.getLogger(__name__)
 
 
 class MapperCore:
@@ -59,7 +63,18 @@ class MapperCore:
 
         Raises:
             ValueError: the event does not fit, e.g. features of a keyframe that is not pending.
+            InvariantError: the state contradicts itself; looked for where debug messages are logged (`--debug`).
         """
+        effects = self._handled(event)
+        if logger.isEnabledFor(logging.DEBUG):
+            validate(self._state)
+        return effects
+
+    def validate(self) -> None:
+        """Check the invariants of the map's state; raises `InvariantError`."""
+        validate(self._state)
+
+    def _handled(self, event: Event) -> list[Effect]:
         match event:
             case FrameObserved():
                 return self._keyframe(event)

@@ -16,6 +16,8 @@ from hickory_stream.events import (
     Event,
     FeaturesReady,
     KeepView,
+    PoseJumped,
+    PosesCorrected,
     Publish,
     RequestShape,
     ShapeFailed,
@@ -104,6 +106,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
 
     def tell(self, event: Event) -> list[Effect]:
         effects = self.core.handle(event)
+        self.core.validate()
         self.events.append(event)
         self.effects += effects
         for effect in effects:
@@ -178,6 +181,33 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         self.tell(TimeJumped(from_ns=self.stamp_ns, to_ns=to_s * SECOND_NS))
         self.stamp_ns = to_s * SECOND_NS
         assert [tracked.id for tracked in self.core.snapshot().objects] == before
+
+    @precondition(lambda self: self.num_frames > 0)
+    @rule(by_m=st.sampled_from([0.05, 0.4]))
+    def the_odometry_jumps(self, by_m: float) -> None:
+        jump = np.eye(4)
+        jump[0, 3] = by_m
+        before = [tracked.id for tracked in self.core.snapshot().objects]
+        assert self.tell(PoseJumped(stamp_ns=self.stamp_ns, after_from_before=jump)) == []
+        assert [tracked.id for tracked in self.core.snapshot().objects] == before
+
+    @rule(which=st.integers(0, 10), by_m=st.sampled_from([0.0, 0.3]))
+    def a_submap_is_placed_anew(self, which: int, by_m: float) -> None:
+        place = np.eye(4)
+        place[1, 3] = by_m
+        submap_id = which % len(self.core.snapshot().submaps)
+        (published,) = self.tell(
+            PosesCorrected(stamp_ns=self.stamp_ns, submap_ids=(submap_id,), world_from_submap=place[None])
+        )
+        assert isinstance(published, Publish)
+        assert np.array_equal(published.snapshot.submaps[submap_id].world_from_submap, place)
+
+    @rule()
+    def the_core_goes_on_from_its_state(self) -> None:
+        before = map_digest(self.core.snapshot())
+        self.core = MapperCore.from_state(CONFIG, self.core.state())
+        self.core.validate()
+        assert map_digest(self.core.snapshot()) == before
 
     # ---- what always holds ------------------------------------------------------------------------------------------
 

@@ -1,0 +1,225 @@
+"""The invariants of the map's state: what holds between its parts after every event.
+
+Each is a sentence and the function that tells where it does not hold. `validate` runs after every event in the tests of
+the core, and in a run with `--debug`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import InvariantError
+from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.geometry.rigid import is_rigid
+from hickory_stream.geometry.voxels import contains
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.mapping.cloud import Cloud
+    from hickory_stream.mapping.map_state import MapState
+    from hickory_stream.mapping.observed_space import SpaceState
+
+
+def validate(state: MapState) -> None:
+    """Check every invariant of a state.
+
+    Raises:
+        InvariantError: one is broken; its name, and where.
+    """
+    for name, broken in INVARIANTS.items():
+        for found in broken(state):
+            raise InvariantError(f"the map's state is broken after keyframe {state.revision}: {name}; found {found}")
+
+
+def _misplaced_tracks(state: MapState) -> Iterator[str]:
+    for track_id, track in state.tracks.items():
+        if track.id != track_id:
+            yield f"#{track.id} as #{track_id}"
+
+
+def _numbers_to_come(state: MapState) -> Iterator[str]:
+    for track in state.tracks.values():
+        for used in (track.id, *track.merged_ids):
+            if not 1 <= used < state.next_id:
+                yield f"#{used}, the next one is #{state.next_id}"
+        ticket = track.shape_state.open_ticket
+        if ticket is not None and not 1 <= ticket < state.next_ticket:
+            yield f"job {ticket} of #{track.id}, the next one is {state.next_ticket}"
+
+
+def _living_merged(state: MapState) -> Iterator[str]:
+    for track in state.tracks.values():
+        for gone in track.merged_ids:
+            if gone in state.tracks:
+                yield f"#{gone} in #{track.id}"
+
+
+def _shared_merged(state: MapState) -> Iterator[str]:
+    yield from _twice("#{}", (gone for track in state.tracks.values() for gone in track.merged_ids))
+
+
+def _shared_tickets(state: MapState) -> Iterator[str]:
+    tickets = (track.shape_state.open_ticket for track in state.tracks.values())
+    yield from _twice("job {}", (ticket for ticket in tickets if ticket is not None))
+
+
+def _tentative_shapes(state: MapState) -> Iterator[str]:
+    for track in state.tracks.values():
+        if track.phase is Phase.TENTATIVE and track.shape_state.open_ticket is not None:
+            yield f"job {track.shape_state.open_ticket} of #{track.id}"
+
+
+def _loose_solids(state: MapState) -> Iterator[str]:
+    for track in state.tracks.values():
+        if not contains(track.cloud.keys, track.solid.keys).all():
+            yield f"other points in #{track.id}"
+        if not np.array_equal(track.bounds, bounds_of(track.solid.points)):
+            yield f"other bounds in #{track.id}"
+
+
+def _disordered_clouds(state: MapState) -> Iterator[str]:
+    clouds = [(f"#{track.id}", cloud) for track in state.tracks.values() for cloud in (track.cloud, track.solid)]
+    candidates = state.split_candidates.items()
+    clouds += [(f"a part of #{host}", candidate.cloud) for host, own in candidates for candidate in own]
+    yield from (f"that of {name}" for name, cloud in clouds if not _is_cloud(cloud))
+
+
+def _times_to_come(state: MapState) -> Iterator[str]:
+    for track in state.tracks.values():
+        if track.seen_clock_ns > state.clock_ns:
+            yield f"#{track.id} at {track.seen_clock_ns}, and now is {state.clock_ns}"
+
+
+def _foreign_views(state: MapState) -> Iterator[str]:
+    for track in state.tracks.values():
+        for view in track.views:
+            if view.object_id != track.id:
+                yield f"a view of #{view.object_id} in #{track.id}"
+    if state.pending is not None:
+        for view in state.pending.candidates.values():
+            if view.object_id not in state.tracks:
+                yield f"a candidate of #{view.object_id}, which is not there"
+
+
+def _unkept_views(state: MapState) -> Iterator[str]:
+    yield from (f"{name}, which is needed" for name in sorted(state.view_names() - state.kept_views))
+
+
+def _unneeded_views(state: MapState) -> Iterator[str]:
+    # While features are pending, what they will not need is kept.
+    if state.pending is None:
+        yield from (f"{name}, which nothing needs" for name in sorted(state.kept_views - state.view_names()))
+
+
+def _unordered_votes(state: MapState) -> Iterator[str]:
+    for a, b in state.votes.votes:
+        if not a < b or not {a, b} <= state.tracks.keys():
+            yield f"#{a} and #{b}"
+
+
+def _dead_hosts(state: MapState) -> Iterator[str]:
+    for host in (*state.split_candidates, *state.absorbed):
+        if host not in state.tracks:
+            yield f"those of #{host}"
+
+
+def _foreign_histories(state: MapState) -> Iterator[str]:
+    for host, absorbed in state.absorbed.items():
+        for track in absorbed:
+            if host in state.tracks and track.id not in state.tracks[host].merged_ids:
+                yield f"#{track.id} in #{host}"
+
+
+def _shared_histories(state: MapState) -> Iterator[str]:
+    yield from _twice("#{}", (track.id for absorbed in state.absorbed.values() for track in absorbed))
+
+
+def _disordered_submaps(state: MapState) -> Iterator[str]:
+    submaps = state.submaps
+    ids = [submap.id for submap in submaps.states]
+    if ids != list(range(len(ids))) or not 0 <= submaps.first < max(len(ids), 1):
+        yield f"submaps {ids}, the first since the last jump is {submaps.first}"
+    yield from (f"no rigid pose of submap {s.id}" for s in submaps.states if not is_rigid(s.world_from_submap))
+
+
+def _homeless_tracks(state: MapState) -> Iterator[str]:
+    for track in state.tracks.values():
+        if not 0 <= track.submap_id <= track.seen_in <= state.submaps.open_id:
+            yield f"#{track.id} of submap {track.submap_id}, seen in {track.seen_in} of {state.submaps.open_id}"
+
+
+def _misowned_voxels(state: MapState) -> Iterator[str]:
+    submaps = state.submaps
+    if len(submaps.owned) != len(submaps.owners) or not _ascends(submaps.owned):
+        yield "a voxel twice, or one without an owner"
+    elif ((submaps.owners < submaps.first) | (submaps.owners >= submaps.open_id)).any():
+        yield f"an owner that is not between {submaps.first} and {submaps.open_id}"
+
+
+def _other_judges(state: MapState) -> Iterator[str]:
+    submaps = state.submaps
+    if submaps.first == submaps.open_id and not _is_same_space(submaps.space, submaps.states[-1].space):
+        yield "another space"
+
+
+def _disordered_spaces(state: MapState) -> Iterator[str]:
+    spaces = [("that since the last jump", state.submaps.space)]
+    spaces += [(f"that of submap {submap.id}", submap.space) for submap in state.submaps.states]
+    for name, space in spaces:
+        if not (_ascends(space.free) and _ascends(space.hidden_free) and _ascends(space.surface)):
+            yield f"{name}, out of order"
+        elif not len(space.surface) == len(space.hits) == len(space.misses):
+            yield f"{name}, with votes of other voxels"
+        elif contains(space.free, space.surface[space.is_structure]).any():
+            yield f"{name}, with free structure"
+
+
+INVARIANTS: dict[str, Callable[[MapState], Iterator[str]]] = {
+    "every track is under its own id": _misplaced_tracks,
+    "ids and tickets are below the next ones": _numbers_to_come,
+    "a track that was merged is none any more": _living_merged,
+    "a track was merged into one other": _shared_merged,
+    "a shape job is that of one track": _shared_tickets,
+    "a tentative track has no shape job": _tentative_shapes,
+    "a cloud has each voxel once, in order, and all that is known of it": _disordered_clouds,
+    "the solid part, and the bounds, of a track are those of its cloud": _loose_solids,
+    "nothing was seen after now": _times_to_come,
+    "a view is that of the track that has it": _foreign_views,
+    "the pixels of views that are needed are kept": _unkept_views,
+    "no other pixels are kept": _unneeded_views,
+    "votes are of pairs of tracks, the lower id first": _unordered_votes,
+    "split candidates and absorbed tracks are those of a track": _dead_hosts,
+    "an absorbed track is one that was merged into its host": _foreign_histories,
+    "a track was absorbed by one other": _shared_histories,
+    "submaps are in order": _disordered_submaps,
+    "a track was first seen in a submap, and last in that or a later one": _homeless_tracks,
+    "a voxel of a closed submap has one owner since the last jump": _misowned_voxels,
+    "an open submap that is alone judges by its own space": _other_judges,
+    "an observed space is in order, and no structure is free": _disordered_spaces,
+}
+"""What tells where an invariant is broken, by the sentence that holds."""
+
+
+def _twice(text: str, items: Iterable[int]) -> Iterator[str]:
+    yield from (f"{text.format(item)} twice" for item, count in sorted(Counter(items).items()) if count > 1)
+
+
+def _ascends(keys: NDArray[np.int64]) -> bool:
+    return bool((keys[1:] > keys[:-1]).all())
+
+
+def _is_cloud(cloud: Cloud) -> bool:
+    sizes = {len(cloud.keys), len(cloud.points), len(cloud.colors), len(cloud.hits)}
+    return len(sizes) == 1 and _ascends(cloud.keys) and bool(np.isfinite(cloud.points).all())
+
+
+def _is_same_space(a: SpaceState, b: SpaceState) -> bool:
+    pairs = ((a.free, b.free), (a.hidden_free, b.hidden_free), (a.surface, b.surface), (a.hits, b.hits))
+    return a.floor_z_m == b.floor_z_m and all(np.array_equal(x, y) for x, y in (*pairs, (a.misses, b.misses)))

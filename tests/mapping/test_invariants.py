@@ -1,0 +1,214 @@
+"""Each invariant of the map's state is told where a state is broken on purpose."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.errors import InvariantError
+from hickory_stream.geometry.lattice import Lattice
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.existence import ExistenceConfig
+from hickory_stream.mapping.invariants import INVARIANTS, validate
+from hickory_stream.mapping.lifecycle import LifecycleConfig
+from hickory_stream.mapping.map_state import MapState, PendingFeatures
+from hickory_stream.mapping.mapping_config import MappingConfig
+from hickory_stream.mapping.requests import RequestConfig
+from hickory_stream.mapping.split_candidates import SplitCandidate
+from hickory_stream.mapping.submaps import SubmapConfig
+from hickory_stream.mapping.track_merging import MergeConfig, VoteBook, Votes
+from hickory_stream.records import Phase
+from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+CONFIG = MappingConfig(
+    lattice=Lattice(points_m=VOXEL_M),
+    existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),
+    lifecycle=LifecycleConfig(confirm_sightings=2),
+    merge=MergeConfig(min_votes=2),
+    requests=RequestConfig(first_sightings=2),
+    submaps=SubmapConfig(travel_m=3.0),
+)
+LEFT, RIGHT, FAR = (box_surface((x, 0, 0.1)) for x in (0.0, 0.2, 1.5))
+WHOLE = box_surface((0.1, 0, 0.1), (0.4, 0.2, 0.2))
+FLOOR = np.stack(np.meshgrid(np.arange(-1, 1, 0.05), np.arange(-1, 1, 0.05), [0.0]), axis=-1).reshape(-1, 3)
+
+
+@cache
+def driven() -> Mapping[str, object]:
+    """The state of a core with two tracks, one of which has taken in a third; a candidate, shape jobs, submaps."""
+    core = MapperCore(CONFIG)
+    floor, free = (keys_of_points(FLOOR + np.array([0, 0, z]), CONFIG.lattice.space_m) for z in (0.02, 0.6))
+    seen = space(structure=floor, free=free, floor_z_m=0.0)
+    apart = [observation(0, LEFT), observation(1, RIGHT), observation(2, FAR)]
+    for i in range(3):
+        drive(core, [keyframe(i, apart, seen=seen)])
+    for i in range(3, 8):
+        drive(core, [keyframe(i, [observation(0, WHOLE), observation(1, FAR)], seen=seen)])
+    # Half a circle of 3 m: a submap ends on the way.
+    drive(core, [keyframe(8, apart, seen=seen, angle_rad=1.5), keyframe(9, apart, seen=seen, angle_rad=3.0)])
+    core.handle(keyframe(10, apart, seen=seen, angle_rad=3.0))
+    return core.state()
+
+
+@pytest.fixture
+def state() -> MapState:
+    """A whole state, with something of every part."""
+    found = MapperCore.from_state(CONFIG, driven())._state
+    assert sorted(found.tracks) == [1, 3]
+    assert found.tracks[1].merged_ids == (2,)
+    assert found.absorbed.keys() == {1}
+    assert found.split_candidates.keys() == {1}
+    assert len(found.submaps.states) > 1
+    assert len(found.submaps.owned)
+    assert all(track.shape_state.open_ticket is not None for track in found.tracks.values())
+    found.votes = found.votes.plus([(1, 3)], apart=1)
+    validate(found)
+    return found
+
+
+def track_with(state: MapState, **changes: object) -> None:
+    state.tracks[1] = replace(state.tracks[1], **changes)  # type: ignore[arg-type]
+
+
+def job(state: MapState, ticket: int) -> None:
+    track_with(state, shape_state=replace(state.tracks[1].shape_state, open_ticket=ticket))
+
+
+def submaps_with(state: MapState, **changes: object) -> None:
+    state.submaps = replace(state.submaps, **changes)  # type: ignore[arg-type]
+
+
+def space_with(state: MapState, **changes: object) -> None:
+    submaps_with(state, space=replace(state.submaps.space, **changes))  # type: ignore[arg-type]
+
+
+def candidate_of(state: MapState, host: int) -> None:
+    state.split_candidates[host] = (SplitCandidate(cloud=state.tracks[3].cloud, frames=(1,)),)
+
+
+def pending_of_nobody(state: MapState) -> None:
+    view = replace(state.tracks[1].views[0], object_id=2)
+    state.pending = PendingFeatures(frame_index=10, candidates={0: view}, object_ids=(1,))
+
+
+def one_submap_with_another_space(state: MapState) -> None:
+    submaps_with(state, first=state.submaps.open_id, owned=np.empty(0, np.int64), owners=np.empty(0, np.int32))
+
+
+def backwards(state: MapState) -> None:
+    cloud = state.tracks[1].cloud
+    turned = replace(cloud, keys=cloud.keys[::-1], points=cloud.points[::-1])
+    track_with(state, cloud=turned, solid=turned)
+
+
+def half_of(state: MapState) -> None:
+    cloud = state.tracks[1].cloud
+    half = replace(cloud, points=cloud.points[: len(cloud.points) // 2])
+    candidate_of(state, 1)
+    (candidate,) = state.split_candidates[1]
+    state.split_candidates[1] = (replace(candidate, cloud=half),)
+
+
+DAMAGE: list[tuple[str, Callable[[MapState], object]]] = [
+    ("every track is under its own id", lambda s: track_with(s, id=7)),
+    ("ids and tickets are below the next ones", lambda s: setattr(s, "next_id", 3)),
+    ("ids and tickets are below the next ones", lambda s: job(s, 99)),
+    ("a track that was merged is none any more", lambda s: track_with(s, merged_ids=(2, 3))),
+    ("a track was merged into one other", lambda s: s.tracks.update({3: replace(s.tracks[3], merged_ids=(2,))})),
+    ("a shape job is that of one track", lambda s: job(s, s.tracks[3].shape_state.open_ticket or 0)),
+    ("a tentative track has no shape job", lambda s: track_with(s, phase=Phase.TENTATIVE)),
+    ("the solid part, and the bounds, of a track", lambda s: track_with(s, solid=s.tracks[3].solid)),
+    ("the solid part, and the bounds, of a track", lambda s: track_with(s, bounds=s.tracks[3].bounds)),
+    ("a cloud has each voxel once, in order", backwards),
+    ("a cloud has each voxel once, in order", half_of),
+    ("nothing was seen after now", lambda s: setattr(s, "clock_ns", 0)),
+    ("a view is that of the track that has it", lambda s: track_with(s, best_view=s.tracks[3].best_view)),
+    ("a view is that of the track that has it", pending_of_nobody),
+    ("the pixels of views that are needed are kept", lambda s: s.kept_views.pop()),
+    ("no other pixels are kept", lambda s: s.kept_views.add("000099-000")),
+    ("votes are of pairs of tracks", lambda s: setattr(s, "votes", VoteBook(votes={(3, 1): Votes()}))),
+    ("votes are of pairs of tracks", lambda s: setattr(s, "votes", VoteBook(votes={(1, 2): Votes()}))),
+    ("split candidates and absorbed tracks are those of a track", lambda s: candidate_of(s, 2)),
+    ("split candidates and absorbed tracks are those of a track", lambda s: s.absorbed.update({2: s.absorbed.pop(1)})),
+    ("an absorbed track is one that was merged", lambda s: s.absorbed.update({3: s.absorbed.pop(1)})),
+    ("a track was absorbed by one other", lambda s: s.absorbed.update({1: s.absorbed[1] * 2})),
+    ("submaps are in order", lambda s: submaps_with(s, states=s.submaps.states[::-1])),
+    ("submaps are in order", lambda s: submaps_with(s, first=9)),
+    ("a track was first seen in a submap", lambda s: track_with(s, submap_id=7)),
+    ("a voxel of a closed submap has one owner", lambda s: submaps_with(s, owned=s.submaps.owned[::-1])),
+    ("a voxel of a closed submap has one owner", lambda s: submaps_with(s, owners=s.submaps.owners + 9)),
+    ("an open submap that is alone judges by its own space", one_submap_with_another_space),
+    ("an observed space is in order", lambda s: space_with(s, free=s.submaps.space.free[::-1])),
+    ("an observed space is in order", lambda s: space_with(s, hits=s.submaps.space.hits[1:])),
+    ("an observed space is in order", lambda s: space_with(s, free=s.submaps.space.surface)),
+]
+
+
+@pytest.mark.parametrize(("name", "damage"), DAMAGE, ids=[f"{i}: {name}" for i, (name, _) in enumerate(DAMAGE)])
+def test_a_state_that_is_broken_on_purpose_is_refused_by_the_name_of_what_it_breaks(
+    state: MapState, name: str, damage: Callable[[MapState], object]
+) -> None:
+    if "kept" in name:
+        state.pending = None
+        state.kept_views &= state.view_names()
+        validate(state)
+    damage(state)
+    with pytest.raises(InvariantError, match=f"after keyframe 11: {name}.*; found "):
+        validate(state)
+
+
+def test_every_invariant_is_broken_by_one_of_these() -> None:
+    broken = [[name for name in INVARIANTS if name.startswith(begin)] for begin, _ in DAMAGE]
+    assert all(len(names) == 1 for names in broken)
+    assert {names[0] for names in broken} == INVARIANTS.keys()
+
+
+def test_a_new_map_is_whole() -> None:
+    MapperCore(CONFIG).validate()
+
+
+@pytest.mark.parametrize("level", [logging.DEBUG, logging.WARNING])
+def test_the_core_checks_its_state_after_every_event_where_debug_messages_are_logged(
+    level: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    core = MapperCore(CONFIG)
+    core._state.votes = VoteBook(votes={(8, 9): Votes()})
+    with caplog.at_level(level, logger="hickory_stream"):
+        if level == logging.DEBUG:
+            with pytest.raises(InvariantError, match="votes are of pairs of tracks"):
+                core.handle(keyframe(0, []))
+        else:
+            core.handle(keyframe(0, []))
+
+
+@pytest.mark.parametrize("options", [["--debug"], []], ids=["with --debug", "without"])
+def test_play_checks_the_state_with_debug_alone_and_ends_in_one_line_that_names_what_is_broken(
+    options: list[str], tmp_path: Path
+) -> None:
+    # In a process of its own, where nobody has set up the logging before the command line does.
+    script = (
+        "import sys\n"
+        "from hickory_stream.cli import main\n"
+        "from hickory_stream.mapping import invariants\n"
+        "invariants.INVARIANTS['it is on purpose'] = lambda state: iter(['this'])\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    play = ["play", "recordings/demo.mcap", "--frames", "2", "--out", str(tmp_path / "map"), "--viewer", "none"]
+    command = [sys.executable, "-c", script, *play, *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == (1 if options else 0), done.stderr
+    told = "hickory-stream: the map's state is broken after keyframe 1: it is on purpose; found this"
+    assert (told in done.stderr.splitlines()) == bool(options)
