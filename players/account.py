@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from players.containers import Log
     from players.counts import Ledger
-    from players.log_source import LogSetup
+    from players.log_setup import LogSetup
 
 
 _FLAWS_TOLD = 5

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from players.log_opening import Probe
     from players.options import Clock
+    from players.probe import Probe
     from players.rig import PosePlan, RigReader
 
 _APART_NS = 60_000_000_000

@@ -6,7 +6,7 @@ carry the camera.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,10 +26,12 @@ from players.discover import (
     tf_topics,
 )
 from players.images import LogImage, check_color_encoding, check_depth_encoding, image_of
-from players.log_source import LogSetup, LogSource
+from players.log_setup import LogSetup
+from players.log_source import LogSource
 from players.messages import TF
 from players.options import DEFAULT_MAX_POSE_GAP_NS
 from players.pose_file import read_pose_file
+from players.probe import Probe
 from players.profile import Profile, guess_profile, load_profile, profiles_with_robots, robots_in
 from players.register import Registration
 from players.rig import PosePlan, PoseStream, RigReader, plan_poses
@@ -44,31 +46,11 @@ if TYPE_CHECKING:
     from players.containers import Log, Topic
     from players.options import SourceOptions
 
-_PROBE_IMAGES = 15
-"""Images of each topic that are looked at for frame names, encodings and periods."""
-
 _PATIENCE_NS = 10_000_000_000
 """So much of the log is read for topics that have not come yet, once everything needed is there."""
 
 _HORIZON_NS = 300_000_000_000
 """So much of the log is read for what is needed: a recording whose links come later than that is refused."""
-
-
-@dataclass(slots=True)
-class Probe:
-    """The beginning of an image topic: its first image, the stamps of its headers and of the recording."""
-
-    topic: Topic
-    first: LogImage | None = None
-    stamps_ns: list[int] = field(default_factory=list)
-    log_ns: list[int] = field(default_factory=list)
-    num_unreadable: int = 0
-
-    @property
-    def is_full(self) -> bool:
-        """Whether enough images were seen."""
-        number = self.topic.num_messages
-        return len(self.stamps_ns) >= (_PROBE_IMAGES if number is None else min(_PROBE_IMAGES, number))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

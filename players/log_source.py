@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -35,13 +34,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.geometry.depth_sensor import DepthSensor
     from players.account import Account
     from players.calibration import Lens
     from players.containers import Log, LogMessage, Topic
-    from players.discover import ImageTopics
-    from players.rig import PosePlan
-    from players.tracks import JumpLimits
+    from players.log_setup import LogSetup
 
 logger = logging.getLogger(__name__)
 
@@ -54,28 +50,6 @@ _KEPT_NS = 5_000_000_000
 
 _KEPT_WITHOUT_FRAMES_NS = 60_000_000_000
 _FORGET_EVERY = 5000
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class LogSetup:
-    """What opening a log has settled."""
-
-    topics: ImageTopics
-    small_topics: tuple[Topic, ...]
-    color_lens: Lens
-    depth_lens: Lens
-    registration: Registration
-    plan: PosePlan
-    pose_span_ns: tuple[int, int] | None
-    max_gap_ns: int
-    jump_limits: JumpLimits
-    pose_file: tuple[list[int], list[list[float]]] | None
-    tolerance_ns: int
-    uses_log_time: bool
-    depth_units_per_m: float
-    sensor: DepthSensor
-    streams: tuple[tuple[str, str], ...]
-    is_live: bool = False
 
 
 class LogSource:

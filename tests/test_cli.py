@@ -20,7 +20,7 @@ import trimesh
 from hickory_stream.config import from_dict, read_config
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.play import play
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.records import Phase
 from hickory_stream.settings import Settings

@@ -7,7 +7,7 @@ import cv2
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 
 
 @pytest.mark.timeout(600)

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
+from hickory_stream.engine.history.recorded import frame_indices, recorded_steps
 from hickory_stream.engine.journal import Journal, JournalWriter
-from hickory_stream.engine.recorded import frame_indices, recorded_steps
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
@@ -27,7 +27,7 @@ from hickory_stream.events import FrameObserved
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.recorded import RecordedStep
+    from hickory_stream.engine.history.recorded import RecordedStep
     from hickory_stream.evaluation.evaluate import Evaluation
     from hickory_stream.records import Observation
 

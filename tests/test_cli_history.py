@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from tests.test_cli import COMMAND, EAGER, Playing, run
 
 if TYPE_CHECKING:

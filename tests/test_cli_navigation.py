@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.session import create_map_folder
+from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.evaluation.truth import Truth, TruthObject, truth_record
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb

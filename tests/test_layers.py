@@ -1,8 +1,9 @@
-"""The layers of DESIGN: imports point down only, asyncio lives in one place, and so does printing."""
+"""The layers: imports point down only and never in circles, asyncio lives in one place, and so does printing."""
 
 from __future__ import annotations
 
 import ast
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -83,6 +84,20 @@ def test_imports_point_down_only(file: Path) -> None:
         if name.split(".")[0] in OURS and name != "hickory_stream":
             its_rank, its_part = place_of(name)
             assert its_part == part or its_rank < rank, f"{module_of(file)} must not import {name}"
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    """Imports for types and those within functions count, too: who reads one file of a circle has to read them all."""
+    modules = {module_of(file) for file in FILES} - {"hickory_stream"}
+    graph = {
+        module_of(file): {name for name in imports_of(file) if name in modules}
+        for file in FILES
+        if module_of(file) in modules
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail("imports go round in a circle: " + " <- ".join(error.args[1]))
 
 
 def test_importing_the_package_for_its_version_loads_nothing_of_it() -> None:

@@ -32,7 +32,7 @@ EXEMPT = {
     "hickory_stream/geometry/shape_score.py": "scores for alignment and the papers' tables",
     "players/agreement.py": "what `doctor` says of a calibration",
     "players/depth_noise.py": "what `doctor` says of the depth camera",
-    "hickory_stream/engine/time_travel.py": "what is shown of two moments of a map",
+    "hickory_stream/engine/history/time_travel.py": "what is shown of two moments of a map",
 }
 # Choose their code by the processor, or leave the order of their terms to a library that does.
 NUMPY = frozenset(

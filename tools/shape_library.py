@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.geometry.superquadric import centroid_world
 

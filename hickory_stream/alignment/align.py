@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.alignment.acceptance import Chance, effective_volume_m3
 from hickory_stream.alignment.affinity import (
-    AffinityConfig,
     fused_log_ranks,
     semantic_scores,
     why_no_semantics,
 )
+from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
-from hickory_stream.alignment.consensus import ConsensusConfig
-from hickory_stream.alignment.contradiction import ContradictionConfig
 from hickory_stream.alignment.hypothesis import Evidence
 from hickory_stream.alignment.judgement import (
-    AcceptanceConfig,
     Judged,
     centroid_covariance,
     confronted,
     margin_of,
     why_refused,
 )
-from hickory_stream.alignment.refinement import RefinementConfig, refined
+from hickory_stream.alignment.refinement import refined
 from hickory_stream.alignment.search import hypotheses_of
 from hickory_stream.alignment.shape_scores import superquadric_scores
 
@@ -39,17 +36,6 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
 
     ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class AlignConfig:
-    """Everything that alignment is configured by."""
-
-    affinity: AffinityConfig = field(default_factory=AffinityConfig)
-    consensus: ConsensusConfig = field(default_factory=ConsensusConfig)
-    acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
-    contradiction: ContradictionConfig = field(default_factory=ContradictionConfig)
-    refinement: RefinementConfig = field(default_factory=RefinementConfig)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

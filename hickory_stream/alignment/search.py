@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.alignment.affinity import Affinity
-    from hickory_stream.alignment.align import AlignConfig
+    from hickory_stream.alignment.align_config import AlignConfig
 
 # Some searches are spared where the evidence is so many times what is asked for, in decades.
 _CLEAR = 3.0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
 
 SHELLS = ("bash", "zsh", "fish")
 _PROGRAM = "hickory-stream"
@@ -27,10 +27,8 @@ def add(commands: Commands, _common: argparse.ArgumentParser, _configured: argpa
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.cli.parser import make_parser
-
     script = {"bash": bash_script, "zsh": zsh_script, "fish": fish_script}[options.shell]
-    print(script(make_parser()), end="")
+    print(script(options.parser), end="")
     return 0
 
 

@@ -13,7 +13,7 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
 
 _NAME = "room"
 # What `make_recording` leaves, and what comes after.
@@ -35,8 +35,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.cli.parser import make_parser
-
     folder: Path = options.out
     _make_room(folder, is_overwritten=options.overwrite)
     log, saved = folder / f"{_NAME}.mcap", folder / "map"
@@ -49,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         *(["render", str(saved), "--layers", layers, "-o", str(path), *as_json] for layers, path in pictures.items()),
     ]
     for step in steps:
-        chosen = make_parser().parse_args(step)
+        chosen = options.parser.parse_args(step)
         status: int = chosen.run(chosen)
         if status:
             return status

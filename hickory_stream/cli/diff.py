@@ -11,7 +11,7 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
@@ -26,7 +26,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.cli.values import open_map_at
-    from hickory_stream.engine.time_travel import stamp_of
+    from hickory_stream.engine.history.time_travel import stamp_of
 
     saved = open_map_at(options.map)
     changes = saved.diff(stamp_of(options.map, options.first), stamp_of(options.map, options.second))

@@ -16,7 +16,7 @@ from hickory_stream.terminal import clear_line, visible
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
 
 _LIVE_S = 10.0
 

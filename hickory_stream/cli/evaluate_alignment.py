@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.cli.parser import Commands
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.engine.saved_map import SavedMap
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator, Sequence
 
-    from hickory_stream.cli.parser import Commands
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.mapping.views import Strategy
     from hickory_stream.ports import Sink
     from hickory_stream.progress import Style

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
-    from hickory_stream.cli.parser import Commands
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.engine.saved_map import SavedMap
 
 
 # Structure above is ceiling to a robot.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import argparse
     from types import TracebackType
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
     from players.live import LiveMapSource
     from players.live.recorder import Recorder
     from players.live.status import LiveStatus

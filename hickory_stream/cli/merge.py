@@ -13,7 +13,7 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.cli.values import open_map_at
     from hickory_stream.engine.merged_map import outcome_text, write_merged_map
-    from hickory_stream.engine.session import check_unaltered
+    from hickory_stream.engine.saved_map import check_unaltered
     from hickory_stream.merging.merge_maps import merge_maps
 
     paths: list[Path] = options.maps

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
     from hickory_stream.perception.models.library import ModelEntry
     from hickory_stream.perception.models.network import Network
     from hickory_stream.perception.perceive import PerceptionConfig

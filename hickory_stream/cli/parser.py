@@ -6,7 +6,7 @@ import argparse
 import re
 from pathlib import Path
 from textwrap import fill
-from typing import Any, TypeAlias
+from typing import Any
 
 from hickory_stream import __version__
 from hickory_stream.cli import (
@@ -39,8 +39,6 @@ from hickory_stream.cli import (
     verify,
 )
 from hickory_stream.cli.examples import TEXTS
-
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 _COMMANDS = (
     demo,
@@ -82,11 +80,12 @@ class _Parser(argparse.ArgumentParser):
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return the parser; the namespace it makes holds `run`, the function of the chosen command."""
+    """Return the parser; the namespace it makes holds `run`, the function of the chosen command, and the `parser`."""
     parser = _Parser(
         prog="hickory-stream",
         description="Streaming object mapper: posed RGB-D in, a map of objects with four layers out.",
     )
+    parser.set_defaults(parser=parser)
     parser.add_argument("--version", action="version", version=f"hickory-stream {__version__}")
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--json", action="store_true", help="print JSON for machines")

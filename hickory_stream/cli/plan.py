@@ -15,7 +15,7 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
     from hickory_stream.navigation.free_space import FreeSpace
     from hickory_stream.navigation.search import NoPath
     from hickory_stream.navigation.search import Path as Way

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
-    from hickory_stream.cli.parser import Commands
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.progress import Style
     from hickory_stream.settings import Settings

@@ -12,7 +12,7 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:

@@ -11,8 +11,8 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.parser import Commands
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.engine.saved_map import SavedMap
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status: 1 where the map that comes out is another one."""
     from hickory_stream.cli.values import open_map_at, read_settings
     from hickory_stream.engine.digest import map_digest
-    from hickory_stream.engine.replay import replay
+    from hickory_stream.engine.history.replay import replay
     from hickory_stream.sinks.rerun_sink import RerunSink
     from hickory_stream.sinks.rerun_viewer import parse_viewer
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.records import Frame
     from players.profile import Profile

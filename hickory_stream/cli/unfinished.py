@@ -10,7 +10,7 @@ from hickory_stream.errors import MapFolderError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
 
 
 def resume_command(folder: Path) -> str:

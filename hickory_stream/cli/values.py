@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.navigation.robot import Robot
     from hickory_stream.settings import Settings
 
@@ -51,8 +51,8 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True) -> Sav
     from dataclasses import replace
 
     from hickory_stream.cli.unfinished import unfinished_note
-    from hickory_stream.engine.session import open_map
-    from hickory_stream.engine.time_travel import stamp_of
+    from hickory_stream.engine.history.time_travel import stamp_of
+    from hickory_stream.engine.saved_map import open_map
 
     saved = open_map(path, warns=warns)
     note = unfinished_note(saved)
@@ -75,7 +75,7 @@ def open_proven_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
         MapFolderError: there is no map, it keeps no history, or it was altered and `--unproven` is not given.
         InputError: the time is none, or outside of the run.
     """
-    from hickory_stream.engine.session import check_unaltered
+    from hickory_stream.engine.saved_map import check_unaltered
 
     saved = open_map_at(options.map, options.at, warns=False)
     if not options.unproven:

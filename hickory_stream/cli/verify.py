@@ -14,7 +14,7 @@ from hickory_stream.terminal import clear_line
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.parser import Commands
+    from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.verify import Verdict
 
 
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _mend(path: Path) -> bool:
     """Mend a map that is altered or cannot be read; return whether it was."""
-    from hickory_stream.engine.session import open_map
+    from hickory_stream.engine.saved_map import open_map
     from hickory_stream.engine.verify import mend
     from hickory_stream.errors import MapFolderError
 

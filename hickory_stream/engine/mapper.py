@@ -16,11 +16,12 @@ from threadpoolctl import threadpool_limits
 
 from hickory_stream import caches
 from hickory_stream.config import MapperConfig, RunConfig
+from hickory_stream.engine.history.recorded_config import resumed_config
+from hickory_stream.engine.history.resume import reopen
 from hickory_stream.engine.journal import JournalWriter
+from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.processor import processor_of_run
-from hickory_stream.engine.resume import reopen, resumed_config
 from hickory_stream.engine.run import Mode, Run
-from hickory_stream.engine.session import create_map_folder
 from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
 from hickory_stream.errors import InputError, MapFolderError, RecordingError
@@ -34,9 +35,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.resume_point import ResumePoint
+    from hickory_stream.engine.history.resume_point import ResumePoint
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.run_progress import Progress
-    from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot
 

@@ -15,8 +15,8 @@ from hickory_stream.confined import path_within
 from hickory_stream.engine.atomic import disk_errors, link_or_copy, outside_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.manifest import read_json
+from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.processor import processor_kind
-from hickory_stream.engine.session import create_map_folder
 from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import NoShape, ShapeInputs
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.engine.manifest import Manifest
-    from hickory_stream.engine.session import MapFolder, SavedMap
+    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.merging.merge_maps import Merged, PairOutcome
     from hickory_stream.merging.objects import MergedObject
     from hickory_stream.records import TrackedObject, View

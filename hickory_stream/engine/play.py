@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.config import MapperConfig, RunConfig
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.run import Mode
     from hickory_stream.engine.run_progress import Progress
-    from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Sink, Source
     from hickory_stream.records import MapSnapshot
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hickory_stream.engine.journal import JournalWriter
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.shape_queue import ShapeQueue
     from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, Told
     from hickory_stream.events import Event

@@ -29,13 +29,13 @@ from hickory_stream.engine.corrections import checked_places
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.frame_reports import final_report, keyframe_report, plain_report
+from hickory_stream.engine.history.rewind import rewound_to
 from hickory_stream.engine.keyframe_images import color_of, crop_of
 from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.pacing import Pacer
 from hickory_stream.engine.reading import Position, Read, Reader, live_channel, playback_channel, sensed, time_jump
 from hickory_stream.engine.recorder import Recorder, Unwritten
 from hickory_stream.engine.report_poses import in_map_frame
-from hickory_stream.engine.rewind import rewound_to
 from hickory_stream.engine.run_accounts import run_ledger, run_timings
 from hickory_stream.engine.run_progress import Progress
 from hickory_stream.engine.shape_cache import ShapeCache
@@ -68,9 +68,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.history.resume_point import ResumePoint
     from hickory_stream.engine.journal import JournalWriter
-    from hickory_stream.engine.resume_point import ResumePoint
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.sink_threads import SinkThread
     from hickory_stream.engine.workers import ShapeWorkers
     from hickory_stream.geometry.camera import Camera

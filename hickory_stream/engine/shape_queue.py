@@ -28,7 +28,7 @@ from hickory_stream.events import ShapeFailed, ShapeReady
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.shape_cache import ShapeCache
     from hickory_stream.engine.workers import ShapeWorkers
     from hickory_stream.events import RequestShape

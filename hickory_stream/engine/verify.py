@@ -15,12 +15,13 @@ import numpy as np
 
 from hickory_stream.engine.crops import read_crop
 from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history import Replay, mesh_names
+from hickory_stream.engine.history.core_replay import Replay, mesh_names
+from hickory_stream.engine.history.recorded_config import recorded_config
+from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.journal import JOURNAL, Journal
 from hickory_stream.engine.manifest import read_manifest
-from hickory_stream.engine.replay import replay
-from hickory_stream.engine.resume import recorded_config
-from hickory_stream.engine.session import open_map, rewrite_objects
+from hickory_stream.engine.map_folder import rewrite_objects
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.mapping.moved import moved_shape
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.events import RequestShape
     from hickory_stream.records import ObjectShape, TrackedObject
     from hickory_stream.shapes.certify import Certificate

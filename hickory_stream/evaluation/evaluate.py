@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.match import TruthScore
     from hickory_stream.evaluation.placement import Placement, ViewFrame
     from hickory_stream.evaluation.surface_score import SurfaceScore

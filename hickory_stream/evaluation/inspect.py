@@ -18,7 +18,7 @@ from hickory_stream.records import Phase
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.records import Containment, ObjectShape, TrackedObject
 
 SortBy = Literal["id", "distance", "volume", "height", "sightings"]

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.close_up import CloseUp
     from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
     from hickory_stream.evaluation.false_origins import FalseObject

@@ -16,7 +16,7 @@ from hickory_stream.perception.coarse import cells_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.recorded import RecordedKeyframe
+    from hickory_stream.engine.history.recorded import RecordedKeyframe
     from hickory_stream.geometry.camera import Camera
 
 # Steps along a ray that meet every voxel of structure on it, and how far.

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps, told_config
-from hickory_stream.engine.track_histories import TrackHistories
+from hickory_stream.engine.history.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps
+from hickory_stream.engine.history.recorded_config import told_config
+from hickory_stream.engine.history.track_histories import TrackHistories
 from hickory_stream.errors import InputError
 from hickory_stream.evaluation.pixel_place import check_pixel, place_by_depth, place_in_keyframe
 from hickory_stream.evaluation.place_sighting import meaning_of_code
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.recorded import RecordedKeyframe
+    from hickory_stream.engine.history.recorded import RecordedKeyframe
 
 
 def story_of_pixel(

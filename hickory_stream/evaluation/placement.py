@@ -18,7 +18,7 @@ from hickory_stream.geometry.rigid import from_rotation_translation, invert, rot
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.truth import Truth, TruthFrame
 
 _SAME_WORLD_M, _SAME_WORLD_RAD = 2.0, np.deg2rad(15.0)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.labels import Label
     from hickory_stream.evaluation.raycast import Surface
     from hickory_stream.records import TrackedObject

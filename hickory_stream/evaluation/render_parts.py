@@ -20,7 +20,7 @@ from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cell
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.viewpoint import Viewpoint
     from hickory_stream.geometry.superquadric import Superquadrics
     from hickory_stream.records import Submap, TrackedObject

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.recorded import RecordedKeyframe
+    from hickory_stream.engine.history.recorded import RecordedKeyframe
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.records import CoarseFrame, Observation
 

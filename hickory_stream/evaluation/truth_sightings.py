@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.recorded import recorded_steps, told_config
-from hickory_stream.engine.track_histories import TrackHistories
+from hickory_stream.engine.history.recorded import recorded_steps
+from hickory_stream.engine.history.recorded_config import told_config
+from hickory_stream.engine.history.track_histories import TrackHistories
 from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.evaluation.seen_as import (
     LEAST_CODE,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.recorded import RecordedKeyframe
+    from hickory_stream.engine.history.recorded import RecordedKeyframe
     from hickory_stream.evaluation.seen_as import SeenAs
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.records import MapSnapshot

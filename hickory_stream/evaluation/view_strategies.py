@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from hickory_stream.engine.play import play
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.mapping.views import Strategy
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.run_progress import Progress
-    from hickory_stream.engine.session import MapFolder
     from hickory_stream.evaluation.evaluate import Evaluation
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.ports import Sink, Source

@@ -6,7 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.recorded import final_snapshot, told_config
+from hickory_stream.engine.history.recorded import final_snapshot
+from hickory_stream.engine.history.recorded_config import told_config
 from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.evaluation.false_origins import FalseObject, origin_of
 from hickory_stream.evaluation.match import best_box, meshes_of, score_map
@@ -20,7 +21,7 @@ from hickory_stream.records import Phase
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.match import Score, TruthScore
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.evaluation.truth_sightings import Sighting

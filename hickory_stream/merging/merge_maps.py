@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.alignment.align import AlignConfig, align
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.geometry.rigid import invert

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.records import FrameReport, MapSnapshot
-    from hickory_stream.sinks.rerun_sink import RerunConfig
+    from hickory_stream.sinks.rerun_config import RerunConfig
 
 
 class RerunScene:

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
     from pathlib import Path
 
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.run import Mode
     from hickory_stream.engine.run_progress import Progress
-    from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot
 

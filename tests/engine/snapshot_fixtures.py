@@ -27,7 +27,7 @@ from hickory_stream.records import (
 )
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
 
 VOXEL_M = 0.02
 

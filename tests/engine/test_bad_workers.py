@@ -9,7 +9,7 @@ import pytest
 
 from hickory_stream.caches import cache_folder
 from hickory_stream.cli import main
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import ConfigError
 from tests.engine.bad_worker import write_interpreter
 from tests.engine.run_fixtures import map_scene, shape_workers

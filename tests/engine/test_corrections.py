@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.replay import replay
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink, SceneSource
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.records import MapSnapshot, RawFrame
 

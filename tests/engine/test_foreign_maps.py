@@ -13,7 +13,8 @@ import pytest
 from hickory_stream.cli import main
 from hickory_stream.engine.jobs import write_job
 from hickory_stream.engine.journal import JOURNAL
-from hickory_stream.engine.session import create_map_folder, open_map, reopen_map_folder
+from hickory_stream.engine.map_folder import create_map_folder, reopen_map_folder
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import RequestShape
 from hickory_stream.shapes.build import ShapeConfig

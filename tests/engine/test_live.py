@@ -12,9 +12,9 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.journal import JOURNAL, Journal
-from hickory_stream.engine.replay import replay
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import OutputError, RecordingError
 from hickory_stream.testing import START_NS, InstanceSegmenter, RememberingSink, SceneSource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.records import Frame, FrameReport, MapPrior, RawFrame, Segmentation
 

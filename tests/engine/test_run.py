@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import BreakingSource, FailingSink, RememberingSink, SceneSource, SlowSink
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.run_progress import Progress
-    from hickory_stream.engine.session import MapFolder
     from hickory_stream.ports import Sink
 
 pytestmark = pytest.mark.timeout(120)

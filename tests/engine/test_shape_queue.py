@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.engine.jobs import read_job, write_result
-from hickory_stream.engine.session import MapFolder, create_map_folder
+from hickory_stream.engine.map_folder import MapFolder, create_map_folder
 from hickory_stream.engine.shape_queue import ShapeQueue
 from hickory_stream.events import ShapeFailed, ShapeReady
 from hickory_stream.ports import NoShape

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hickory_stream.engine.recorded import RecordedKeyframe
+from hickory_stream.engine.history.recorded import RecordedKeyframe
 from hickory_stream.evaluation.seen_as import rays_of
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import Lattice

@@ -12,7 +12,8 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.engine.crops import write_crop
-from hickory_stream.engine.session import create_map_folder, open_map
+from hickory_stream.engine.map_folder import create_map_folder
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.explain import format_evaluation, worst_first
 from hickory_stream.evaluation.page import write_page
@@ -28,7 +29,7 @@ from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, pl
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)
 STAMP_NS = 1_000_000_000

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.engine.session import SavedMap, create_map_folder, open_map
+from hickory_stream.engine.map_folder import create_map_folder
+from hickory_stream.engine.saved_map import SavedMap, open_map
 from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.evaluation.render import render_map
 from hickory_stream.evaluation.viewpoint import from_above, from_corner

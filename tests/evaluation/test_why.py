@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.engine.track_histories import TrackHistories
+from hickory_stream.engine.history.track_histories import TrackHistories
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS, origin_of
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS, Evidence, extents_text, state_of, why_missed
 from hickory_stream.evaluation.overlap import Overlap

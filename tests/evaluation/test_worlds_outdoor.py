@@ -15,7 +15,8 @@ from hickory_stream.evaluation.worlds.outdoor.street import Street, street
 from hickory_stream.evaluation.worlds.outdoor.walk import stroll
 from hickory_stream.evaluation.worlds.recording import RecordingConfig, walkable_world
 from hickory_stream.evaluation.worlds.rendering import Renderer
-from hickory_stream.evaluation.worlds.trajectory import NoWalk, WalkConfig
+from hickory_stream.evaluation.worlds.trajectory import NoWalk
+from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 from hickory_stream.geometry.mesh import Mesh, is_closed
 from hickory_stream.geometry.rigid import is_rigid
 

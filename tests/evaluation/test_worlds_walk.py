@@ -5,13 +5,8 @@ import pytest
 
 from hickory_stream.evaluation.worlds.room import furnished_room
 from hickory_stream.evaluation.worlds.scene import part_boxes
-from hickory_stream.evaluation.worlds.trajectory import (
-    NoWalk,
-    Trajectory,
-    WalkConfig,
-    camera_rotation,
-    walk_round,
-)
+from hickory_stream.evaluation.worlds.trajectory import NoWalk, Trajectory, camera_rotation, walk_round
+from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 from hickory_stream.geometry.rigid import is_rigid
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.session import create_map_folder, open_map
+from hickory_stream.engine.map_folder import create_map_folder
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.merging.clusters import Pairing, clusters_of
 from hickory_stream.merging.merge_maps import merge_maps

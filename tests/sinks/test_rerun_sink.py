@@ -18,7 +18,8 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.records import Decision
-from hickory_stream.sinks.rerun_sink import RerunConfig, RerunSink, ViewerChoice, ViewerKind
+from hickory_stream.sinks.rerun_config import RerunConfig
+from hickory_stream.sinks.rerun_sink import RerunSink, ViewerChoice, ViewerKind
 
 NO_VIEWER = ViewerChoice(kind=ViewerKind.NONE)
 NUM_FRAMES, MERGE_AT = 24, 16

@@ -22,7 +22,7 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import METHODS
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
 from hickory_stream.evaluation.maps.trial import error_of, noise_floor, run_trial
 from hickory_stream.evaluation.maps.variants import bent_map

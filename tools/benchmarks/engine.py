@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError, MapFolderError
 from tools.benchmarks.coarse_runs import die_with_parent, finished, play_coarsely
 from tools.benchmarks.figures import Figure, Options

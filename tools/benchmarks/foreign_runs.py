@@ -15,7 +15,7 @@ import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.ladder import TrueImages, core_of, mapping_of, segmenter_of
@@ -32,7 +32,7 @@ from tools.benchmarks.mask_scores import UNKNOWN, score_masks
 from tools.benchmarks.processes import ROOT, play
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.session import SavedMap
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.ladder import Rung
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.ports import Segmenter

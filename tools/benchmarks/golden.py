@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.config import MapperConfig, read_config
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.records import Phase

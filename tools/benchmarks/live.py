@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import STRICT_IOU, match_boxes
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.live_log import write_720p

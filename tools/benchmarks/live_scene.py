@@ -21,7 +21,7 @@ import psutil
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.json_text import dumps
 from hickory_stream.perception.choose import make_segmenter
@@ -32,7 +32,7 @@ from hickory_stream.testing import SCENE_BOXES, START_NS, cast_scene, scene_pose
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.ports import Segmenter, Sink
     from hickory_stream.records import FrameReport, MapPrior, Segmentation
 

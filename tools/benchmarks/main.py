@@ -9,7 +9,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.records import Phase

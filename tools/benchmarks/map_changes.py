@@ -20,7 +20,7 @@ import cbor2
 
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.page import write_page
@@ -30,7 +30,7 @@ from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT, play
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.evaluation.evaluate import Evaluation
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.ports import Sink

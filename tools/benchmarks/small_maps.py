@@ -10,7 +10,7 @@ from hickory_stream.config import MapperConfig, read_config
 from hickory_stream.engine.jobs import write_job
 from hickory_stream.engine.manifest import MANIFEST, manifest_json
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.events import RequestShape
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, SceneSource
 from tools.benchmarks.coarse_runs import COARSE

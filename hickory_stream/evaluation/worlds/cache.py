@@ -12,7 +12,7 @@ from hickory_stream.evaluation.worlds.drift import DriftConfig
 from hickory_stream.evaluation.worlds.layouts import layout_files
 from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
 from hickory_stream.evaluation.worlds.scenes import CLUTTER
-from hickory_stream.evaluation.worlds.trajectory import WalkConfig
+from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.worlds.scene import World
-    from hickory_stream.evaluation.worlds.trajectory import WalkConfig
+    from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 
 _DECISION_S = 1.2
 _LOOKAHEAD = 3

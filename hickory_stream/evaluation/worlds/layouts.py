@@ -6,12 +6,12 @@ are written down here a second time on purpose: a mistake in a profile must not 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import cv2
 import numpy as np
 
+from hickory_stream.evaluation.worlds.log_writer import DepthView, LogWriter
 from hickory_stream.evaluation.worlds.ros_messages import RosMessages
 from hickory_stream.evaluation.worlds.zed_log import ZedLog
 from hickory_stream.geometry.camera import Camera
@@ -26,45 +26,6 @@ if TYPE_CHECKING:
 LAYOUTS = ("zed", "kimera_multi", "nus_clb", "nus_clb_jpeg")
 
 _FLU_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class DepthView:
-    """A depth camera of its own: where it is in the colour camera, and how much later than colour it looks."""
-
-    camera: Camera
-    color_from_depth: NDArray[np.float64]
-    lag_ns: int
-
-
-class LogWriter(Protocol):
-    """What a recording is written to; `depth_view` is None where depth is registered to colour."""
-
-    depth_view: DepthView | None
-
-    def __enter__(self) -> Self:
-        """Return the writer."""
-        ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Finish the files."""
-        ...
-
-    def write_static(self, stamp_ns: int) -> None:
-        """Write what does not change."""
-        ...
-
-    def write_pose(
-        self, stamp_ns: int, world_from_camera: NDArray[np.float64], velocity_link: NDArray[np.float64]
-    ) -> None:
-        """Write where the odometry thinks that the colour camera is."""
-        ...
-
-    def write_images(self, stamp_ns: int, rgb: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> None:
-        """Write a colour image, and the depth of the depth view."""
-        ...
 
 
 def layout_files(layout: str, name: str) -> tuple[str, ...]:

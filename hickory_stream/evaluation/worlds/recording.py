@@ -31,8 +31,9 @@ from hickory_stream.evaluation.worlds.person import PERSON_ID, Person, with_pers
 from hickory_stream.evaluation.worlds.rendering import Renderer
 from hickory_stream.evaluation.worlds.scenes import CLUTTER, OUTDOOR, SCENES, make_world
 from hickory_stream.evaluation.worlds.tour import tour
-from hickory_stream.evaluation.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, walk_round
+from hickory_stream.evaluation.worlds.trajectory import STEP_S, NoWalk, Trajectory, walk_round
 from hickory_stream.evaluation.worlds.visibility import SeenSurface
+from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 from hickory_stream.evaluation.worlds.zed_log import encode_png
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.ray_caster import CasterName
-    from hickory_stream.evaluation.worlds.layouts import DepthView
+    from hickory_stream.evaluation.worlds.log_writer import DepthView
     from hickory_stream.evaluation.worlds.rendering import Rendered
     from hickory_stream.evaluation.worlds.scene import World
 

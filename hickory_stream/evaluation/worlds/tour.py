@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.evaluation.worlds.clearance import Clearance
     from hickory_stream.evaluation.worlds.scene import World
-    from hickory_stream.evaluation.worlds.trajectory import WalkConfig
+    from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 
 _MIN_SECONDS = 60.0
 # The rooms of an apartment stand in two columns of two: this order goes through neighbours only.

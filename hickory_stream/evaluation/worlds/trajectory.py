@@ -17,23 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.worlds.scene import World
+    from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 
 STEP_S = 1 / 60
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class WalkConfig:
-    """How one walks and looks."""
-
-    speed_mps: float = 0.52
-    eye_height_m: float = 1.38
-    clearance_m: float = 0.28
-    """The least distance from the camera's path to anything below 1.8 m."""
-    max_yaw_rate_dps: float = 36.0
-    bob_m: float = 0.012
-    step_hz: float = 1.7
-    pitch_deg: tuple[float, float] = (-30.0, -8.0)
-    """How far down and up one looks; negative is down."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.worlds.layouts import DepthView
+    from hickory_stream.evaluation.worlds.log_writer import DepthView
     from hickory_stream.geometry.camera import Camera
 
 COLOR_TOPIC = "/zed/zed_node/rgb/color/rect/image/compressed"

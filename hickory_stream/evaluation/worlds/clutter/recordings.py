@@ -10,7 +10,7 @@ from hickory_stream.evaluation.worlds.clutter.sensors import random_camera, rand
 from hickory_stream.evaluation.worlds.drift import DriftConfig
 from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.evaluation.worlds.scenes import CLUTTER
-from hickory_stream.evaluation.worlds.trajectory import WalkConfig
+from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 
 _SIZES = ((320, 240), (424, 240), (640, 360), (640, 480), (848, 480))
 

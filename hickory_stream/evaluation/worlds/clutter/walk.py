@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.evaluation.worlds.clearance import Clearance
     from hickory_stream.evaluation.worlds.clutter.room import ClutterRoom
-    from hickory_stream.evaluation.worlds.trajectory import WalkConfig
+    from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 
 _STOPS = 6
 # Less floor than this is a place to stand, not to walk.

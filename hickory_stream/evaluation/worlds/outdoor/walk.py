@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.evaluation.worlds.clearance import Clearance
     from hickory_stream.evaluation.worlds.outdoor.street import Street
-    from hickory_stream.evaluation.worlds.trajectory import WalkConfig
+    from hickory_stream.evaluation.worlds.walk_config import WalkConfig
 
 # A step over a kerb takes a body so long to follow.
 _STEP_M = 0.25

@@ -10,9 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.reading import Position
-from hickory_stream.engine.resume_point import ResumePoint
-from hickory_stream.engine.step import OpenJob, StepKind
+from hickory_stream.engine.step import OpenJob
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import (
     CancelShape,
@@ -24,7 +22,6 @@ from hickory_stream.events import (
     ShapeReady,
 )
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.keyframes import Keyframe
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -139,42 +136,6 @@ class Replay:
             elif isinstance(effect, CancelShape):
                 self.open_jobs.pop(effect.ticket, None)
         return effects
-
-
-def resume_point_of(journal: Journal, config: MappingConfig) -> ResumePoint | None:
-    """Return the state from which an interrupted run resumes, None if it had not reached its first keyframe.
-
-    Raises:
-        MapFolderError: the journal does not fit this version.
-    """
-    if len(journal) == 0:
-        return None
-    last = len(journal) - 1
-    replay = Replay(journal, config)
-    replay.seek(last)
-    step = journal.step(last)
-    frames = step.frames
-    index = last
-    while not frames:
-        index -= 1
-        frames = journal.step(index).frames
-    is_keyframe = step.kind is StepKind.KEYFRAME
-    return ResumePoint(
-        core=replay.core,
-        step=step,
-        position=Position(
-            round_index=step.round_index,
-            first_index=step.first_index,
-            last_index=frames[-1].index,
-            keyframe=Keyframe(stamp_ns=frames[-1].stamp_ns, world_from_camera=frames[-1].world_from_camera)
-            if is_keyframe
-            else None,
-            last_ns=frames[-1].stamp_ns,
-        ),
-        open_jobs=tuple(replay.open_jobs.values()),
-        mesh_names=tuple(sorted(mesh_names(journal))),
-        last_frame=frames[-1],
-    )
 
 
 def mesh_names(journal: Journal) -> set[str]:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.history.recorded import final_snapshot, frame_indices, recorded_steps
 from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
-from hickory_stream.engine.recorded import final_snapshot, frame_indices, recorded_steps
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.engine.step import StepKind
 from hickory_stream.events import FrameObserved
 from tests.engine.run_fixtures import NUM_FRAMES, map_scene
@@ -20,7 +20,7 @@ from tests.engine.run_fixtures import NUM_FRAMES, map_scene
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.recorded import RecordedStep
+    from hickory_stream.engine.history.recorded import RecordedStep
     from hickory_stream.engine.step import JournalEntry
 
 pytestmark = pytest.mark.timeout(120)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.engine.frame_reports import final_report
-from hickory_stream.engine.history import Replay
+from hickory_stream.engine.history.core_replay import Replay
+from hickory_stream.engine.history.recorded_config import recorded_config
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.report_poses import in_map_frame
-from hickory_stream.engine.resume import recorded_config
 from hickory_stream.engine.step import StepKind
 from hickory_stream.events import FrameObserved
 from hickory_stream.records import FrameReport, Segmentation
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from hickory_stream.engine.history import Replayed
+    from hickory_stream.engine.history.core_replay import Replayed
     from hickory_stream.engine.step import FramePose
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.ports import Sink

@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.history import Replay
+from hickory_stream.engine.history.core_replay import Replay
+from hickory_stream.engine.history.time_travel import step_at
 from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.time_travel import step_at
 from hickory_stream.events import ShapeFailed, ShapeReady
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.step import OpenJob
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.mapping.mapping_config import MappingConfig

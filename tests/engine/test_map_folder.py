@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.session import MapFolder, create_map_folder, open_map
+from hickory_stream.engine.map_folder import MapFolder, create_map_folder
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError, MapFolderError
 from hickory_stream.geometry.mesh import read_glb
 from tests.engine.snapshot_fixtures import make_snapshot

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.config import MapperConfig, as_far_as_known
-from hickory_stream.engine.history import Replay
+from hickory_stream.engine.history.core_replay import Replay
+from hickory_stream.engine.history.recorded_config import told_config
 from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.manifest import read_manifest
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.engine.step import StepKind, Told
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.arrays import freeze
@@ -81,17 +80,6 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
                     map_from_odometry=places.get(told.submap_id, np.eye(4)),
                 )
             yield RecordedStep(keyframe=keyframe, decisions=told.decisions)
-
-
-def told_config(path: Path) -> MapperConfig:
-    """Return the configuration that a map was made with, as far as this version knows it.
-
-    What is told needs little of it, unlike what is to be continued or repeated: `recorded_config` refuses.
-
-    Raises:
-        MapFolderError: there is no map.
-    """
-    return as_far_as_known(MapperConfig, read_manifest(path).config)
 
 
 def final_snapshot(path: Path) -> MapSnapshot:

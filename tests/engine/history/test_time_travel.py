@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.history.time_travel import changes, own_clock_s, stamp_of
 from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.session import open_map
-from hickory_stream.engine.time_travel import changes, own_clock_s, stamp_of
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.testing import PERIOD_NS, START_NS, RememberingSink, SceneSource
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
@@ -18,7 +18,8 @@ from tests.engine.snapshot_fixtures import make_snapshot
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.session import MapFolder, SavedMap
+    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.ports import Sink
     from hickory_stream.records import FrameReport
 

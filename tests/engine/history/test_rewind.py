@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.history.replay import replay
+from hickory_stream.engine.history.resume import save_live, was_sought
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.replay import replay
-from hickory_stream.engine.resume import save_live, was_sought
-from hickory_stream.engine.session import open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError
 from hickory_stream.testing import (
     PERIOD_NS,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from hickory_stream.engine.session import MapFolder
+    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.ports import Sink, Source
     from hickory_stream.records import Frame, MapSnapshot, RawFrame, TrackedObject
 

@@ -11,10 +11,10 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig, RunConfig
+from hickory_stream.engine.history.recorded_config import resumed_config
 from hickory_stream.engine.journal import JournalWriter
+from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.resume import resumed_config
-from hickory_stream.engine.session import create_map_folder
 from hickory_stream.errors import ConfigError
 from players import SourceOptions, note_of, open_source
 

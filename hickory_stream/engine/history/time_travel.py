@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hickory_stream.engine.history import Replay
+from hickory_stream.engine.history.core_replay import Replay
+from hickory_stream.engine.history.recorded_config import recorded_config
 from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.resume import recorded_config
 from hickory_stream.errors import InputError
 from hickory_stream.records import MapSnapshot
 

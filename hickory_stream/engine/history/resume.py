@@ -6,61 +6,22 @@ run, whose frames are gone, everything up to the last step is saved; so it is of
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hickory_stream.config import MapperConfig, from_dict
 from hickory_stream.confined import OutsideError, whole_number
-from hickory_stream.engine.history import resume_point_of
+from hickory_stream.engine.history.recorded_config import recorded_config
+from hickory_stream.engine.history.resume_point import resume_point_of
 from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
 from hickory_stream.engine.manifest import Manifest, read_manifest
-from hickory_stream.engine.session import MapFolder, reopen_map_folder
-from hickory_stream.errors import ConfigError, MapFolderError, RecordingError
-
-MACHINE_KEYS = ("worker_python", "cluster")
+from hickory_stream.engine.map_folder import MapFolder, reopen_map_folder
+from hickory_stream.errors import MapFolderError, RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.config import RunConfig
-    from hickory_stream.engine.resume_point import ResumePoint
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.history.resume_point import ResumePoint
     from hickory_stream.records import SourceInfo
-
-
-def recorded_config(path: Path) -> MapperConfig:
-    """Return the configuration that a map was made with.
-
-    Raises:
-        MapFolderError: there is no map, or its configuration is that of another version.
-    """
-    manifest = read_manifest(path)
-    try:
-        return from_dict(MapperConfig, _plain(manifest.config))
-    except ConfigError as error:
-        raise MapFolderError(
-            f"{path} was made by hickory-stream {manifest.software_version}: {error}; play the log again"
-        ) from error
-
-
-def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False) -> MapperConfig:
-    """Return the configuration that a map goes on with: its own, but what is run and connected to from `own`.
-
-    `ignores_recorded`: that the map was made with other workers is no reason to refuse.
-
-    Raises:
-        MapFolderError: there is no map, or its configuration is that of another version.
-        ConfigError: the map was made with an interpreter or a cluster that `own` does not name.
-    """
-    recorded = recorded_config(path)
-    for key in MACHINE_KEYS:
-        was, now = getattr(recorded.run, key), getattr(own, key)
-        if was and was != now and not ignores_recorded:
-            raise ConfigError(
-                f"{path} was made with run.{key} = {was!r}, here it is {now!r}; what a map names is never run or "
-                f"connected to: give --set mapper.run.{key}=... if you know it, or --own-workers to go on with yours"
-            )
-    machine = {key: getattr(own, key) for key in (*MACHINE_KEYS, "cluster_gpus")}
-    return replace(recorded, run=replace(recorded.run, **machine))
 
 
 def check_interrupted(path: Path) -> Manifest:
@@ -161,7 +122,3 @@ def _check_views(folder: MapFolder, continued: ResumePoint) -> None:
                     f"{folder.path} lacks views/{view.name}, which {JOURNAL} tells of: the power failed before it "
                     "reached the disk; play the log again"
                 )
-
-
-def _plain(config: Any) -> dict[str, Any]:
-    return dict(config)

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.history.replay import replay
+from hickory_stream.engine.history.resume import reopen
 from hickory_stream.engine.journal import JOURNAL, Journal
+from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.mapper import Mapper, MapperConfig
-from hickory_stream.engine.replay import replay
-from hickory_stream.engine.resume import reopen
-from hickory_stream.engine.session import create_map_folder, open_map
+from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor, SceneSource
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene

@@ -1,0 +1,51 @@
+"""The configuration of alignment as a whole: that of each of its steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hickory_stream.alignment.affinity import AffinityConfig
+from hickory_stream.alignment.consensus import ConsensusConfig
+from hickory_stream.alignment.contradiction import ContradictionConfig
+from hickory_stream.alignment.refinement import RefinementConfig
+from hickory_stream.ranges import Ranged, number
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AcceptanceConfig(Ranged):
+    """When an alignment is accepted.
+
+    Attributes:
+        max_log10_chance: maximum log10 of the expected number of false alarms: of sets of pairs as good as these
+            between two unrelated maps.
+        min_margin: minimum log10 ratio of the expected numbers of false alarms of the best distinct rival and the best.
+        min_pairs: minimum number of pairs.
+        min_spread_m: minimum standard deviation of the pairs across their main horizontal direction.
+        max_turn_deg: maximum standard deviation of the rotation.
+        tilt_price: a tilt between the maps adds this to the log10 of false alarms: robots measure gravity.
+        max_tilt_deg: maximum angle between the verticals of two maps.
+        distinct_m, distinct_deg: transforms closer than this are the same.
+        num_rivals: maximum number of distinct transforms to search for.
+    """
+
+    max_log10_chance: float = number(-2.5, -1000, 1000, "log10")
+    min_margin: float = number(2.0, 0, 1000, "log10")
+    min_pairs: int = number(4, 1, 1_000_000, "pairs")
+    min_spread_m: float = number(0.3, 0, 1000, "m")
+    max_turn_deg: float = number(2.0, 0, 180, "deg")
+    tilt_price: float = number(4.0, 0, 1000, "log10")
+    max_tilt_deg: float = number(25.0, 0, 180, "deg")
+    distinct_m: float = number(0.5, 0, 1000, "m")
+    distinct_deg: float = number(5.0, 0, 180, "deg")
+    num_rivals: int = number(5, 1, 1000, "transforms")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AlignConfig:
+    """Everything that alignment is configured by."""
+
+    affinity: AffinityConfig = field(default_factory=AffinityConfig)
+    consensus: ConsensusConfig = field(default_factory=ConsensusConfig)
+    acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
+    contradiction: ContradictionConfig = field(default_factory=ContradictionConfig)
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)

@@ -1,0 +1,93 @@
+"""What a map folder holds, and where one may be made.
+
+    MAP/
+      manifest.json   format, software, config, source, `finished_cleanly`, and the digest once it is finished
+      objects.json    the last saved snapshot; names the files in points/ and space/ by the hash of their content
+      points/         layer 1 of each object, binary PLY
+      space/          observed voxels of each submap, .npy
+      views/          the pixels of the kept views: NAME.color.png, NAME.depth.png, NAME.json
+      shapes/         layer 2 of each object, GLB
+      jobs/           what shape workers are given and give back
+      journal.mcap    all events, step by step, and the state of the core now and then
+      failed/         the input of shape jobs that failed for good
+      ledger.json     what became of every message and frame
+      timings.json    seconds; in no digest
+
+`objects.json` is replaced last and what it no longer names is removed after that: killed at any byte, the folder opens
+as of its last complete save. No pickle is written or read.
+"""
+
+from __future__ import annotations
+
+import shutil
+from typing import TYPE_CHECKING
+
+from hickory_stream.confined import refuse_links
+from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, outside_errors
+from hickory_stream.engine.crops import crop_files
+from hickory_stream.engine.folder_lock import LOCK, check_unlocked
+from hickory_stream.engine.journal import JOURNAL
+from hickory_stream.engine.manifest import MANIFEST, is_map_folder
+from hickory_stream.engine.map_codec import POINTS, SPACE
+from hickory_stream.errors import MapFolderError
+from hickory_stream.records import MapSnapshot
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+OBJECTS, LEDGER, TIMINGS = "objects.json", "ledger.json", "timings.json"
+VIEWS, SHAPES, JOBS = "views", "shapes", "jobs"
+FILES = (OBJECTS, LEDGER, TIMINGS, JOURNAL)
+FOLDERS = (POINTS, SPACE, VIEWS, SHAPES, JOBS, "failed")
+EMPTY = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
+
+
+def check_links(path: Path) -> None:
+    """Refuse a map of which a part lies elsewhere: it would be read there, and by `resume` written there."""
+    with outside_errors():
+        refuse_links(path, (*FOLDERS, *FILES, MANIFEST, LOCK))
+
+
+def check_place(path: Path, overwrite: bool) -> None:
+    """Refuse a place that is taken.
+
+    Raises:
+        MapFolderError: naming what is there and what to do.
+    """
+    with disk_errors(path):
+        if not path.exists():
+            return
+        if not path.is_dir():
+            raise MapFolderError(f"{path} is a file; choose another --out")
+        found = sorted(entry.name for entry in path.iterdir())
+    if not found:
+        return
+    check_unlocked(path)
+    is_map = is_map_folder(path)
+    foreign = [name for name in found if not _is_ours(name)] if is_map else found
+    if is_map and not overwrite:
+        raise MapFolderError(f"{path} holds a map already; choose another --out, or --overwrite to replace it")
+    if foreign:
+        shown = ", ".join(foreign[:5]) + (f" and {len(foreign) - 5} more" if len(foreign) > 5 else "")
+        raise MapFolderError(f"{path} holds files that are no map: {shown}; choose another --out")
+
+
+def _is_ours(name: str) -> bool:
+    return name in (MANIFEST, LOCK) or name in FILES or name in FOLDERS or name.endswith(PARTIAL_SUFFIX)
+
+
+def remove_map(path: Path) -> None:
+    """Remove what a map folder holds beside its manifest, what it opens as first, and its journal."""
+    for name in FILES:
+        if name != JOURNAL:
+            (path / name).unlink(missing_ok=True)
+    for name in FOLDERS:
+        if (path / name).exists():
+            shutil.rmtree(path / name)
+
+
+def files_of(path: Path, snapshot: MapSnapshot) -> set[Path]:
+    """Return the files of views and shapes that a snapshot refers to."""
+    names = {view.name for tracked in snapshot.objects for view in tracked.views}
+    files = {file for name in names for file in crop_files(path / VIEWS, name)}
+    return files | {path / SHAPES / tracked.shape.mesh_name for tracked in snapshot.objects if tracked.shape}

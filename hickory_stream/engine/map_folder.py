@@ -1,0 +1,277 @@
+"""The map folder while it is written: made, continued, saved and finished by one process.
+
+`objects.json` is replaced last and what it no longer names is removed after that: killed at any byte, the folder opens
+as of its last complete save. `folder_layout` says what it holds, `saved_map` reads it.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import deque
+from dataclasses import replace
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Literal
+
+from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync, write_atomically
+from hickory_stream.engine.crops import crop_files
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.folder_layout import (
+    EMPTY,
+    FOLDERS,
+    JOBS,
+    OBJECTS,
+    SHAPES,
+    VIEWS,
+    check_links,
+    check_place,
+    files_of,
+    remove_map,
+)
+from hickory_stream.engine.folder_lock import FolderLock
+from hickory_stream.engine.journal import JOURNAL
+from hickory_stream.engine.manifest import MANIFEST, Manifest, manifest_json, pretty_json, read_manifest
+from hickory_stream.engine.map_codec import POINTS, SPACE, encode_snapshot
+from hickory_stream.engine.saved_map import open_map
+from hickory_stream.errors import MapFolderError
+from hickory_stream.json_text import dumps_exactly
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from hickory_stream.records import MapSnapshot
+
+
+def create_map_folder(
+    path: Path,
+    *,
+    config: Mapping[str, Any],
+    source: Mapping[str, Any],
+    run: Mapping[str, Any] | None = None,
+    extractor: str = "",
+    processor: str = "",
+    overwrite: bool = False,
+) -> MapFolder:
+    """Return a new, empty map folder; `overwrite` replaces a map that is there, but never anything else.
+
+    `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be made of what JSON knows; `extractor`
+    names what makes the features, `processor` the kind that the map depends on. The map of a `run` has a journal from
+    its first moment, an empty one: a run that is killed at once can be gone on with. The folder is locked until it is
+    closed.
+
+    Raises:
+        MapFolderError: the place is taken or cannot be written; nothing is left behind.
+    """
+    check_place(path, overwrite)
+    manifest = Manifest(config=config, source=source, run=run or {}, extractor=extractor, processor=processor)
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    with disk_errors(path):
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            lock = FolderLock(path)
+        except OSError:
+            if missing:
+                shutil.rmtree(missing[-1], ignore_errors=True)
+            raise
+        try:
+            # Before the manifest, which promises one; and that of an earlier run is not to be taken for this one's.
+            if run is not None:
+                write_atomically(path / JOURNAL, b"")
+            else:
+                (path / JOURNAL).unlink(missing_ok=True)
+            # Before all else, so that what a kill leaves is known for a map folder, opens, and can be overwritten.
+            write_atomically(path / MANIFEST, manifest_json(manifest))
+            remove_map(path)
+            for name in FOLDERS:
+                (path / name).mkdir(exist_ok=True)
+            sync(path)
+        except OSError:
+            lock.release()
+            if missing:
+                shutil.rmtree(missing[-1], ignore_errors=True)
+            raise
+    return MapFolder(path, manifest, lock)
+
+
+def reopen_map_folder(path: Path) -> MapFolder:
+    """Return the map folder of a run that ended early, to be continued; locked until it is closed.
+
+    Raises:
+        MapFolderError: no map is there, its format is another, or another process writes it.
+    """
+    manifest = read_manifest(path)
+    check_links(path)
+    with disk_errors(path):
+        lock = FolderLock(path)
+        try:
+            for name in FOLDERS:
+                (path / name).mkdir(exist_ok=True)
+            for partial in path.rglob(f".*{PARTIAL_SUFFIX}"):
+                partial.unlink()
+            saved = open_map(path)
+        except BaseException:
+            lock.release()
+            raise
+    return MapFolder(path, replace(manifest, finished_cleanly=False), lock, saved.snapshot)
+
+
+class MapFolder:
+    """A map folder being written, by one process, from any of its threads; `drop_...` never wait for the disk."""
+
+    def __init__(
+        self, path: Path, manifest: Manifest, lock: FolderLock | None = None, snapshot: MapSnapshot = EMPTY
+    ) -> None:
+        self.path = path
+        self.manifest = manifest
+        self._folder_lock = lock
+        self._last = snapshot
+        self._shapes_to_keep: set[str] = set()
+        self._on_disk: set[Path] = set()
+        self._dropped: set[Path] = set()
+        self._drop_requests: deque[Path] = deque()
+        self._lock = Lock()
+
+    @property
+    def views(self) -> Path:
+        """The folder of the kept views' pixels, for `write_crop` and `read_crop`."""
+        return self.path / VIEWS
+
+    @property
+    def shapes(self) -> Path:
+        """The folder of the meshes."""
+        return self.path / SHAPES
+
+    @property
+    def jobs(self) -> Path:
+        """The folder in which shape jobs are handed over."""
+        return self.path / JOBS
+
+    def save(self, snapshot: MapSnapshot) -> None:
+        """Make `snapshot` what the folder opens as; only what changed since the last save is written.
+
+        Raises:
+            MapFolderError: the disk refused; the folder opens as of the save before.
+        """
+        document, files = encode_snapshot(snapshot)
+        with self._lock, disk_errors(self.path):
+            if self.manifest.digest is not None:
+                # That of the run that is continued: killed from here on, the folder has another map.
+                self.manifest = replace(self.manifest, digest=None, finished_cleanly=False)
+                write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
+            self._write_missing(files)
+            self._sync_referenced(snapshot)
+            write_atomically(self.path / OBJECTS, dumps_exactly(document).encode())
+            sync(self.path)
+            self._last = snapshot
+            self._remove_unreferenced(set(files))
+            self._remove_dropped()
+
+    def drop_view(self, name: str) -> None:
+        """Remove a view's pixels once the saved map does not refer to them."""
+        self._drop_requests.extend(crop_files(self.views, name))
+
+    def keep_views(self, names: Iterable[str]) -> set[str]:
+        """Remove these views' pixels no more, though that was asked for; return those that are gone already."""
+        with self._lock:
+            while self._drop_requests:
+                self._dropped.add(self._drop_requests.popleft())
+            files = {name: crop_files(self.views, name) for name in names}
+            self._dropped.difference_update(*files.values())
+            return {name for name, paths in files.items() if not all(path.exists() for path in paths)}
+
+    def keep_shape(self, mesh_name: str) -> None:
+        """Never remove a mesh: the map was known to have it at some moment."""
+        self._shapes_to_keep.add(mesh_name)
+
+    def write_json(self, name: Literal["ledger.json", "timings.json"], data: Any) -> None:
+        """Replace a file beside the map by `data`, which JSON must know.
+
+        Raises:
+            MapFolderError: the disk refused; the old file is untouched.
+        """
+        with disk_errors(self.path):
+            write_atomically(self.path / name, pretty_json(data))
+
+    def finish(self, *, finished_cleanly: bool, is_reproducible: bool = True) -> Manifest:
+        """Note the map's digest and how the run ended, and remove what a clean end left unreferenced.
+
+        Raises:
+            MapFolderError: the disk refused; the map opens as not finished.
+        """
+        self.manifest = replace(
+            self.manifest,
+            finished_cleanly=finished_cleanly,
+            is_reproducible=is_reproducible,
+            digest=map_digest(self._last),
+        )
+        with self._lock, disk_errors(self.path):
+            if finished_cleanly:
+                past = {self.shapes / name for name in self._shapes_to_keep}
+                self._dropped.update(self.views.iterdir(), set(self.shapes.iterdir()) - past)
+            self._remove_dropped()
+            if not (self.path / OBJECTS).exists():
+                document, _ = encode_snapshot(self._last)
+                write_atomically(self.path / OBJECTS, dumps_exactly(document).encode())
+            write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
+            sync(self.path)
+        return self.manifest
+
+    def close(self) -> None:
+        """Let other processes write the folder."""
+        if self._folder_lock is not None:
+            self._folder_lock.release()
+
+    def _write_missing(self, files: Mapping[str, bytes]) -> None:
+        for name, data in files.items():
+            if not (self.path / name).exists():
+                write_atomically(self.path / name, data)
+        sync(self.path / POINTS)
+        sync(self.path / SPACE)
+
+    def _sync_referenced(self, snapshot: MapSnapshot) -> None:
+        """Bring to the disk what others wrote without waiting for it, before the map refers to it."""
+        referenced = files_of(self.path, snapshot)
+        new = {path for path in referenced - self._on_disk if path.exists()}
+        for path in new:
+            sync(path)
+        if new:
+            sync(self.views)
+            sync(self.shapes)
+        self._on_disk = referenced & (self._on_disk | new)
+
+    def _remove_unreferenced(self, names: set[str]) -> None:
+        for folder in (POINTS, SPACE):
+            for path in (self.path / folder).iterdir():
+                if f"{folder}/{path.name}" not in names:
+                    path.unlink()
+
+    def _remove_dropped(self) -> None:
+        while self._drop_requests:
+            self._dropped.add(self._drop_requests.popleft())
+        unreferenced = self._dropped - files_of(self.path, self._last)
+        for path in unreferenced:
+            path.unlink(missing_ok=True)
+        self._dropped -= unreferenced
+
+
+def rewrite_objects(path: Path, snapshot: MapSnapshot, kept_meshes: Iterable[str]) -> str:
+    """Save a map anew in its folder, as its run did, with the meshes of earlier moments kept; return the digest.
+
+    Raises:
+        MapFolderError: a mesh is missing, another process writes the folder, or the disk refused.
+    """
+    manifest = read_manifest(path)
+    check_links(path)
+    for tracked in snapshot.objects:
+        if tracked.shape is not None and not (path / SHAPES / tracked.shape.mesh_name).is_file():
+            raise MapFolderError(f"{path} lacks shapes/{tracked.shape.mesh_name} of object {tracked.id}")
+    with disk_errors(path):
+        folder = MapFolder(path, manifest, FolderLock(path))
+    try:
+        for name in kept_meshes:
+            folder.keep_shape(name)
+        folder.save(snapshot)
+        done = folder.finish(finished_cleanly=manifest.finished_cleanly, is_reproducible=manifest.is_reproducible)
+        return done.digest or ""
+    finally:
+        folder.close()

@@ -1,0 +1,37 @@
+"""What opening a log has settled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hickory_stream.geometry.depth_sensor import DepthSensor
+    from players.calibration import Lens
+    from players.containers import Topic
+    from players.discover import ImageTopics
+    from players.register import Registration
+    from players.rig import PosePlan
+    from players.tracks import JumpLimits
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LogSetup:
+    """The topics, lenses, poses and tolerances by which a log is played."""
+
+    topics: ImageTopics
+    small_topics: tuple[Topic, ...]
+    color_lens: Lens
+    depth_lens: Lens
+    registration: Registration
+    plan: PosePlan
+    pose_span_ns: tuple[int, int] | None
+    max_gap_ns: int
+    jump_limits: JumpLimits
+    pose_file: tuple[list[int], list[list[float]]] | None
+    tolerance_ns: int
+    uses_log_time: bool
+    depth_units_per_m: float
+    sensor: DepthSensor
+    streams: tuple[tuple[str, str], ...]
+    is_live: bool = False
