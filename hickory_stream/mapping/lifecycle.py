@@ -1,47 +1,43 @@
-"""The phases of a track.
+"""The life cycle of a track, as a table: `LIFE_CYCLE` is what the core executes, and what the documentation prints.
 
-    | from      | to        | when                                                                      |
-    |-----------|-----------|---------------------------------------------------------------------------|
-    | (new)     | tentative | an observation matches no track                                            |
-    | tentative | active    | its evidence is that of `confirm_sightings` sightings (`existence.py`)     |
-    | tentative | (dropped) | not seen for `tentative_s`                                                 |
-    | active    | dormant   | not seen for `dormant_s`                                                   |
-    | dormant   | archived  | not seen for `archive_s`                                                   |
-    | dormant   | active    | seen again                                                                 |
-    | archived  | active    | seen again                                                                 |
-    | any       | (dropped) | `phantom_frames` keyframes saw through its place                            |
-    | any       | structure | its two longest sides are over `structure_m`, or its box over `structure_m3` |
-    | confirmed | structure | an upright slab from the floor to `wall_top_m`: a wall between two doors       |
-    | any       | (dropped) | more than `structure_share` of it lies in such structure                    |
-
-Times are of the core's own clock, which runs on through a jump of the stamps.
+A row says: in these phases, when this happens and all guards hold, the track goes to that phase, or ends, and these
+effects are carried out. Of the rows of a phase and an event the first whose guards hold counts; where there is none,
+nothing changes. What guards ask and effects do is in `track_ageing`; times are of the core's own clock, which runs on
+through a jump of the stamps.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from hickory_stream.mapping.track import Track
+    from hickory_stream.records import DropCause
 
-
+# Evidence is a sum of floats, which may miss a whole number by its last bits.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LifecycleConfig(Ranged):
-    """The numbers of the table.
+    """The numbers of the table, and of the guards that it names.
 
     Attributes:
         confirm_sightings: evidence for a confirmation, in units of `existence`: two good sightings from different
             viewpoints, or so many from the same one.
         tentative_s: unconfirmed tracks are kept for so long, so that a second visit can confirm them.
+        dormant_s, archive_s: a confirmed track that was not seen for so long is dormant, or archived.
+        phantom_frames: a track is dropped once so many keyframes have seen through its place since it was last seen.
+        structure_m, structure_m3: a track is structure if its two longest sides are over the one, or its box over the
+            other.
+        structure_share: a track with more of its points than this in what was found to be structure is a piece of it.
         wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab that begins at most this high above
             the floor, ends at least that high, is at least so tall and thinner, is a piece of a wall; so is one longer
             than `structure_m`, wherever it begins.
@@ -73,18 +69,143 @@ class LifecycleConfig(Ranged):
     wall_against: float = number(2.0, 0, 1000, "ratio")
 
 
-def next_phase(track: Track, clock_ns: int, config: LifecycleConfig) -> Phase | None:
-    """Return the phase of a track at `clock_ns`, None if it is to be dropped."""
-    unseen_s = (clock_ns - track.seen_clock_ns) / 1e9
-    if track.seen_through >= config.phantom_frames:
-        return None
-    if track.phase is Phase.TENTATIVE:
-        if is_sure(track, config):
-            return Phase.ACTIVE
-        return None if unseen_s > config.tentative_s else Phase.TENTATIVE
-    if unseen_s > config.archive_s:
-        return Phase.ARCHIVED
-    return Phase.DORMANT if unseen_s > config.dormant_s else Phase.ACTIVE
+class LifeEvent(StrEnum):
+    """What happens to a track."""
+
+    BORN = "an observation matches no track"
+    SPLIT_OFF = "it was seen apart from another track often enough"
+    TAKES_IN = "another track is merged into it"
+    JUDGED = "a keyframe: held against the observed space"
+    AGED = "a keyframe: time has passed"
+    SPACE_FORGOTTEN = "the odometry jumps, or the source has ended"
+    SOURCE_ENDED = "the source has ended"
+
+
+class Guard(StrEnum):
+    """What a row asks of a track."""
+
+    IS_STRUCTURE = "it is too large, a piece of a wall, or flat and flush with one"
+    IN_STRUCTURE = "more than `structure_share` of it lies in such structure"
+    SEEN_THROUGH = "out of sight, and the keyframe saw through its place"
+    PHANTOM = "`phantom_frames` keyframes saw through its place"
+    SURE = "its evidence is that of `confirm_sightings` sightings"
+    UNCONFIRMED = "unseen for `tentative_s`"
+    DOUBTED = "a keyframe saw through its place"
+    UNSEEN = "unseen for `dormant_s`"
+    LONG_UNSEEN = "unseen for `archive_s`"
+    KNOWN_HERE = "seen since the last pose jump"
+    UNSUPPORTED = "nothing supports it, and it touches another track"
+    OTHER_SEEN_MORE = "that was seen in more keyframes"
+
+
+class TrackEffect(StrEnum):
+    """What else is done when a row applies."""
+
+    BECOME_STRUCTURE = "its points are structure"
+    DOUBT = "its evidence falls"
+    TRIM = "its points in a wall are removed"
+    DROP = "it is forgotten, its shape job cancelled"
+    MERGE = "the other track takes it in, its shape job is cancelled"
+
+
+class End(StrEnum):
+    """Where a track goes that is none any more."""
+
+    DROPPED = "(dropped)"
+    MERGED = "(merged)"
+
+
+class Other(StrEnum):
+    """A phase that another track says."""
+
+    ITS_PHASE = "that of the other"
+
+
+CONFIRMED = (Phase.ACTIVE, Phase.DORMANT, Phase.ARCHIVED)
+ANY = tuple(Phase)
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """A row: `phases` None are those of a track that is not there yet; `to` None is the phase that it is in.
+
+    `cause` is why a track is dropped.
+    """
+
+    phases: tuple[Phase, ...] | None
+    event: LifeEvent
+    guards: tuple[Guard, ...]
+    to: Phase | End | Other | None
+    effects: tuple[TrackEffect, ...] = ()
+    cause: DropCause | None = None
+
+
+LIFE_CYCLE = (
+    Transition(None, LifeEvent.BORN, (), Phase.TENTATIVE),
+    Transition(None, LifeEvent.SPLIT_OFF, (), Phase.TENTATIVE),
+    Transition(ANY, LifeEvent.TAKES_IN, (Guard.OTHER_SEEN_MORE,), Other.ITS_PHASE),
+    Transition(
+        ANY,
+        LifeEvent.JUDGED,
+        (Guard.KNOWN_HERE, Guard.IS_STRUCTURE),
+        End.DROPPED,
+        (TrackEffect.BECOME_STRUCTURE, TrackEffect.DROP),
+        "structure",
+    ),
+    Transition(
+        ANY, LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.IN_STRUCTURE), End.DROPPED, (TrackEffect.DROP,), "in structure"
+    ),
+    Transition(ANY, LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.SEEN_THROUGH), None, (TrackEffect.DOUBT,)),
+    Transition(ANY, LifeEvent.AGED, (Guard.PHANTOM,), End.DROPPED, (TrackEffect.DROP,), "looked through"),
+    Transition((Phase.TENTATIVE,), LifeEvent.AGED, (Guard.SURE,), Phase.ACTIVE),
+    Transition(
+        (Phase.TENTATIVE,),
+        LifeEvent.AGED,
+        (Guard.UNCONFIRMED, Guard.DOUBTED),
+        End.DROPPED,
+        (TrackEffect.DROP,),
+        "looked through",
+    ),
+    Transition(
+        (Phase.TENTATIVE,), LifeEvent.AGED, (Guard.UNCONFIRMED,), End.DROPPED, (TrackEffect.DROP,), "never confirmed"
+    ),
+    Transition(CONFIRMED, LifeEvent.AGED, (Guard.LONG_UNSEEN,), Phase.ARCHIVED),
+    Transition(
+        (Phase.ACTIVE,),
+        LifeEvent.AGED,
+        (Guard.UNSEEN, Guard.KNOWN_HERE, Guard.UNSUPPORTED),
+        End.MERGED,
+        (TrackEffect.MERGE,),
+    ),
+    Transition((Phase.ACTIVE,), LifeEvent.AGED, (Guard.UNSEEN, Guard.KNOWN_HERE), Phase.DORMANT, (TrackEffect.TRIM,)),
+    Transition(CONFIRMED, LifeEvent.AGED, (Guard.UNSEEN,), Phase.DORMANT),
+    Transition(CONFIRMED, LifeEvent.AGED, (), Phase.ACTIVE),
+    Transition(ANY, LifeEvent.SPACE_FORGOTTEN, (Guard.KNOWN_HERE,), None, (TrackEffect.TRIM,)),
+    Transition((Phase.TENTATIVE,), LifeEvent.SOURCE_ENDED, (), End.DROPPED, (TrackEffect.DROP,), "never confirmed"),
+    Transition(
+        CONFIRMED, LifeEvent.SOURCE_ENDED, (Guard.KNOWN_HERE, Guard.UNSUPPORTED), End.MERGED, (TrackEffect.MERGE,)
+    ),
+)
+"""All that becomes of tracks."""
+
+
+def transition(phase: Phase | None, event: LifeEvent, holds: Callable[[Guard], bool]) -> Transition | None:
+    """Return the row that applies to a track in a phase, None where nothing changes; guards are asked in their order.
+
+    `phase` None: the track is not there yet.
+    """
+    for row in _ROWS[phase, event]:
+        if all(holds(guard) for guard in row.guards):
+            return row
+    return None
+
+
+def first_phase(event: LifeEvent) -> Phase:
+    """Return the phase of a new track."""
+    row = transition(None, event, lambda _: True)
+    assert row is not None
+    assert isinstance(row.to, Phase)
+    return row.to
 
 
 def is_sure(track: Track, config: LifecycleConfig) -> bool:
@@ -92,29 +213,33 @@ def is_sure(track: Track, config: LifecycleConfig) -> bool:
     return track.existence.evidence >= config.confirm_sightings - _ROUNDING
 
 
-def is_structure(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
-    """Return whether a track is structure by its size or as a piece of a wall."""
-    size = 2 * track.box.half_extents_m
-    if np.sort(size)[1] > config.structure_m or track.box.volume_m3 > config.structure_m3:
-        return True
-    return is_sure(track, config) and _is_piece_of_wall(track, floor_z_m, config)
+def life_cycle_table() -> str:
+    """Return the table as Markdown."""
+    lines = ["| phase | event | guard | next phase | effects |", "|---|---|---|---|---|"]
+    for row in LIFE_CYCLE:
+        cells = (
+            _phases_text(row.phases),
+            row.event,
+            "; ".join(row.guards) or "-",
+            f"{row.to or '(the same)'}{f': {row.cause}' if row.cause else ''}",
+            "; ".join(row.effects) or "-",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
 
 
-def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
-    """Return whether a track is an upright slab from near the floor to above the waist: a wall between two doors."""
-    size = 2 * track.box.half_extents_m
-    low, high = float(track.bounds[0, 2]), float(track.bounds[1, 2])
-    thickness, width = float(min(size[:2])), float(max(size[:2]))
-    if thickness > config.wall_thickness_m or floor_z_m is None or high < floor_z_m + config.wall_top_m:
-        return False
-    if width > config.structure_m:
-        return True
-    if low > floor_z_m + config.lintel_foot_m and high > floor_z_m + config.lintel_top_m:
-        return True
-    is_tall = size[2] > config.wall_height_m
-    return low < floor_z_m + config.wall_foot_m and is_tall and width > 2 * thickness
+def _phases_text(phases: tuple[Phase, ...] | None) -> str:
+    if phases is None:
+        return "(new)"
+    return "any" if phases == ANY else ", ".join(phases)
 
 
-def aged(track: Track, phase: Phase) -> Track:
-    """Return the track in a phase."""
-    return track if track.phase is phase else replace(track, phase=phase)
+_ROWS = {
+    (phase, event): tuple(
+        row
+        for row in LIFE_CYCLE
+        if row.event is event and (row.phases is None if phase is None else phase in (row.phases or ()))
+    )
+    for phase in (None, *Phase)
+    for event in LifeEvent
+}

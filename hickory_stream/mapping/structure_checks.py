@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.lifecycle import is_structure, is_sure
+from hickory_stream.mapping.lifecycle import is_sure
 from hickory_stream.mapping.observed_space import is_edge, is_flush, share_in, structure_hits
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.mapping.lifecycle import LifecycleConfig
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.observed_space import SpaceState
     from hickory_stream.mapping.track import Track
@@ -52,3 +53,26 @@ def _is_more_wall(track: Track, space: SpaceState, clock_ns: int, config: Mappin
     if not (is_settling or is_resting):
         return False
     return is_flush(space, track.box, config.flush) or is_edge(space, track.box, config.flush)
+
+
+def is_structure(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
+    """Return whether a track is structure by its size or as a piece of a wall."""
+    size = 2 * track.box.half_extents_m
+    if np.sort(size)[1] > config.structure_m or track.box.volume_m3 > config.structure_m3:
+        return True
+    return is_sure(track, config) and _is_piece_of_wall(track, floor_z_m, config)
+
+
+def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
+    """Return whether a track is an upright slab from near the floor to above the waist: a wall between two doors."""
+    size = 2 * track.box.half_extents_m
+    low, high = float(track.bounds[0, 2]), float(track.bounds[1, 2])
+    thickness, width = float(min(size[:2])), float(max(size[:2]))
+    if thickness > config.wall_thickness_m or floor_z_m is None or high < floor_z_m + config.wall_top_m:
+        return False
+    if width > config.structure_m:
+        return True
+    if low > floor_z_m + config.lintel_foot_m and high > floor_z_m + config.lintel_top_m:
+        return True
+    is_tall = size[2] > config.wall_height_m
+    return low < floor_z_m + config.wall_foot_m and is_tall and width > 2 * thickness

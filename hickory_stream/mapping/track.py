@@ -108,6 +108,7 @@ def new_track(
     track_id: int,
     cloud: Cloud,
     *,
+    phase: Phase,
     stamp_ns: int,
     clock_ns: int,
     sightings: int,
@@ -115,10 +116,10 @@ def new_track(
     existence: Existence,
     voxel_m: float,
 ) -> Track:
-    """Return a tentative track of a cloud that was first seen at a stamp, in a submap."""
+    """Return a track of a cloud that was first seen at a stamp, in a submap."""
     return Track(
         id=track_id,
-        phase=Phase.TENTATIVE,
+        phase=phase,
         sightings=sightings,
         first_seen_ns=stamp_ns,
         last_seen_ns=stamp_ns,

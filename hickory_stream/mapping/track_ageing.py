@@ -1,13 +1,14 @@
-"""What becomes of the tracks as time passes: confirmed, resting, held against the observed space, dropped."""
+"""What becomes of the tracks: carries out the table of their life cycle (`lifecycle.LIFE_CYCLE`) for a state."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from hickory_stream.mapping.cloud import without
 from hickory_stream.mapping.existence import doubted
-from hickory_stream.mapping.lifecycle import aged, next_phase
+from hickory_stream.mapping.lifecycle import Guard, LifeEvent, TrackEffect, is_sure, transition
 from hickory_stream.mapping.observed_space import known_no_object, share_in
 from hickory_stream.mapping.structure_checks import is_seen_through, points_in_wall, why_structure
 from hickory_stream.mapping.submaps import with_structure
@@ -17,79 +18,178 @@ from hickory_stream.mapping.unsupported import attachment_of
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hickory_stream.events import Effect, FrameObserved
+    from hickory_stream.mapping.lifecycle import Transition
     from hickory_stream.mapping.map_state import MapState
     from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.observed_space import SpaceState
     from hickory_stream.mapping.track import Track
-
-_UNSUPPORTED = "unsupported but for this one, which it touches"
 
 
 def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, merges: bool) -> list[Effect]:
     """Let every track age by a keyframe; `merges`: one that is unsupported becomes a part of what it is attached to."""
     effects: list[Effect] = []
-    no_object = known_no_object(state.submaps.space)
+    # The same for most tracks: it changes only where one becomes structure.
+    no_object = lru_cache(maxsize=1)(known_no_object)
     for track_id in sorted(state.tracks):
-        track = state.tracks[track_id]
-        is_judged = state.is_judged(track)
-        reason = why_structure(track, state.submaps.space, state.clock_ns, config) if is_judged else None
-        if reason is not None:
-            state.submaps = with_structure(state.submaps, track.solid.points)
-            no_object = known_no_object(state.submaps.space)
-            effects += drop(state, track, "structure", reason)
-            continue
-        lies_in = share_in(no_object, track.solid.points, state.submaps.space.voxel_m) if is_judged else 0.0
-        if lies_in > config.lifecycle.structure_share:
-            effects += drop(state, track, "in structure", "a piece of what was found to be structure")
-            continue
-        is_out_of_sight = is_judged and track.seen_clock_ns != state.clock_ns
-        if is_out_of_sight and is_seen_through(track, event.space.free_keys, config):
-            track = replace(track, seen_through=track.seen_through + 1, existence=doubted(track.existence))
-        phase = next_phase(track, state.clock_ns, config.lifecycle)
-        if phase is None:
-            effects += drop(state, track, "looked through" if track.seen_through else "never confirmed")
-            continue
-        if is_judged and phase is Phase.DORMANT and track.phase is Phase.ACTIVE:
-            if merges and (host := _attachment_of(state, track, config)) is not None:
-                effects += unite(state, host.id, track_id, _UNSUPPORTED, config)
-                continue
-            track = _without_wall(state, track, config)
-        if phase is not track.phase:
-            state.decide("phase", track_id, f"{track.phase} -> {phase} after {track.sightings} sightings")
-        state.tracks[track_id] = sketched(aged(track, phase), config.track)
+        case = Case(state, track_id, config, free_keys=event.space.free_keys, no_object=no_object, merges=merges)
+        effects += [*case.happens(LifeEvent.JUDGED), *case.happens(LifeEvent.AGED)]
+        if track_id in state.tracks:
+            state.tracks[track_id] = sketched(state.tracks[track_id], config.track)
     return effects
 
 
 def settle(state: MapState, config: MappingConfig) -> None:
     """Remove the points of tracks that lie in structure, before the observed space is reset."""
     for track_id in sorted(state.tracks):
-        if state.is_judged(state.tracks[track_id]):
-            state.tracks[track_id] = _without_wall(state, state.tracks[track_id], config)
+        Case(state, track_id, config).happens(LifeEvent.SPACE_FORGOTTEN)
 
 
 def end_tracks(state: MapState, config: MappingConfig, *, merges: bool) -> list[Effect]:
     """Drop what was never confirmed by the end, and merge what is unsupported."""
-    effects: list[Effect] = []
     settle(state, config)
+    effects: list[Effect] = []
     for track_id in sorted(state.tracks):
-        track = state.tracks[track_id]
-        if track.phase is Phase.TENTATIVE:
-            effects += drop(state, track, "never confirmed")
-        elif merges and state.is_judged(track) and (host := _attachment_of(state, track, config)) is not None:
-            effects += unite(state, host.id, track_id, _UNSUPPORTED, config)
+        effects += Case(state, track_id, config, merges=merges).happens(LifeEvent.SOURCE_ENDED)
     return effects
 
 
-def _attachment_of(state: MapState, track: Track, config: MappingConfig) -> Track | None:
-    """Return the track that an unsupported track is attached to; None if it is supported, or near nothing."""
-    others = (o for o in state.tracks.values() if o.phase is not Phase.TENTATIVE and state.is_judged(o))
-    return attachment_of(track, others, state.submaps.space, config.unsupported)
+class Case:
+    """A track to which something happens, and what guards ask of it: each found once, and only if it is asked for."""
+
+    def __init__(
+        self,
+        state: MapState,
+        track_id: int,
+        config: MappingConfig,
+        *,
+        free_keys: NDArray[np.int64] | None = None,
+        no_object: Callable[[SpaceState], NDArray[np.int64]] = known_no_object,
+        merges: bool = False,
+    ) -> None:
+        self.state = state
+        self.config = config
+        self._track_id = track_id
+        self._free_keys = free_keys
+        self._no_object = no_object
+        self._merges = merges
+
+    @property
+    def track(self) -> Track:
+        """The track as it is now."""
+        return self.state.tracks[self._track_id]
+
+    def happens(self, event: LifeEvent) -> list[Effect]:
+        """Let something happen to the track, if it is still there: carry out the row of the table that applies."""
+        if self._track_id not in self.state.tracks:
+            return []
+        row = transition(self.track.phase, event, lambda guard: GUARDS[guard](self))
+        if row is None:
+            return []
+        done = [effect for track_effect in row.effects for effect in EFFECTS[track_effect](self, row)]
+        if isinstance(row.to, Phase) and row.to is not self.track.phase:
+            track = self.track
+            self.state.decide("phase", track.id, f"{track.phase} -> {row.to} after {track.sightings} sightings")
+            self.change(replace(track, phase=row.to))
+        return done
+
+    def change(self, track: Track) -> None:
+        """Put another version of the track in its place."""
+        self.state.tracks[self._track_id] = track
+
+    def is_unseen_for(self, limit_s: float) -> bool:
+        """Return whether the track was not seen for longer than this."""
+        return (self.state.clock_ns - self.track.seen_clock_ns) / 1e9 > limit_s
+
+    @cached_property
+    def why_structure(self) -> str | None:
+        """Why the track is no object but structure, None where it may be one."""
+        return why_structure(self.track, self.state.submaps.space, self.state.clock_ns, self.config)
+
+    @cached_property
+    def attachment(self) -> Track | None:
+        """The track that this one, unsupported, is attached to; None if it is supported, or near nothing."""
+        if not self._merges:
+            return None
+        confirmed = (o for o in self.state.tracks.values() if o.phase is not Phase.TENTATIVE)
+        others = (o for o in confirmed if self.state.is_judged(o))
+        return attachment_of(self.track, others, self.state.submaps.space, self.config.unsupported)
+
+    def is_in_structure(self) -> bool:
+        """Return whether most of the track lies in what was found to be structure."""
+        space = self.state.submaps.space
+        share = share_in(self._no_object(space), self.track.solid.points, space.voxel_m)
+        return share > self.config.lifecycle.structure_share
+
+    def is_seen_through(self) -> bool:
+        """Return whether the keyframe, which did not see the track, saw through its place."""
+        is_in_sight = self.track.seen_clock_ns == self.state.clock_ns
+        return (
+            not is_in_sight
+            and self._free_keys is not None
+            and is_seen_through(self.track, self._free_keys, self.config)
+        )
 
 
-def _without_wall(state: MapState, track: Track, config: MappingConfig) -> Track:
-    """Return a track without its points in structure, if these are more than a narrow strip along a wall."""
-    in_wall = points_in_wall(track, state.submaps.space, config)
-    if in_wall is None:
-        return track
-    state.decide("trim", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
-    return with_cloud(track, without(track.cloud, in_wall), track.sightings, config.lattice.points_m)
+def _become_structure(case: Case, _: Transition) -> list[Effect]:
+    case.state.submaps = with_structure(case.state.submaps, case.track.solid.points)
+    return []
+
+
+def _doubt(case: Case, _: Transition) -> list[Effect]:
+    track = case.track
+    case.change(replace(track, seen_through=track.seen_through + 1, existence=doubted(track.existence)))
+    return []
+
+
+def _trim(case: Case, _: Transition) -> list[Effect]:
+    """Remove the points in structure, if these are more than a narrow strip along a wall."""
+    track = case.track
+    in_wall = points_in_wall(track, case.state.submaps.space, case.config)
+    if in_wall is not None:
+        case.state.decide("trim", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
+        rest = without(track.cloud, in_wall)
+        case.change(with_cloud(track, rest, track.sightings, case.config.lattice.points_m))
+    return []
+
+
+def _drop(case: Case, row: Transition) -> list[Effect]:
+    assert row.cause is not None
+    reasons = {"structure": case.why_structure, "in structure": "a piece of what was found to be structure"}
+    return drop(case.state, case.track, row.cause, reasons.get(row.cause))
+
+
+def _merge(case: Case, _: Transition) -> list[Effect]:
+    assert case.attachment is not None
+    reason = "unsupported but for this one, which it touches"
+    return unite(case.state, case.attachment.id, case.track.id, reason, case.config)
+
+
+GUARDS: dict[Guard, Callable[[Case], bool]] = {
+    Guard.IS_STRUCTURE: lambda case: case.why_structure is not None,
+    Guard.IN_STRUCTURE: Case.is_in_structure,
+    Guard.SEEN_THROUGH: Case.is_seen_through,
+    Guard.PHANTOM: lambda case: case.track.seen_through >= case.config.lifecycle.phantom_frames,
+    Guard.SURE: lambda case: is_sure(case.track, case.config.lifecycle),
+    Guard.UNCONFIRMED: lambda case: case.is_unseen_for(case.config.lifecycle.tentative_s),
+    Guard.DOUBTED: lambda case: case.track.seen_through > 0,
+    Guard.UNSEEN: lambda case: case.is_unseen_for(case.config.lifecycle.dormant_s),
+    Guard.LONG_UNSEEN: lambda case: case.is_unseen_for(case.config.lifecycle.archive_s),
+    Guard.KNOWN_HERE: lambda case: case.state.is_judged(case.track),
+    Guard.UNSUPPORTED: lambda case: case.attachment is not None,
+}
+"""What the guards of the table ask of a track; of two that are merged, `track_merging` asks."""
+
+EFFECTS: dict[TrackEffect, Callable[[Case, Transition], list[Effect]]] = {
+    TrackEffect.BECOME_STRUCTURE: _become_structure,
+    TrackEffect.DOUBT: _doubt,
+    TrackEffect.TRIM: _trim,
+    TrackEffect.DROP: _drop,
+    TrackEffect.MERGE: _merge,
+}
+"""What the effects of the table do."""

@@ -16,6 +16,7 @@ from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.existence import united
+from hickory_stream.mapping.lifecycle import Guard, LifeEvent, transition
 from hickory_stream.mapping.support_relations import is_inner_part, is_leg, is_on_foot, stands_in
 from hickory_stream.mapping.track import Track, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.mapping.cloud import Cloud
     from hickory_stream.mapping.views import ViewConfig
+    from hickory_stream.records import Phase
 
 
 _FOOT_GAP_M = 0.2
@@ -171,7 +173,7 @@ def merge(kept: Track, gone: Track, voxel_m: float, view_config: ViewConfig) -> 
     theirs = replace(gone.best_view, object_id=kept.id) if gone.best_view is not None else None
     return replace(
         with_cloud(kept, cloud, sightings, voxel_m),
-        phase=kept.phase if kept.sightings >= gone.sightings else gone.phase,
+        phase=_phase_after(kept, gone),
         first_seen_ns=min(kept.first_seen_ns, gone.first_seen_ns),
         last_seen_ns=max(kept.last_seen_ns, gone.last_seen_ns),
         seen_clock_ns=max(kept.seen_clock_ns, gone.seen_clock_ns),
@@ -183,6 +185,13 @@ def merge(kept: Track, gone: Track, voxel_m: float, view_config: ViewConfig) -> 
         existence=united(kept.existence, gone.existence),
         seen_in=max(kept.seen_in, gone.seen_in),
     )
+
+
+def _phase_after(kept: Track, gone: Track) -> Phase:
+    """Return the phase of a track that has taken in another one."""
+    asked = {Guard.OTHER_SEEN_MORE: gone.sightings > kept.sightings}
+    row = transition(kept.phase, LifeEvent.TAKES_IN, asked.__getitem__)
+    return kept.phase if row is None else gone.phase
 
 
 def why_one(a: Track, b: Track, near: Sequence[Track], book: VoteBook, config: MergeConfig) -> str | None:

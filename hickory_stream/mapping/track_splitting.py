@@ -10,6 +10,7 @@ import numpy as np
 from hickory_stream.mapping.absorbed import after_split, recalled, restored, without_views_of
 from hickory_stream.mapping.cloud import is_near, share_near, solid_part, without
 from hickory_stream.mapping.existence import Existence
+from hickory_stream.mapping.lifecycle import LifeEvent, first_phase
 from hickory_stream.mapping.support_relations import is_inner_part
 from hickory_stream.mapping.track import new_track, touching, with_cloud
 from hickory_stream.mapping.track_merging import pair_of, why_one
@@ -67,6 +68,7 @@ def _split_off(
     new = new_track(
         state.next_id,
         cloud,
+        phase=first_phase(LifeEvent.SPLIT_OFF),
         stamp_ns=event.stamp_ns,
         clock_ns=state.clock_ns,
         sightings=num_apart,

@@ -13,6 +13,7 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.mapping.associate import associate, is_swollen
 from hickory_stream.mapping.cloud import cloud_of, without
 from hickory_stream.mapping.existence import Existence, no_evidence, sighted
+from hickory_stream.mapping.lifecycle import LifeEvent, first_phase
 from hickory_stream.mapping.sighting import Sighting
 from hickory_stream.mapping.split_candidates import with_keyframe
 from hickory_stream.mapping.track import grown, new_track, touching
@@ -113,6 +114,7 @@ class Tracker:
         state.tracks[track_id] = new_track(
             track_id,
             cloud,
+            phase=first_phase(LifeEvent.BORN),
             stamp_ns=event.stamp_ns,
             clock_ns=state.clock_ns,
             sightings=1,

@@ -1,77 +1,288 @@
-"""The table of phases, row by row."""
+"""The table of the life cycle, row by row, carried out on states."""
 
-from dataclasses import replace
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.mapping.lifecycle import LifecycleConfig, aged, is_structure, next_phase
+from hickory_stream.events import CancelShape
+from hickory_stream.geometry.lattice import Lattice
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.existence import Existence
+from hickory_stream.mapping.lifecycle import (
+    LIFE_CYCLE,
+    End,
+    Guard,
+    LifecycleConfig,
+    LifeEvent,
+    Other,
+    TrackEffect,
+    first_phase,
+    life_cycle_table,
+    transition,
+)
+from hickory_stream.mapping.map_state import MapState
+from hickory_stream.mapping.mapping_config import MappingConfig
+from hickory_stream.mapping.structure_checks import is_structure
+from hickory_stream.mapping.submaps import first_submap, with_seen, with_structure
+from hickory_stream.mapping.track import ShapeState
+from hickory_stream.mapping.track_ageing import EFFECTS, GUARDS, Case, end_tracks
+from hickory_stream.mapping.track_merging import merge
+from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.records import Phase
-from tests.mapping.mapping_fixtures import SECOND_NS, box_surface, track
+from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, space, track
 
-CONFIG = LifecycleConfig(
-    confirm_sightings=3, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_frames=4, phantom_share=0.7
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hickory_stream.mapping.lifecycle import Transition
+    from hickory_stream.mapping.track import Track
+
+CONFIG = MappingConfig(
+    lattice=Lattice(points_m=VOXEL_M),
+    lifecycle=LifecycleConfig(
+        confirm_sightings=3, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_frames=4, phantom_share=0.7
+    ),
 )
+SPACE_M = CONFIG.lattice.space_m
 TENTATIVE, ACTIVE, DORMANT, ARCHIVED = Phase.TENTATIVE, Phase.ACTIVE, Phase.DORMANT, Phase.ARCHIVED
-TRACK = track(1, box_surface((0, 0, 0.1)))
+README = Path(__file__).resolve().parent.parent.parent / "hickory_stream" / "mapping" / "README.md"
+BOX = box_surface((0, 0, 0.1))
+FREE = np.unique(keys_of_points(BOX, SPACE_M))
+POT = box_surface((0.0, 0.0, 0.3), (0.3, 0.3, 0.6))
+BRANCH = box_surface((0.32, 0.0, 0.75), (0.16, 0.12, 0.12))
+WALL_POINTS = BOX[BOX[:, 0] < -0.06]
 
 
-def after(phase: Phase, sightings: int, unseen_s: float, seen_through: int = 0) -> Phase | None:
-    known = replace(TRACK.existence, evidence=float(sightings))
-    then = replace(TRACK, phase=phase, seen_clock_ns=7 * SECOND_NS, seen_through=seen_through, existence=known)
-    return next_phase(then, round((7 + unseen_s) * SECOND_NS), CONFIG)
+def there(
+    phase: Phase,
+    *,
+    points: np.ndarray = BOX,
+    evidence: float = 9.0,
+    unseen_s: float = 0.0,
+    seen_through: int = 0,
+    others: tuple[Track, ...] = (),
+) -> MapState:
+    """A map with track 1 in a phase, not seen for so long, whose shape is asked for as job 5 once it is confirmed."""
+    state = MapState(submaps=first_submap(SPACE_M), clock_ns=round((7 + unseen_s) * SECOND_NS), next_id=9)
+    item = replace(
+        track(1, points, phase=phase),
+        seen_clock_ns=7 * SECOND_NS,
+        seen_through=seen_through,
+        existence=Existence(evidence=evidence, places=np.zeros((1, 3))),
+        shape_state=ShapeState() if phase is TENTATIVE else ShapeState(open_ticket=5),
+    )
+    state.tracks = {item.id: item, **{other.id: other for other in others}}
+    return state
 
 
-@pytest.mark.parametrize(
-    ("phase", "sightings", "unseen_s", "expected"),
-    [
-        (TENTATIVE, 1, 0.0, TENTATIVE),
-        (TENTATIVE, 2, 8.0, TENTATIVE),
-        (TENTATIVE, 3, 0.0, ACTIVE),
-        (TENTATIVE, 2, 8.1, None),
-        (ACTIVE, 3, 0.0, ACTIVE),
-        (ACTIVE, 3, 4.0, ACTIVE),
-        (ACTIVE, 3, 4.1, DORMANT),
-        (DORMANT, 3, 60.0, DORMANT),
-        (DORMANT, 3, 60.1, ARCHIVED),
-        (DORMANT, 4, 0.0, ACTIVE),
-        (ARCHIVED, 3, 600.0, ARCHIVED),
-        (ARCHIVED, 4, 0.0, ACTIVE),
-    ],
-)
-def test_the_next_phase_is_that_of_the_table(
-    phase: Phase, sightings: int, unseen_s: float, expected: Phase | None
-) -> None:
-    assert after(phase, sightings, unseen_s) is expected
+def forgotten(state: MapState) -> MapState:
+    """The map after a pose jump: nothing was seen since."""
+    state.submaps = replace(state.submaps, first=1)
+    return state
 
 
-@pytest.mark.parametrize("phase", Phase)
-def test_a_track_of_any_phase_is_dropped_once_enough_keyframes_looked_through_its_place(phase: Phase) -> None:
-    assert after(phase, 5, 1.0, seen_through=3) is not None
-    assert after(phase, 5, 1.0, seen_through=4) is None
+def in_structure(state: MapState) -> MapState:
+    state.submaps = with_structure(state.submaps, BOX)
+    return state
 
 
-@given(st.sampled_from([ACTIVE, DORMANT, ARCHIVED]), st.integers(1, 50), st.floats(0, 10_000))
-def test_a_confirmed_track_is_never_lost_by_time_alone(phase: Phase, sightings: int, unseen_s: float) -> None:
-    assert after(phase, sightings, unseen_s) in (ACTIVE, DORMANT, ARCHIVED)
+def in_air(phase: Phase, unseen_s: float) -> MapState:
+    """A branch in free space, away from every wall, that touches the pot."""
+    state = there(phase, points=BRANCH, unseen_s=unseen_s, others=(track(2, POT),))
+    steps = np.arange(-1.0, 1.0, 0.025)
+    grid = np.stack(np.meshgrid(steps, steps, np.arange(0.1, 1.5, 0.025), indexing="ij"), axis=-1).reshape(-1, 3)
+    for _ in range(2):
+        state.submaps = with_seen(
+            state.submaps, space(free=keys_of_points(grid.astype(np.float32), SPACE_M), floor_z_m=0.0)
+        )
+    return state
 
 
-@given(st.sampled_from(list(Phase)), st.integers(1, 9), st.floats(0, 100), st.floats(0, 100))
+def with_wall(state: MapState) -> MapState:
+    """The map where the track has included a piece of the wall behind it."""
+    item = state.tracks[1]
+    state.tracks[1] = replace(item, cloud=replace(item.cloud, hits=np.ones_like(item.cloud.hits)))
+    for _ in range(6):
+        state.submaps = with_seen(state.submaps, space(structure=keys_of_points(WALL_POINTS, SPACE_M)))
+    return state
+
+
+def case_of(state: MapState) -> Case:
+    return Case(state, 1, CONFIG, free_keys=FREE, merges=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """The row of the table that applies to a map's first track, and how it ends (a phase, or why it is gone)."""
+
+    row: int
+    make: Callable[[], MapState]
+    ends: Phase | str
+
+
+JUDGED, AGED = LifeEvent.JUDGED, LifeEvent.AGED
+SCENARIOS = [
+    Scenario(row=3, make=lambda: there(ACTIVE, points=box_surface((0, 0, 1.5), (3.2, 3.0, 0.4))), ends="structure"),
+    Scenario(row=4, make=lambda: in_structure(there(DORMANT)), ends="in structure"),
+    Scenario(row=5, make=lambda: there(ACTIVE, unseen_s=1.0), ends=ACTIVE),
+    Scenario(row=6, make=lambda: there(TENTATIVE, seen_through=4), ends="looked through"),
+    Scenario(row=6, make=lambda: there(ARCHIVED, seen_through=4), ends="looked through"),
+    Scenario(row=7, make=lambda: there(TENTATIVE, evidence=3.0, unseen_s=9.0), ends=ACTIVE),
+    Scenario(row=8, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1, seen_through=1), ends="looked through"),
+    Scenario(row=9, make=lambda: there(TENTATIVE, evidence=2.0, unseen_s=8.1), ends="never confirmed"),
+    Scenario(row=10, make=lambda: there(DORMANT, unseen_s=60.1), ends=ARCHIVED),
+    Scenario(row=10, make=lambda: there(ACTIVE, unseen_s=60.1), ends=ARCHIVED),
+    Scenario(row=11, make=lambda: in_air(ACTIVE, 4.1), ends="merged"),
+    Scenario(row=12, make=lambda: with_wall(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
+    Scenario(row=13, make=lambda: forgotten(there(ACTIVE, unseen_s=4.1)), ends=DORMANT),
+    Scenario(row=13, make=lambda: in_air(DORMANT, 4.1), ends=DORMANT),
+    Scenario(row=14, make=lambda: there(ACTIVE, evidence=0.0, unseen_s=4.0), ends=ACTIVE),
+    Scenario(row=14, make=lambda: there(DORMANT), ends=ACTIVE),
+    Scenario(row=14, make=lambda: there(ARCHIVED), ends=ACTIVE),
+    Scenario(row=15, make=lambda: with_wall(there(DORMANT)), ends=DORMANT),
+    Scenario(row=16, make=lambda: there(TENTATIVE), ends="never confirmed"),
+    Scenario(row=17, make=lambda: in_air(DORMANT, 9.0), ends="merged"),
+]
+NOTHING = [
+    (TENTATIVE, AGED, lambda: there(TENTATIVE, evidence=2.9, unseen_s=8.0)),
+    (ACTIVE, JUDGED, lambda: there(ACTIVE)),
+    (ACTIVE, JUDGED, lambda: forgotten(in_structure(there(ACTIVE, unseen_s=1.0)))),
+    (ACTIVE, LifeEvent.SPACE_FORGOTTEN, lambda: forgotten(with_wall(there(ACTIVE)))),
+    (ACTIVE, LifeEvent.SOURCE_ENDED, lambda: there(ACTIVE)),
+]
+
+
+def told(row: Transition) -> str:
+    return f"{'/'.join(row.phases or ('new',))} {row.event.name}"
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=[f"{s.row} {told(LIFE_CYCLE[s.row])}" for s in SCENARIOS])
+def test_a_row_applies_where_its_guards_hold_and_carries_out_its_effects(scenario: Scenario) -> None:
+    state, row = scenario.make(), LIFE_CYCLE[scenario.row]
+    case, before = case_of(state), state.tracks[1]
+    assert transition(before.phase, row.event, lambda guard: GUARDS[guard](case)) is row
+    # What the guards have found is found anew.
+    effects = case_of(state).happens(row.event)
+    after = state.tracks.get(1)
+    if isinstance(scenario.ends, Phase):
+        assert row.to in (scenario.ends, None)
+        assert after is not None
+        assert after.phase is scenario.ends
+        assert effects == []
+        assert [d.text for d in state.decisions if d.kind == "phase"] == (
+            [] if after.phase is before.phase else [f"{before.phase} -> {after.phase} after 3 sightings"]
+        )
+        doubts = TrackEffect.DOUBT in row.effects
+        assert (after.seen_through, after.existence.evidence) == (
+            before.seen_through + doubts,
+            before.existence.evidence - doubts,
+        )
+        has_less = len(after.cloud.keys) < len(before.cloud.keys)
+        assert has_less == (TrackEffect.TRIM in row.effects) == any(d.kind == "trim" for d in state.decisions)
+        return
+    assert after is None
+    assert effects == ([] if before.phase is TENTATIVE else [CancelShape(ticket=5)])
+    (decision,) = state.decisions
+    if row.to is End.MERGED:
+        assert state.tracks[2].merged_ids == (1,)
+        assert (decision.kind, decision.object_id, decision.other_id) == ("merge", 2, 1)
+    else:
+        assert row.to is End.DROPPED
+        assert (decision.kind, decision.cause) == ("drop", scenario.ends)
+    is_told = (state.submaps.space.hits > 251).any()
+    assert is_told == (scenario.ends in ("structure", "in structure"))
+
+
+def test_every_row_that_a_case_can_meet_has_a_scenario_and_the_others_are_tested_below() -> None:
+    others = {LifeEvent.BORN, LifeEvent.SPLIT_OFF, LifeEvent.TAKES_IN}
+    assert {s.row for s in SCENARIOS} == {i for i, row in enumerate(LIFE_CYCLE) if row.event not in others}
+
+
+@pytest.mark.parametrize(("phase", "event", "make"), NOTHING, ids=range(len(NOTHING)))
+def test_where_no_row_applies_nothing_changes(phase: Phase, event: LifeEvent, make: Callable[[], MapState]) -> None:
+    state = make()
+    before = state.tracks[1]
+    assert before.phase is phase
+    assert case_of(state).happens(event) == []
+    assert state.tracks[1] is before
+    assert state.decisions == []
+
+
+@pytest.mark.parametrize("event", [LifeEvent.BORN, LifeEvent.SPLIT_OFF])
+def test_a_new_track_is_tentative(event: LifeEvent) -> None:
+    assert first_phase(event) is TENTATIVE
+
+
+@pytest.mark.parametrize(("kept", "gone", "after"), [(3, 4, ARCHIVED), (3, 3, ACTIVE), (4, 3, ACTIVE)])
+def test_a_track_takes_over_the_phase_of_one_that_was_seen_more_often(kept: int, gone: int, after: Phase) -> None:
+    other = track(2, BOX, sightings=gone, phase=ARCHIVED)
+    assert merge(track(1, BOX, sightings=kept), other, VOXEL_M, ViewConfig()).phase is after
+    (row,) = (row for row in LIFE_CYCLE if row.event is LifeEvent.TAKES_IN)
+    assert row.to is Other.ITS_PHASE
+
+
+def test_all_that_the_table_names_is_carried_out() -> None:
+    assert set(GUARDS) | {Guard.OTHER_SEEN_MORE} == set(Guard)
+    assert set(EFFECTS) == set(TrackEffect)
+    assert {guard for row in LIFE_CYCLE for guard in row.guards} == set(Guard)
+    assert {effect for row in LIFE_CYCLE for effect in row.effects} == set(TrackEffect)
+    assert {row.event for row in LIFE_CYCLE} == set(LifeEvent)
+
+
+def test_a_row_ends_a_track_by_one_effect_and_a_dropped_one_has_a_cause() -> None:
+    for row in LIFE_CYCLE:
+        ends = [effect for effect in row.effects if effect in (TrackEffect.DROP, TrackEffect.MERGE)]
+        expected = {End.DROPPED: [TrackEffect.DROP], End.MERGED: [TrackEffect.MERGE]}
+        assert ends == (expected[row.to] if isinstance(row.to, End) else [])
+        assert (row.cause is not None) == (row.to is End.DROPPED)
+
+
+def test_no_row_is_hidden_by_one_before_it() -> None:
+    for i, row in enumerate(LIFE_CYCLE):
+        earlier = [other for other in LIFE_CYCLE[:i] if other.event is row.event]
+        for phase in row.phases or ():
+            guards = [set(other.guards) for other in earlier if phase in (other.phases or ())]
+            hidden = [one <= set(row.guards) for one in guards]
+            assert not any(hidden), f"row {i} never applies to {phase}"
+
+
+@given(st.sampled_from([ACTIVE, DORMANT, ARCHIVED]), st.integers(0, 50), st.floats(0, 10_000))
+def test_a_confirmed_track_is_never_lost_by_time_alone(phase: Phase, evidence: int, unseen_s: float) -> None:
+    state = there(phase, evidence=float(evidence), unseen_s=unseen_s)
+    assert case_of(state).happens(AGED) == []
+    assert state.tracks[1].phase in (ACTIVE, DORMANT, ARCHIVED)
+
+
+@given(st.sampled_from(list(Phase)), st.integers(0, 9), st.floats(0, 100), st.floats(0, 100))
 def test_a_track_that_stays_unseen_never_becomes_younger(
-    phase: Phase, sightings: int, first_s: float, more_s: float
+    phase: Phase, evidence: int, first_s: float, more_s: float
 ) -> None:
+    def after(unseen_s: float) -> Phase | None:
+        state = there(phase, evidence=float(evidence), unseen_s=unseen_s)
+        case_of(state).happens(AGED)
+        return state.tracks[1].phase if 1 in state.tracks else None
+
     age = [TENTATIVE, ACTIVE, DORMANT, ARCHIVED, None]
-    sooner, later = after(phase, sightings, first_s), after(phase, sightings, first_s + more_s)
-    assert age.index(later) >= age.index(sooner)
+    assert age.index(after(first_s + more_s)) >= age.index(after(first_s))
 
 
-def test_ageing_changes_the_phase_and_nothing_else() -> None:
-    assert aged(TRACK, TRACK.phase) is TRACK
-    dormant = aged(TRACK, DORMANT)
-    assert dormant.phase is DORMANT
-    assert replace(dormant, phase=TRACK.phase).cloud is TRACK.cloud
+def test_without_the_last_word_on_tracks_nothing_is_merged_for_want_of_support() -> None:
+    state = in_air(ACTIVE, 4.1)
+    assert end_tracks(state, CONFIG, merges=False) == []
+    assert sorted(state.tracks) == [1, 2]
+
+
+def test_the_table_is_printed_in_the_documentation() -> None:
+    table = life_cycle_table()
+    assert len(table.splitlines()) == len(LIFE_CYCLE) + 2
+    assert table in README.read_text(encoding="utf-8"), "run tools/write_life_cycle"
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,11 @@ from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.associate import AssociateConfig, is_swollen
 from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.lifecycle import LifecycleConfig, is_structure
+from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.mapping.observed_space import FlushConfig, add, add_structure, empty_space, is_edge, is_flush
 from hickory_stream.mapping.split_candidates import TrackSplitConfig, reassigned, with_keyframe
+from hickory_stream.mapping.structure_checks import is_structure
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
 
 if TYPE_CHECKING:

@@ -51,6 +51,8 @@ NOT_DECIDING = {
     "mapping/requests.py": "when shapes are computed",
     "mapping/views.py:_SECTORS": "how many views are kept",
     "mapping/existence.py:_MOST_PLACES": "how much is stored",
+    "mapping/associate.py:_ROUNDING": "keeps a product of floats from missing its limit",
+    "mapping/associate.py:_TIE": "what is equal but for rounding",
     "mapping/lifecycle.py:_ROUNDING": "keeps a sum of floats from missing its limit",
     "mapping/observed_space.py:_NO_OBJECT": "a mark",
     "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",

@@ -144,7 +144,7 @@ RULES = (
         ("mapping.lifecycle.structure_m3", 1e6),
         way="prepared",
     ),
-    _of_mapping("a piece of a wall", "lifecycle", "_is_piece_of_wall", _always(False), "prepared"),
+    _of_mapping("a piece of a wall", "structure_checks", "_is_piece_of_wall", _always(False), "prepared"),
     _number("a lintel", ("mapping.lifecycle.lintel_foot_m", 100.0), way="prepared"),
     _of_mapping("flush with the wall", "observed_space", "is_flush", _always(False), "prepared"),
     _of_mapping("an edge of a wall", "observed_space", "is_edge", _always(False), "prepared"),
