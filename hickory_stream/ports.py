@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.depth_sensor import DepthSensor
@@ -54,15 +54,63 @@ class Source(Protocol):
         ...
 
 
+class MessageAccount(Protocol):
+    """Where every message of a source went: each in one bucket."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON knows it: the sums by bucket, and the entries of each topic."""
+        ...
+
+
+@runtime_checkable
+class Accounting(Protocol):
+    """An ability of a source: it keeps account of its messages, not only of its frames."""
+
+    def account(self) -> MessageAccount | None:
+        """Return where the messages went so far; None where a source that this one plays keeps no account."""
+        ...
+
+
+@runtime_checkable
+class Interruptible(Protocol):
+    """An ability of a source: it may wait for a frame for ever, and can be woken."""
+
+    def interrupt(self) -> None:
+        """End the frames; may be called from any thread."""
+        ...
+
+
+@runtime_checkable
+class Seekable(Protocol):
+    """An ability of a source: somebody may go to and fro in it, and the map then cannot be made again from the log.
+
+    A source whose frames ever say `goes_back` has it.
+    """
+
+    @property
+    def num_seeks(self) -> int:
+        """How often that has happened."""
+        ...
+
+
+def account_of(source: Source) -> MessageAccount | None:
+    """Return where the messages of a source went; None where it keeps no account."""
+    return source.account() if isinstance(source, Accounting) else None
+
+
 def interrupt(source: Source) -> None:
     """Wake a source that may be waiting for a frame; one that never waits need not be able to."""
-    wake = getattr(source, "interrupt", None)
-    if wake is not None:
-        wake()
+    if isinstance(source, Interruptible):
+        source.interrupt()
+
+
+def num_seeks(source: Source) -> int:
+    """Return how often somebody went to and fro in a source."""
+    return source.num_seeks if isinstance(source, Seekable) else 0
 
 
 class SourceAround:
-    """A `Source` that plays another one; what a subclass does not change is passed on."""
+    """A `Source` that plays another one; what a subclass does not change is passed on, optional abilities included."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -80,14 +128,18 @@ class SourceAround:
         """Return that of the other one."""
         return self._source.ledger()
 
-    def account(self) -> Any:
+    def account(self) -> MessageAccount | None:
         """Return where the messages went, where the other source keeps account of them."""
-        account = getattr(self._source, "account", None)
-        return account() if account is not None else None
+        return account_of(self._source)
 
     def interrupt(self) -> None:
         """Wake the other source, where it may be waiting."""
         interrupt(self._source)
+
+    @property
+    def num_seeks(self) -> int:
+        """How often somebody went to and fro in the other source."""
+        return num_seeks(self._source)
 
     def close(self) -> None:
         """Close the other one."""

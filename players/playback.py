@@ -218,6 +218,11 @@ class PlayedSource(SourceAround):
         own = {"frames_skipped": self._num_skipped, "seeks": self._num_seeks}
         return {**self._source.ledger(), **{name: count for name, count in own.items() if count}}
 
+    @property
+    def num_seeks(self) -> int:
+        """How often somebody went to and fro."""
+        return self._num_seeks + super().num_seeks
+
     def interrupt(self) -> None:
         """Wake whoever waits for a frame: the run is to end."""
         self._clock.stop()

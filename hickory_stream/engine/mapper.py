@@ -21,7 +21,7 @@ from hickory_stream.engine.history.resume import reopen
 from hickory_stream.engine.journal import JournalWriter
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.processor import processor_of_run
-from hickory_stream.engine.run import Mode, Run
+from hickory_stream.engine.run import Run, RunParts
 from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
 from hickory_stream.errors import InputError, MapFolderError, RecordingError
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.history.resume_point import ResumePoint
     from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.run_progress import Progress
     from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot
@@ -212,20 +213,22 @@ class Mapper:
         async def play() -> None:
             try:
                 threads = self._make_sinks(folder, sinks)
-                run = self._run = Run(
+                parts = RunParts(
                     config=self.config,
                     mode=mode,
+                    source=source,
                     core=continued.core if continued is not None else self._core,
                     segmenter=self._segmenter,
                     extractor=self._extractor,
+                    workers=self._workers,
                     folder=folder,
                     journal=journal,
-                    workers=self._workers,
                     sinks=threads,
                     publish=publish,
                     progress=progress,
-                    continued=continued,
+                    resumes=continued,
                 )
+                run = self._run = Run(parts)
                 await self._play(run, source, folder, journal, threads, rate, loops)
             finally:
                 journal.abandon()
@@ -260,7 +263,7 @@ class Mapper:
     ) -> None:
         is_clean = False
         try:
-            await run.run(source, rate=rate, loops=loops)
+            await run.run(rate=rate, loops=loops)
             is_clean = run.is_complete
         finally:
             await self._close(folder, journal, threads, run, source, is_clean)
@@ -294,7 +297,7 @@ class Mapper:
         except MapFolderError as error:
             failed = failed or error
         if failed is None or not is_clean:
-            said = run.ledger(source), run.timings(), is_clean and failed is None, run.is_reproducible
+            said = run.ledger(), run.timings(), is_clean and failed is None, run.is_reproducible
             await asyncio.to_thread(_finish, folder, *said)
         await asyncio.gather(*(thread.close() for thread in threads if not thread.is_essential))
         self.lost_outputs = tuple(thread.lost_output for thread in threads if thread.lost_output is not None)
@@ -392,6 +395,6 @@ def _why_empty(source: Source, run: Run) -> str | None:
         told = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items()))
         needed = "it must hold colour, depth and poses that overlap in time"
         return f"{uri} gave no usable frame ({told or 'nothing'}); {needed}"
-    if counts["keyframes_without_depth"] == run.num_keyframes:
+    if counts.get("keyframes_without_depth", 0) == run.num_keyframes:
         return f"{uri} has no depth in any of {run.num_keyframes} keyframes; mapping needs depth in metres above 0"
     return None

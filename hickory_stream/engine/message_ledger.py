@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.ports import account_of
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -22,11 +24,10 @@ def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
     `frames` are the run's counts: `read`, `keyframes`, `frames_undecodable`. After several rounds of a log the account
     is that of the last round, in which the images are not told apart.
     """
-    account_of = getattr(source, "account", None)
-    kept = account_of() if account_of is not None else None
+    kept = account_of(source)
     if kept is None:
         return {}
-    account: dict[str, Any] = kept.as_dict()
+    account = kept.as_dict()
     counts = source.ledger()
     found, dropped, doubled = (counts.get(name, 0) for name in ("frames", "injected_drop", "injected_duplicate"))
     if frames.get("read", 0) != found - dropped + doubled:

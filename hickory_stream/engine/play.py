@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.engine.mapper import Mapper
+from hickory_stream.ports import interrupt
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import MapperConfig, RunConfig
     from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.run import Mode
+    from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.run_progress import Progress
     from hickory_stream.ports import Sink, Source
     from hickory_stream.records import MapSnapshot
@@ -75,17 +76,17 @@ def play(
         interval_s = sys.getswitchinterval()
         sys.setswitchinterval(0.001)
         try:
-            return asyncio.run(_play(mapper, snapshots, getattr(source, "interrupt", None)))
+            return asyncio.run(_play(mapper, snapshots, source))
         finally:
             sys.setswitchinterval(interval_s)
     except asyncio.CancelledError:
         raise KeyboardInterrupt from None
 
 
-async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot], interrupt: Callable[[], None] | None) -> Played:
+async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot], source: Source) -> Played:
     snapshot: MapSnapshot | None = None
     async with mapper:
-        with _Signals(mapper, interrupt):
+        with _Signals(mapper, source):
             async for newest in snapshots:
                 snapshot = newest
         assert mapper.folder is not None
@@ -104,9 +105,9 @@ async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot], interrupt
 class _Signals:
     """While entered: the first signal stops the mapper, the second cancels its task."""
 
-    def __init__(self, mapper: Mapper, interrupt: Callable[[], None] | None) -> None:
+    def __init__(self, mapper: Mapper, source: Source) -> None:
         self._mapper = mapper
-        self._interrupt = interrupt  # of a source that may be waiting
+        self._source = source
         self._task = asyncio.current_task()
         self._loop = asyncio.get_running_loop()
         self._count = 0
@@ -125,7 +126,6 @@ class _Signals:
         self._count += 1
         if self._count == 1:
             self._mapper.stop()
-            if self._interrupt is not None:
-                self._interrupt()
+            interrupt(self._source)
         elif self._task is not None:
             self._task.cancel()

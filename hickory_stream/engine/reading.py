@@ -5,21 +5,22 @@ from __future__ import annotations
 import logging
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.engine.channel import Channel, ChannelClosed
+from hickory_stream.engine.pacing import Pacer
+from hickory_stream.engine.threads import on_thread
 from hickory_stream.errors import RecordingError
-from hickory_stream.events import TimeJumped
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
 
 if TYPE_CHECKING:
-    import asyncio
-    from collections.abc import Awaitable, Callable, Mapping
+    from collections.abc import Iterator, Mapping
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.pacing import Pacer
-    from hickory_stream.engine.step import FramePose
+    from hickory_stream.engine.modes import Mode
+    from hickory_stream.engine.stopping import Stop
     from hickory_stream.geometry.depth_sensor import SensorConfig
     from hickory_stream.ports import Segmenter, Source
     from hickory_stream.records import Frame, RawFrame
@@ -35,7 +36,7 @@ class Read:
     """One frame on its way.
 
     `is_candidate`: stamps and poses make it a keyframe. In a playback it then comes with its `frame`, decoded, and what
-    was `prepared` of it; a candidate that is torn is none. `counts` is what was lost since the frame before.
+    was `prepared` of it; one that `is_torn` is no candidate. `counts` is what was lost since the frame before.
     `arrived_s` is when it was there (monotonic).
     """
 
@@ -45,6 +46,7 @@ class Read:
     is_candidate: bool
     frame: Frame | None = None
     prepared: object = None
+    is_torn: bool = False
     counts: Mapping[str, int] = field(default_factory=dict)
     arrived_s: float = 0.0
 
@@ -60,54 +62,56 @@ class Position:
     last_ns: int | None = None
 
 
-def time_jump(
-    last: FramePose | None, read: Read, *, round_index: int, first_ns: int | None, most_s: float
-) -> TimeJumped | None:
-    """Return the jump of time before a frame, None where its stamp follows that of the frame before.
-
-    `round_index` is that of the frame before, `first_ns` the first stamp of all; a gap of up to `most_s` is none.
-    """
-    if last is None or first_ns is None:
-        return None
-    from_ns, to_ns = last.stamp_ns, read.raw.stamp_ns
-    if read.round_index != round_index:
-        return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="loop")
-    if 0 <= to_ns - from_ns <= most_s * 1e9:
-        return None
-    return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="restart" if to_ns < first_ns else "seek")
-
-
-def playback_channel() -> Channel[Read]:
-    """Return the channel of a playback: few frames, decoded, none lost."""
-    return Channel(_DECODED_AHEAD)
-
-
-def live_channel() -> Channel[Read]:
-    """Return the channel of a live run: a second of frames, still compressed, the newest ones."""
-    return Channel(_LIVE_FRAMES, "drop_oldest")
-
-
 class Reader:
-    """Reads a source into a channel until it ends or `stopped` is set; `on_reader` runs a function on its thread."""
+    """What reads: takes frames from a source, on a thread of its own, into a channel until it ends or the run stops.
 
-    def __init__(
-        self,
-        config: MapperConfig,
-        segmenter: Segmenter,
-        channel: Channel[Read],
-        stopped: asyncio.Event,
-        on_reader: Callable[..., Awaitable[object]],
-    ) -> None:
+    A playback has few frames on their way, decoded, and waits while they are not taken. A live run has a second of
+    them, still compressed, the newest.
+    """
+
+    def __init__(self, config: MapperConfig, segmenter: Segmenter, stop: Stop, *, mode: Mode) -> None:
         self._config = config
         self._segmenter = segmenter
-        self._channel = channel
-        self._stopped = stopped
-        self._on_reader = on_reader
+        self._stop = stop
+        self._mode = mode
+        self._channel: Channel[Read] = (
+            Channel(_LIVE_FRAMES, "drop_oldest") if mode == "live" else Channel(_DECODED_AHEAD)
+        )
+        self._thread = ThreadPoolExecutor(1, "read")
         self.decode_s = 0.0
         # Since the last frame that was sent.
         self.lost: Counter[str] = Counter()
 
-    async def play(self, source: Source, pacer: Pacer, loops: int, start: Position) -> None:
+    @property
+    def num_waiting(self) -> int:
+        """How many frames are on their way."""
+        return self._channel.statistics().length
+
+    async def read(
+        self, source: Source, *, rate: float | None, loops: int, start: Position, counts: Counter[str]
+    ) -> None:
+        """Read `loops` rounds of a source; a playback from a position on, a live run with what it lost in `counts`."""
+        if self._mode == "live":
+            await self._follow(source, Pacer(rate), loops, counts)
+        else:
+            await self._play(source, Pacer(rate), loops, start)
+
+    async def take(self) -> list[Read] | None:
+        """Return what has come, one frame in a playback, waiting for the first; None when nothing more will."""
+        try:
+            return await self._channel.receive_all() if self._mode == "live" else [await self._channel.receive()]
+        except ChannelClosed:
+            return None
+
+    async def end(self) -> None:
+        """Take no more."""
+        await self._channel.close()
+
+    def close(self) -> None:
+        """Wait for the thread to end."""
+        self._thread.shutdown(wait=True)
+
+    async def _play(self, source: Source, pacer: Pacer, loops: int, start: Position) -> None:
         """Read `loops` rounds, from a position on, decoding keyframes ahead; waits while the channel is full."""
         keyframe, last_ns = start.keyframe, start.last_ns
         offset = start.first_index
@@ -116,7 +120,7 @@ class Reader:
         try:
             for round_index in range(start.round_index, loops):
                 frames = source.frames()
-                while not self._stopped.is_set() and (raw := await self._next(frames)) is not None:
+                while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
                     index = offset + raw.index
                     if index <= start.last_index:
                         continue
@@ -127,14 +131,14 @@ class Reader:
                         lost["frames_late"] += 1
                         continue
                     last_ns = raw.stamp_ns
-                    await pacer.wait(raw.stamp_ns, self._stopped)
-                    frame, prepared = None, None
+                    await pacer.wait(raw.stamp_ns, self._stop.event)
+                    frame, prepared, is_torn = None, None, False
                     if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
                         frame = await self._decoded(raw, index)
-                        lost["frames_undecodable"] += frame is None
+                        is_torn = frame is None
                     if frame is not None:
                         keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                        prepared = await self._on_reader(self._segmenter.prepare, frame)
+                        prepared = await on_thread(self._thread, self._segmenter.prepare, frame)
                     read = Read(
                         raw=replace(raw, index=index),
                         round_index=round_index,
@@ -142,7 +146,8 @@ class Reader:
                         is_candidate=frame is not None,
                         frame=frame,
                         prepared=prepared,
-                        counts={name: count for name, count in lost.items() if count},
+                        is_torn=is_torn,
+                        counts=dict(lost),
                         arrived_s=time.monotonic(),
                     )
                     lost.clear()
@@ -154,7 +159,7 @@ class Reader:
         finally:
             await self._channel.close()
 
-    async def follow(self, source: Source, pacer: Pacer, loops: int, counts: Counter[str]) -> None:
+    async def _follow(self, source: Source, pacer: Pacer, loops: int, counts: Counter[str]) -> None:
         """Read a source as it comes: never waits for the map, drops the oldest frames, and counts them."""
         keyframe: Keyframe | None = None
         last_ns: int | None = None
@@ -162,9 +167,9 @@ class Reader:
         try:
             for round_index in range(loops):
                 frames = source.frames()
-                while not self._stopped.is_set() and (raw := await self._next(frames)) is not None:
+                while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
                     index = offset + raw.index
-                    await pacer.wait(raw.stamp_ns, self._stopped)
+                    await pacer.wait(raw.stamp_ns, self._stop.event)
                     counts["read"] += 1
                     if self._is_late(last_ns, raw.stamp_ns):
                         counts["frames_late"] += 1
@@ -189,8 +194,8 @@ class Reader:
         finally:
             await self._channel.close()
 
-    async def _next(self, frames: object) -> RawFrame | None:
-        raw: RawFrame | None = await self._on_reader(next, frames, None)  # type: ignore[assignment]
+    async def _next(self, frames: Iterator[RawFrame]) -> RawFrame | None:
+        raw: RawFrame | None = await on_thread(self._thread, next, frames, None)
         return raw
 
     def _is_late(self, last_ns: int | None, stamp_ns: int) -> bool:
@@ -201,7 +206,7 @@ class Reader:
         """Return the frame, None where its images are torn: the next frame is tried as keyframe."""
         started = time.perf_counter()
         try:
-            frame: Frame = await self._on_reader(raw.decode)  # type: ignore[assignment]
+            frame = await on_thread(self._thread, raw.decode)
         except RecordingError as error:
             logger.warning("frame %d cannot be decoded: %s", index, error)
             return None

@@ -1,8 +1,10 @@
-"""What a run says of itself when it has ended: where every message, frame and job went, and where the time went."""
+"""What a run says of itself: numbers for plots as it goes, and where every message, frame, job and second went."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
+
+import psutil
 
 from hickory_stream.engine.message_ledger import message_ledger
 
@@ -10,6 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from hickory_stream.ports import Source
+
+_PROCESS = psutil.Process()
 
 
 def run_ledger(
@@ -44,3 +48,24 @@ def run_timings(
     }
     stages = {f"{stage}_s": seconds for stage, seconds in sorted(times_s.items())}
     return {**layers, **stages, "loop_delay_p99_ms": 1e3 * loop_delay_s}
+
+
+def engine_metrics(
+    times_s: Mapping[str, float],
+    *,
+    queues: Mapping[str, int],
+    loop_delay_s: float,
+    num_workers: int,
+    source_ledger: Mapping[str, int],
+    num_dropped: int,
+) -> tuple[tuple[str, float], ...]:
+    """Return the named numbers of a keyframe's report that are the engine's: stages, queues, memory, ledger."""
+    return (
+        *((f"time/{name}", seconds) for name, seconds in times_s.items()),
+        *((f"queue/{name}", float(length)) for name, length in queues.items()),
+        ("engine/loop_delay_ms", 1e3 * loop_delay_s),
+        ("engine/workers", float(num_workers)),
+        ("engine/memory_mb", _PROCESS.memory_info().rss / 1e6),
+        *((f"ledger/{bucket}", float(number)) for bucket, number in source_ledger.items()),
+        ("engine/frames_dropped", float(num_dropped)),
+    )

@@ -56,8 +56,30 @@ class ShapeQueue:
         self._cache = cache
         self._open: dict[int, _Open] = {}
         self._failed: dict[int, tuple[int, str]] = {}
+        self._limits_before = 0
         self.timings_s: defaultdict[str, float] = defaultdict(float)
         self.counts: Counter[str] = Counter()
+
+    def total_counts(self) -> dict[str, int]:
+        """Return the jobs by fate, those of an interrupted run before this one included; `limits` were given up."""
+        counts = {**self.counts, "limits": self.num_limits}
+        return {name: count for name, count in counts.items() if count}
+
+    @property
+    def num_limits(self) -> int:
+        """How many jobs were given up at a limit of time or memory: they make a map that comes out otherwise again."""
+        return self._limits_before + self._workers.num_limits
+
+    def resume(self, jobs: Iterable[OpenJob], counts: Mapping[str, int]) -> None:
+        """Take over the jobs of an interrupted run, and what became of those before.
+
+        Raises:
+            MapFolderError: an input is not complete: the power failed before it reached the disk.
+        """
+        self._limits_before = counts.get("limits", 0)
+        self.counts.update({name: count for name, count in counts.items() if name != "limits"})
+        for job in jobs:
+            self._adopt(job)
 
     @property
     def num_open(self) -> int:
@@ -84,12 +106,8 @@ class ShapeQueue:
             OpenJob(ticket=ticket, object_id=job.object_id, due_ns=job.due_ns) for ticket, job in self._open.items()
         )
 
-    def adopt(self, job: OpenJob) -> None:
-        """Take over a job that was asked for before the run was interrupted; what it gave already is not done again.
-
-        Raises:
-            MapFolderError: its input is not complete: the power failed before it reached the disk.
-        """
+    def _adopt(self, job: OpenJob) -> None:
+        """Take over a job that was asked for before the run was interrupted; what it gave already is not done again."""
         folder = job_folder(self._folder.jobs, job.ticket)
         if is_answered(folder):
             answer = _answered()

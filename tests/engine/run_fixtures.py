@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.run import Mode
+    from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.run_progress import Progress
     from hickory_stream.ports import Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot

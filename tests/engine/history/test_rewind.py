@@ -29,7 +29,7 @@ from players.playback import PlaybackClock, PlayedSource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from hickory_stream.engine.map_folder import MapFolder
@@ -48,19 +48,16 @@ class SoughtSource(SceneSource):
     def __init__(self, order: Sequence[int]) -> None:
         super().__init__(NUM_FRAMES)
         self._order = list(order)
-        self._seeks = 0
+        self.num_seeks = 0
 
     def frames(self) -> Iterator[RawFrame]:
         scene, last = list(super().frames()), -1
         for index, number in enumerate(self._order):
             goes_back = number < last
-            self._seeks += goes_back
+            self.num_seeks += goes_back
             decode = partial(_renumbered, scene[number].decode, index)
             yield replace(scene[number], index=index, decode=decode, goes_back=goes_back)
             last = number
-
-    def ledger(self) -> Mapping[str, int]:
-        return {**super().ledger(), **({"seeks": self._seeks} if self._seeks else {})}
 
 
 def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:

@@ -1,0 +1,142 @@
+"""What carries out effects: gives the core an event, and does what the core wants until it wants nothing more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, assert_never
+
+from hickory_stream.engine.crops import write_crop
+from hickory_stream.engine.keyframe_images import crop_of
+from hickory_stream.engine.threads import on_thread
+from hickory_stream.events import (
+    CancelShape,
+    ComputeFeatures,
+    DropView,
+    Effect,
+    Event,
+    FeaturesReady,
+    KeepView,
+    Publish,
+    RequestShape,
+)
+from hickory_stream.perception.perceive import features_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from concurrent.futures import ThreadPoolExecutor
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.recorder import Recorder
+    from hickory_stream.engine.shape_queue import ShapeQueue
+    from hickory_stream.engine.step_writer import StepWriter
+    from hickory_stream.mapping.core import MapperCore
+    from hickory_stream.ports import FeatureExtractor
+    from hickory_stream.records import Frame, MapSnapshot, Observation
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class AtHand:
+    """The keyframe that an event is about: its pixels and observations, which some effects need."""
+
+    frame: Frame
+    observations: Sequence[Observation]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Handled:
+    """What an event led to: what the core published, and the patch features (h, w, D); None where there is nothing."""
+
+    published: Publish | None
+    patches: NDArray[np.float32] | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class EffectTargets:
+    """Whom effects concern: `folder` the pixels of views, `recorder` and `steps` the disk, `shapes` the workers."""
+
+    folder: MapFolder
+    recorder: Recorder
+    steps: StepWriter
+    shapes: ShapeQueue
+    extractor: FeatureExtractor
+    publish: Callable[[MapSnapshot], None]
+
+
+class EffectRunner:
+    """Owns the core; all that it decides, and all that it is told, goes through `handle`, on the thread `thinker`."""
+
+    def __init__(
+        self, core: MapperCore, targets: EffectTargets, thinker: ThreadPoolExecutor, *, crop_margin: float
+    ) -> None:
+        self.core = core
+        self._to = targets
+        self._thinker = thinker
+        self._crop_margin = crop_margin
+
+    async def handle(self, event: Event, at_hand: AtHand | None = None) -> Handled:
+        """Let the core decide, and carry out what it wants."""
+        published: Publish | None = None
+        patches: NDArray[np.float32] | None = None
+        asked: Event | None = event
+        while asked is not None:
+            self._to.steps.add_event(asked)
+            effects = await on_thread(self._thinker, self.core.handle, asked)
+            asked = None
+            # Pixels first: a job may need them.
+            await self._keep_views([effect for effect in effects if isinstance(effect, KeepView)], at_hand)
+            for effect in effects:
+                if isinstance(effect, ComputeFeatures):
+                    asked, patches = await self._features(effect, at_hand)
+                elif isinstance(effect, Publish):
+                    published = effect
+                else:
+                    await self._carry_out(effect)
+        if published is not None:
+            self._to.publish(published.snapshot)
+            self._to.steps.add_published(published)
+        return Handled(published=published, patches=patches)
+
+    async def _carry_out(self, effect: Effect) -> None:
+        match effect:
+            case KeepView() | ComputeFeatures() | Publish():
+                return
+            case DropView():
+                self._to.steps.drop_view(effect.name)
+            case RequestShape():
+                await self._to.recorder.written()
+                await self._to.shapes.request(effect)
+            case CancelShape():
+                self._to.shapes.cancel(effect.ticket)
+                self._to.steps.end_job(effect.ticket)
+            case _:
+                assert_never(effect)
+
+    async def _features(
+        self, effect: ComputeFeatures, at_hand: AtHand | None
+    ) -> tuple[FeaturesReady, NDArray[np.float32]]:
+        assert at_hand is not None, "features are asked for while the frame is at hand"
+        features, patches = await on_thread(
+            self._thinker,
+            features_of,
+            at_hand.frame,
+            at_hand.observations,
+            effect.observation_indices,
+            self._to.extractor,
+        )
+        return FeaturesReady(frame_index=effect.frame_index, features=features), patches
+
+    async def _keep_views(self, keeps: Sequence[KeepView], at_hand: AtHand | None) -> None:
+        if not keeps:
+            return
+        assert at_hand is not None, "views are kept while the frame is at hand"
+        frame, observations, views = at_hand.frame, at_hand.observations, self._to.folder.views
+
+        def write() -> None:
+            for keep in keeps:
+                crop = crop_of(frame, observations[keep.observation_index], self._crop_margin)
+                write_crop(views, keep.view.name, crop)
+
+        await self._to.recorder.write_views(write)

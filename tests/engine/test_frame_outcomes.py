@@ -1,0 +1,56 @@
+"""Every frame has one outcome: which of those that have come is mapped, and what the others are counted as."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
+from hickory_stream.engine.reading import Read
+from hickory_stream.mapping.keyframes import KeyframeConfig
+from hickory_stream.testing import SceneSource
+
+RAW = next(SceneSource(1).frames())
+CONFIG = KeyframeConfig()
+FAR_M = 10.0
+
+
+def read(place_m: float, *, is_candidate: bool, is_torn: bool = False, seconds: float = 0.0) -> Read:
+    """Return a frame so far along x: a keyframe of its own wherever it is far from the last one."""
+    pose = np.array(RAW.world_from_camera)
+    pose[0, 3] += place_m
+    raw = replace(RAW, stamp_ns=RAW.stamp_ns + round(seconds * 1e9), world_from_camera=pose)
+    return Read(raw=raw, round_index=0, first_index=0, is_candidate=is_candidate, is_torn=is_torn)
+
+
+def test_a_playback_maps_each_candidate_and_tells_torn_frames_from_those_between() -> None:
+    choice = KeyframeChoice("playback", CONFIG)
+    assert choice.outcomes([read(0.0, is_candidate=True)]) == [FrameOutcome.MAPPED]
+    assert choice.outcomes([read(0.0, is_candidate=False)]) == [FrameOutcome.BETWEEN]
+    assert choice.outcomes([read(FAR_M, is_candidate=False, is_torn=True)]) == [FrameOutcome.UNDECODABLE]
+
+
+def test_a_live_run_maps_the_newest_that_makes_a_keyframe_and_drops_the_other_candidates() -> None:
+    choice = KeyframeChoice("live", CONFIG)
+    come = [read(i * FAR_M, is_candidate=i % 2 == 0, seconds=i) for i in range(5)]
+    assert choice.outcomes(come) == [
+        FrameOutcome.DROPPED,
+        FrameOutcome.BETWEEN,
+        FrameOutcome.DROPPED,
+        FrameOutcome.BETWEEN,
+        FrameOutcome.MAPPED,
+    ]
+
+
+def test_a_frame_that_is_mapped_in_the_place_of_a_candidate_leaves_none_of_the_two_dropped() -> None:
+    choice = KeyframeChoice("live", CONFIG)
+    come = [read(0.0, is_candidate=True), read(FAR_M, is_candidate=False, seconds=1.0)]
+    assert choice.outcomes(come) == [FrameOutcome.BETWEEN, FrameOutcome.MAPPED]
+
+
+def test_a_candidate_that_is_none_any_more_is_dropped_where_nothing_is_mapped() -> None:
+    choice = KeyframeChoice("live", CONFIG)
+    assert choice.outcomes([read(0.0, is_candidate=True)]) == [FrameOutcome.MAPPED]
+    assert choice.outcomes([read(0.0, is_candidate=True)]) == [FrameOutcome.DROPPED]
+    assert choice.outcomes([read(0.0, is_candidate=False)]) == [FrameOutcome.BETWEEN]

@@ -1,0 +1,55 @@
+"""Where a run stands, and where the stamps of its frames jump."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from hickory_stream.engine.reading import Read
+from hickory_stream.engine.run_clock import RunClock
+from hickory_stream.events import TimeJumped
+from hickory_stream.testing import SceneSource
+
+RAW = next(SceneSource(1).frames())
+SECOND_NS = 1_000_000_000
+START_NS, LAST_NS = 90 * SECOND_NS, 100 * SECOND_NS
+
+
+def read_at(stamp_ns: int, *, index: int = 0, round_index: int = 0, first_index: int = 0) -> Read:
+    raw = replace(RAW, index=index, stamp_ns=stamp_ns)
+    return Read(raw=raw, round_index=round_index, first_index=first_index, is_candidate=True)
+
+
+@pytest.fixture
+def clock() -> RunClock:
+    """A clock after two frames, ten seconds apart."""
+    clock = RunClock(time_jump_s=5.0)
+    clock.advance(read_at(START_NS))
+    clock.advance(read_at(LAST_NS, index=1))
+    return clock
+
+
+@pytest.mark.parametrize(
+    ("after_s", "round_index", "kind"),
+    [(0.1, 0, None), (0.0, 0, None), (5.1, 0, "seek"), (-0.1, 0, "seek"), (-20.0, 0, "restart"), (-0.1, 1, "loop")],
+)
+def test_time_jumps_where_stamps_go_back_leave_a_gap_or_begin_again(
+    clock: RunClock, after_s: float, round_index: int, kind: str | None
+) -> None:
+    stamp_ns = LAST_NS + round(after_s * SECOND_NS)
+    jump = clock.jump_before(read_at(stamp_ns, round_index=round_index))
+    assert jump == (None if kind is None else TimeJumped(from_ns=LAST_NS, to_ns=stamp_ns, kind=kind))
+
+
+def test_before_the_first_frame_nothing_has_jumped() -> None:
+    assert RunClock(time_jump_s=5.0).jump_before(read_at(START_NS)) is None
+
+
+def test_it_stands_at_the_last_frame_and_remembers_the_first_stamp(clock: RunClock) -> None:
+    pose = clock.advance(read_at(LAST_NS + SECOND_NS, index=7, round_index=2, first_index=5))
+    assert clock.last is pose
+    assert (pose.index, pose.stamp_ns) == (7, LAST_NS + SECOND_NS)
+    assert (clock.round_index, clock.first_index, clock.num_frames) == (2, 5, 3)
+    assert clock.first_ns == START_NS
+    assert clock.camera == RAW.camera

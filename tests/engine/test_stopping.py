@@ -1,0 +1,68 @@
+"""The request to end a run, and how long what was begun may still take."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from hickory_stream.engine.stopping import Stop
+
+
+async def answered() -> str:
+    return "there"
+
+
+async def failed() -> str:
+    raise OSError("the disk is full")
+
+
+def test_what_ends_by_itself_is_returned_and_its_error_raised() -> None:
+    async def run() -> None:
+        stop = Stop()
+        assert await stop.within_grace(answered(), "job") == "there"
+        with pytest.raises(OSError, match="full"):
+            await stop.within_grace(failed(), "job")
+        assert not stop.is_requested
+
+    asyncio.run(run())
+
+
+def test_a_stop_gives_up_what_takes_longer_than_the_grace_and_cancels_it() -> None:
+    was_cancelled = []
+
+    async def never() -> None:
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            was_cancelled.append(True)
+            raise
+
+    async def run() -> None:
+        stop = Stop()
+        waiting = asyncio.create_task(stop.within_grace(never(), "job", grace_s=0.01))
+        await asyncio.sleep(0)
+        assert not waiting.done()
+        stop.request()
+        assert await waiting is None
+
+    asyncio.run(run())
+    assert was_cancelled == [True]
+
+
+def test_what_comes_within_the_grace_is_taken() -> None:
+    async def run() -> None:
+        stop, arrived = Stop(), asyncio.Event()
+
+        async def late() -> str:
+            await arrived.wait()
+            return "just in time"
+
+        waiting = asyncio.create_task(stop.within_grace(late(), "job", grace_s=30.0))
+        await asyncio.sleep(0)
+        stop.request()
+        await asyncio.sleep(0)
+        arrived.set()
+        assert await waiting == "just in time"
+
+    asyncio.run(run())
