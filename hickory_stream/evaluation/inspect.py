@@ -10,8 +10,10 @@ from dataclasses import asdict, dataclass, replace
 from math import hypot
 from typing import TYPE_CHECKING, Any, Literal
 
+from hickory_stream.config import MapperConfig, as_far_as_known
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.evaluation.place import Place, place_of
+from hickory_stream.evaluation.supports import supports_of, told
 from hickory_stream.mapping.floor_notes import floor_notes
 from hickory_stream.records import Phase
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.mapping.support_graph import Support
     from hickory_stream.records import Containment, ObjectShape, TrackedObject
 
 SortBy = Literal["id", "distance", "volume", "height", "sightings"]
@@ -33,8 +36,8 @@ _PRIMITIVE_BYTES = 11 * 8
 class ObjectSummary:
     """One object; `size_m` the sides of the box of layer 1, `layer_bytes` per layer 1 to 4, 0 for one that it lacks.
 
-    `place` is where its best layer is. `is_sketched`: instead of layers 2 to 4 it has one superquadric from its points
-    alone.
+    `place` is where its best layer is. `supports` are its relations in the support graph.
+    `is_sketched`: instead of layers 2 to 4 it has one superquadric from its points alone.
     """
 
     id: int
@@ -52,6 +55,7 @@ class ObjectSummary:
     layer_bytes: tuple[int, int, int, int]
     containment: Containment | None
     is_sketched: bool = False
+    supports: tuple[Support, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -93,7 +97,8 @@ class MapSummary:
 
 def summarize(saved: SavedMap) -> MapSummary:
     """Return the numbers of a map."""
-    objects = tuple(_summarize_object(saved, tracked) for tracked in saved.snapshot.objects)
+    supports = supports_of(saved.snapshot, as_far_as_known(MapperConfig, saved.manifest.config).mapping)
+    objects = tuple(_summarize_object(saved, tracked, supports[tracked.id]) for tracked in saved.snapshot.objects)
     checks = [summary.containment for summary in objects if summary.containment]
     return MapSummary(
         objects=objects,
@@ -172,7 +177,7 @@ def format_table(summary: MapSummary) -> str:
     )
 
 
-def _summarize_object(saved: SavedMap, tracked: TrackedObject) -> ObjectSummary:
+def _summarize_object(saved: SavedMap, tracked: TrackedObject, supports: tuple[Support, ...]) -> ObjectSummary:
     width, depth, height = (round(2 * float(half), 6) for half in tracked.box.half_extents_m)
     shape = tracked.shape
     sizes = (
@@ -197,6 +202,7 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject) -> ObjectSummary:
         layer_bytes=sizes,
         containment=_containment(saved, shape) if shape else None,
         is_sketched=tracked.sketch is not None,
+        supports=supports,
     )
 
 
@@ -217,7 +223,20 @@ def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer:
 
 # ---- text -----------------------------------------------------------------------------------------------------------
 
-_PLACE_HEADER = ("id", "phase", "submap", "x m", "y m", "z m", "yaw deg", "size m", "of layer", "litres", "color")
+_PLACE_HEADER = (
+    "id",
+    "phase",
+    "submap",
+    "x m",
+    "y m",
+    "z m",
+    "yaw deg",
+    "size m",
+    "of layer",
+    "litres",
+    "color",
+    "held by",
+)
 _OBJECT_HEADER = ("id", "sightings", "layers", "points", "views", *LAYER_NAMES, "outside")
 _LAYER_HEADER = ("layer", "", "objects", "storage", "mean", "time", "mean")
 
@@ -248,6 +267,7 @@ def _place_row(row: ObjectSummary) -> tuple[str, ...]:
         str(place.layer),
         f"{1000 * place.volume_m3:.1f}",
         place.color,
+        told(row.supports),
     )
 
 
@@ -271,7 +291,7 @@ def _layer_row(row: LayerSummary) -> tuple[str, ...]:
 def _columns(rows: list[tuple[str, ...]]) -> list[str]:
     """Return the rows as lines, every column as wide as its widest cell; text to the left, numbers to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    is_text = [row_i in ("phase", "layers", "color", "") for row_i in rows[0]]
+    is_text = [row_i in ("phase", "layers", "color", "held by", "") for row_i in rows[0]]
     return [
         "  ".join(
             cell.ljust(width) if text else cell.rjust(width)

@@ -151,7 +151,7 @@ class MapperCore:
         """Return the requests, the drops and the publication that end every keyframe, and the source."""
         state = self._state
         return [
-            *request_shapes(state, self._config.requests, is_final=is_final),
+            *request_shapes(state, self._config.requests, state.support_graph(self._config), is_final=is_final),
             *drop_unused_views(state),
             Publish(
                 snapshot=self.snapshot(),

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Self
 
 from hickory_stream.mapping.absorbed import Absorbed, views_of, without_lost_views
+from hickory_stream.mapping.support_graph import SupportGraph
 from hickory_stream.mapping.track import Track, without_views
 from hickory_stream.mapping.track_merging import VoteBook
 from hickory_stream.records import Decision, View
@@ -18,6 +19,7 @@ from hickory_stream.records import Decision, View
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
+    from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.split_candidates import SplitCandidates
     from hickory_stream.mapping.submaps import Submaps
     from hickory_stream.records import DecisionKind, DropCause
@@ -81,6 +83,12 @@ class MapState:
         if track_id is None or track_id in self.tracks:
             return track_id
         return next((i for i in sorted(self.tracks) if track_id in self.tracks[i].merged_ids), None)
+
+    def support_graph(self, config: MappingConfig) -> SupportGraph:
+        """Return the support graph of the tracks; it follows them as they change."""
+        return SupportGraph(
+            bodies=self.tracks, space=self.submaps.space, config=config.support, unsupported=config.unsupported
+        )
 
     def view_names(self) -> set[str]:
         """Return the names of the views that the map has, or would have again after a split."""

@@ -12,6 +12,7 @@ from hickory_stream.mapping.observed_space import FlushConfig
 from hickory_stream.mapping.requests import RequestConfig
 from hickory_stream.mapping.split_candidates import TrackSplitConfig
 from hickory_stream.mapping.submaps import SubmapConfig
+from hickory_stream.mapping.support_relations import SupportConfig
 from hickory_stream.mapping.track import TrackConfig
 from hickory_stream.mapping.track_merging import MergeConfig
 from hickory_stream.mapping.unsupported import UnsupportedConfig
@@ -33,5 +34,6 @@ class MappingConfig(Ranged):
     views: ViewConfig = field(default_factory=ViewConfig)
     requests: RequestConfig = field(default_factory=RequestConfig)
     flush: FlushConfig = field(default_factory=FlushConfig)
+    support: SupportConfig = field(default_factory=SupportConfig)
     unsupported: UnsupportedConfig = field(default_factory=UnsupportedConfig)
     submaps: SubmapConfig = field(default_factory=SubmapConfig)

@@ -364,6 +364,19 @@ def as_record(state: SpaceState) -> ObservedSpace:
     )
 
 
+def known_space(record: ObservedSpace) -> SpaceState:
+    """Return the space of a public record, in which what is structure surely is, and nothing is known of votes."""
+    structure = record.structure
+    return replace(
+        empty_space(record.voxel_m),
+        free=record.free,
+        surface=structure,
+        hits=np.full(len(structure), _SURE_HITS, dtype=np.uint8),
+        misses=np.zeros(len(structure), dtype=np.uint8),
+        floor_z_m=record.floor_z_m,
+    )
+
+
 def _floor(known_m: float | None, seen_m: float | None) -> float | None:
     if known_m is None or seen_m is None:
         return known_m if seen_m is None else seen_m

@@ -12,21 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.events import RequestShape
-from hickory_stream.geometry import portable
 from hickory_stream.mapping.track import ShapeState
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
     from hickory_stream.mapping.track import Track
-
-# Of eight around an object's middle, as many must show what it stands on.
-_SUPPORT_SECTORS = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,24 +97,6 @@ def gain_of(track: Track) -> float:
     return new_views + min(max(growth, -2.0 * growth), 1.0)
 
 
-def support_height_m(track: Track, others: Iterable[Track], floor_z_m: float | None) -> float | None:
-    """Return the height of an object's support surface: another object's top, or the floor; None if unknown."""
-    bottom = float(track.box.center[2] - track.box.half_extents_m[2])
-    best: float | None = None
-    for other in others:
-        if other.id == track.id or other.box.center[2] - other.box.half_extents_m[2] > bottom - 0.01:
-            continue
-        points = other.cloud.points
-        near = points[(points[:, 2] > bottom - 0.10) & (points[:, 2] < bottom + 0.03)]
-        under = near[track.box.is_over_or_under(near, 0.03)]
-        if len(under) >= 10 and _surrounds(under, track.box):
-            height = float(np.quantile(under[:, 2], 0.8))
-            best = height if best is None else max(best, height)
-    if best is not None:
-        return best
-    return floor_z_m if floor_z_m is not None and bottom - floor_z_m < 0.35 else None
-
-
 def shape_request(track: Track, *, ticket: int, support_z_m: float | None, due_ns: int) -> RequestShape:
     """Return the job that makes a shape of a track's solid part and its views, the best one first."""
     views = sorted(track.views, key=lambda view: (view is not track.best_view, view.frame_index, view.box_px))
@@ -148,13 +123,6 @@ def state_of_request(track: Track, ticket: int, clock_ns: int, *, is_replacement
         is_replacement=is_replacement,
         failures=track.shape_state.failures,
     )
-
-
-def _surrounds(points: NDArray[np.float32], box: OrientedBox) -> bool:
-    """Return whether points lie on most sides of a box's centre; those of a neighbour beside it do not."""
-    x, y = (points[:, :2] - box.center[:2]).T
-    sectors = np.floor((portable.arctan2(y, x) + np.pi) / (2 * np.pi) * 8).astype(np.int64) % 8
-    return int((np.bincount(sectors, minlength=8) > 0).sum()) >= _SUPPORT_SECTORS
 
 
 def _is_new(track: Track) -> bool:

@@ -14,24 +14,27 @@ from hickory_stream.mapping.requests import (
     predicted_s,
     shape_request,
     state_of_request,
-    support_height_m,
 )
 
 if TYPE_CHECKING:
     from hickory_stream.events import Effect, ShapeFailed
     from hickory_stream.mapping.map_state import MapState
     from hickory_stream.mapping.requests import RequestConfig
+    from hickory_stream.mapping.support_graph import SupportGraph
 
 
-def request_shapes(state: MapState, config: RequestConfig, *, is_final: bool) -> list[Effect]:
-    """Ask for the shapes that are worth it now, within the budget of jobs; for all that are missing at the end."""
+def request_shapes(state: MapState, config: RequestConfig, graph: SupportGraph, *, is_final: bool) -> list[Effect]:
+    """Ask for the shapes that are worth it now, within the budget of jobs; for all that are missing at the end.
+
+    `graph` says on what an object rests, which is where a completed shape ends.
+    """
     num_open = sum(track.shape_state.open_ticket is not None for track in state.tracks.values())
     replaced = [] if is_final else next_replacements(state.tracks, state.clock_ns, config)
     wanted = next_requests(state.tracks, num_open, state.clock_ns, is_final=is_final, config=config)
-    return [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, config)]
+    return [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, config, graph)]
 
 
-def _requested(state: MapState, track_id: int, config: RequestConfig) -> list[Effect]:
+def _requested(state: MapState, track_id: int, config: RequestConfig, graph: SupportGraph) -> list[Effect]:
     """Ask for the shape of a track, in place of the job that is open."""
     effects: list[Effect] = []
     track = state.tracks[track_id]
@@ -40,9 +43,11 @@ def _requested(state: MapState, track_id: int, config: RequestConfig) -> list[Ef
         state.decide("shape", track_id, f"job {gone} is replaced: S grew by {increase_in_score(track):.3f}")
     ticket = state.next_ticket
     state.next_ticket += 1
-    support_z_m = support_height_m(track, state.tracks.values(), state.submaps.space.floor_z_m)
+    support = graph.rests_on(track)
     due_ns = (state.stamp_ns or 0) + int(config.latency_s * 1e9)
-    request = shape_request(track, ticket=ticket, support_z_m=support_z_m, due_ns=due_ns)
+    request = shape_request(
+        track, ticket=ticket, support_z_m=None if support is None else support.height_m, due_ns=due_ns
+    )
     effects.append(request)
     state.decide(
         "shape",

@@ -1,173 +1,335 @@
-"""Support relations that make two tracks one object: a leg under its table, a plant in its pot, a panel in its desk.
+"""Pairwise relations of support: a leg under its table, a plant in its pot, a panel in its desk, a cup on a tray.
 
-As long as their contact is occluded, the segmenter sees two masks, so that neither the overlap of their clouds nor the
-votes of keyframes merge the two. How one supports the other does.
+As long as their contact is occluded, the segmenter sees two masks of one object, so that neither the overlap of their
+clouds nor the votes of keyframes merge the two. How one supports the other does. `SupportGraph` asks these questions.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.mapping.cloud import is_near
+from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.boxes import OrientedBox
     from hickory_stream.mapping.cloud import Cloud
-    from hickory_stream.mapping.track import Track
 
-_SAME_FLOOR_M = 0.15
-_BESIDE_M = 0.04
-_LEG_BESIDE_M = 0.08
-_THIN_LEG = 0.04
-_MIN_POINTS = 10
-_TOUCH_SHARE = 0.03
+# How many of a body's points are looked for on another one: the share is known to a few per cent.
 _SAMPLE = 600
-_PANEL_M = (0.1, 0.2, 0.4)
-_PANEL_GAP_M = 0.05
-_FOOT_CELL_M = 0.02
-_RING_M = 0.04
-_RISE_M = 0.025
-_CORNER_M = 0.06
-_COVER_CELL_M = 0.04
-_COVERED = 0.4
+# The lowest and the highest points of a body are these percentiles, in z.
 _OUTLIERS_PCT = (2, 98)
+# Areas seen from above are counted in cells: two voxels for a ring around a foot, four for a board over a leg.
+_RING_CELL_M = 0.02
+_COVER_CELL_M = 0.04
+# Sides of a body's centre on which points under it are counted.
+_SECTORS = 8
 
 
-def is_leg(small: Track, large: Track, *, max_gap_m: float = 0.3, slender: float = 1.5) -> bool:
-    """Return whether the smaller track is a leg of the larger one.
+class Body(Protocol):
+    """What can support and be supported: a track, or an object of a map."""
 
-    Its box is mostly inside the larger one's, it is `slender` times as tall as wide, both stand at the same height, and
-    the larger one has points within `max_gap_m` above its top: the table's edge occludes the upper end of its leg.
+    @property
+    def id(self) -> int:
+        """Its number."""
+
+    @property
+    def cloud(self) -> Cloud:
+        """All that was seen of it."""
+
+    @property
+    def solid(self) -> Cloud:
+        """What of that is surely surface."""
+
+    @property
+    def box(self) -> OrientedBox:
+        """The box of the solid part."""
+
+    @property
+    def bounds(self) -> NDArray[np.float32]:
+        """The least and greatest coordinates of the solid part, (2, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SupportConfig(Ranged):
+    """When one body supports another.
+
+    Attributes:
+        min_points: fewer points are no surface, and no foot.
+        beside_m, leg_beside_m, corner_m: points so far beside a box are still over or under it: for most, for a thin
+            leg, and for boxes whose corners were seen badly.
+        level_m: a leg begins at the height at which its table does, within this.
+        leg_slender: a leg is so many times as tall as wide ...
+        leg_inside: ... has this share of its box in that of its table ...
+        leg_gap_m, leg_overlap_m: ... and has points of the table over it, from so far below its top to so far above.
+        thin_leg: a leg with less than this share of the table's area may stand beside what was seen of it.
+        leg_covered: a thicker one must have this share of its own area covered.
+        pot_inside: a pot has this share of its box in that of the plant that stands in it ...
+        pot_slice: ... whose lowest part, by this share of its height, ...
+        pot_under: ... is over the pot with this share of its points.
+        foot_step_m: a seat begins so near the top of its foot, above or below ...
+        foot_height_m: ... and so far above its base ...
+        foot_slice_m, foot_slice: ... with its lowest part, of so much or this share of its height, ...
+        foot_under, foot_covered: ... over the foot with this share of its points, which it covers by that share.
+        part_inside, part_volume, part_slack_m: a part has this share of its box in the other one, made larger by the
+            slack, and at most this share of its volume ...
+        touch_share: ... and touches it with this share of its points;
+        panel_m, panel_width_m, panel_length_m, panel_gap_m: one thinner, wider and longer than these is a panel, which
+            touches across such a gap: depth at its edges is less complete than on its face.
+        ring_m, ring_share: what rests on a surface has some of it around its foot: so far around, this share of it ...
+        ring_below_m, ring_above_m: ... from so far below its lowest points to so far above them ...
+        rise_m: ... and rises so far above it.
+        under_below_m, under_above_m, under_beside_m: points of another body that are under it, in height from so far
+            below its box to so far above ...
+        under_sectors: ... on so many of eight sides of its centre, are the surface that it rests on ...
+        under_quantile: ... at the height that this share of them stays below.
+        lower_m: what supports another begins lower, by this.
+        floor_m: a body that begins so near the floor rests on it.
     """
-    size = 2 * small.box.half_extents_m
-    if size[2] < slender * max(size[0], size[1]) or abs(_bottom_m(small) - _bottom_m(large)) > _SAME_FLOOR_M:
-        return False
-    if intersection_volume_m3(small.box, large.box.grown(_CORNER_M)) < 0.5 * small.box.volume_m3:
-        return False
+
+    min_points: int = number(10, 1, 1_000_000, "points")
+    beside_m: float = number(0.04, 0, 10, "m")
+    leg_beside_m: float = number(0.08, 0, 10, "m")
+    corner_m: float = number(0.06, 0, 10, "m")
+    level_m: float = number(0.15, 0, 10, "m")
+    leg_slender: float = number(1.5, 0, 1000, "ratio")
+    leg_inside: float = number(0.5, 0, 1, "share")
+    leg_gap_m: float = number(0.3, 0, 10, "m")
+    leg_overlap_m: float = number(0.05, 0, 10, "m")
+    thin_leg: float = number(0.04, 0, 1, "share")
+    leg_covered: float = number(0.4, 0, 1, "share")
+    pot_inside: float = number(0.6, 0, 1, "share")
+    pot_slice: float = number(0.15, 0, 1, "share")
+    pot_under: float = number(0.7, 0, 1, "share")
+    foot_step_m: float = number(0.2, 0, 10, "m")
+    foot_height_m: float = number(0.1, 0, 10, "m")
+    foot_slice_m: float = number(0.03, 0, 10, "m")
+    foot_slice: float = number(0.15, 0, 1, "share")
+    foot_under: float = number(0.7, 0, 1, "share")
+    foot_covered: float = number(0.8, 0, 1, "share")
+    part_inside: float = number(0.8, 0, 1, "share")
+    part_volume: float = number(0.3, 0, 1000, "ratio")
+    part_slack_m: float = number(0.02, 0, 10, "m")
+    touch_share: float = number(0.03, 0, 1, "share")
+    panel_m: float = number(0.1, 0, 10, "m")
+    panel_width_m: float = number(0.2, 0, 10, "m")
+    panel_length_m: float = number(0.4, 0, 10, "m")
+    panel_gap_m: float = number(0.05, 0, 10, "m")
+    ring_m: float = number(0.04, 0, 10, "m")
+    ring_share: float = number(0.2, 0, 1, "share")
+    ring_below_m: float = number(0.04, 0, 10, "m")
+    ring_above_m: float = number(0.02, 0, 10, "m")
+    rise_m: float = number(0.025, 0, 10, "m")
+    under_below_m: float = number(0.1, 0, 10, "m")
+    under_above_m: float = number(0.03, 0, 10, "m")
+    under_beside_m: float = number(0.03, 0, 10, "m")
+    under_sectors: int = number(4, 1, 8, "sectors")
+    under_quantile: float = number(0.8, 0, 1, "quantile")
+    lower_m: float = number(0.01, 0, 10, "m")
+    floor_m: float = number(0.35, 0, 10, "m")
+
+
+# ---- hidden by: the contact is occluded by what is above ------------------------------------------------------------
+
+
+def points_over(small: Body, large: Body, config: SupportConfig) -> NDArray[np.float32]:
+    """Return the points (N, 3) of a larger body closely over a smaller one, whose upper end they occlude."""
     top = float(small.bounds[1, 2])
     # A thin leg may stand slightly outside of the visible part of the seat.
-    is_thin = size[0] * size[1] < _THIN_LEG * 4 * float(np.prod(large.box.half_extents_m[:2]))
-    beside_m = _LEG_BESIDE_M if is_thin else 0.0
+    beside_m = config.leg_beside_m if _is_thin(small, large, config) else 0.0
     above = large.solid.points[small.box.is_over_or_under(large.solid.points, beside_m)]
-    above = above[(above[:, 2] > top - 0.05) & (above[:, 2] < top + max_gap_m)]
-    if len(above) < _MIN_POINTS:
+    return above[(above[:, 2] > top - config.leg_overlap_m) & (above[:, 2] < top + config.leg_gap_m)]
+
+
+def is_hidden_by(small: Body, large: Body, config: SupportConfig) -> bool:
+    """Return whether the upper end of the smaller body is occluded by the larger one."""
+    return len(points_over(small, large, config)) >= config.min_points
+
+
+# ---- is part of -----------------------------------------------------------------------------------------------------
+
+
+def is_leg(small: Body, large: Body, config: SupportConfig) -> bool:
+    """Return whether the smaller body is a leg of the larger one.
+
+    Its box is mostly inside the larger one's, it is taller than wide, both stand at the same height, and the larger one
+    has points closely above its top: the table's edge occludes the upper end of its leg.
+    """
+    size = 2 * small.box.half_extents_m
+    if (
+        size[2] < config.leg_slender * max(size[0], size[1])
+        or abs(_bottom_m(small) - _bottom_m(large)) > config.level_m
+    ):
+        return False
+    overlap_m3 = intersection_volume_m3(small.box, large.box.grown(config.corner_m))
+    if overlap_m3 < config.leg_inside * small.box.volume_m3:
+        return False
+    above = points_over(small, large, config)
+    if len(above) < config.min_points:
         return False
     # A thick leg must be covered by a board: a speaker beside a shelf only has the side of the shelf above its edge.
-    return is_thin or _covered_share(small, above) >= _COVERED
+    return _is_thin(small, large, config) or _covered_share(small, above) >= config.leg_covered
 
 
-def _covered_share(track: Track, above: NDArray[np.float32]) -> float:
-    """Return the share of a track's footprint that has points above it."""
+def _is_thin(small: Body, large: Body, config: SupportConfig) -> bool:
+    """Return whether the smaller body's area, seen from above, is that of a thin leg of the larger one."""
+    size = 2 * small.box.half_extents_m
+    return bool(size[0] * size[1] < config.thin_leg * 4 * float(np.prod(large.box.half_extents_m[:2])))
+
+
+def _covered_share(body: Body, above: NDArray[np.float32]) -> float:
+    """Return the share of a body's footprint that has points above it."""
     plan, cover = (
         {(i, j) for i, j in np.floor(points[:, :2] / _COVER_CELL_M).astype(np.int64).tolist()}
-        for points in (track.solid.points, above)
+        for points in (body.solid.points, above)
     )
     return len(plan & cover) / len(plan)
 
 
-def stands_in(large: Track, small: Track) -> bool:
-    """Return whether the larger track is supported by the smaller one alone: a plant in its pot.
+def stands_in(large: Body, small: Body, config: SupportConfig) -> bool:
+    """Return whether the larger body is supported by the smaller one alone: a plant in its pot.
 
-    The smaller box is mostly inside the larger one, and the lowest points of the larger track are over or under the
+    The smaller box is mostly inside the larger one, and the lowest points of the larger body are over or under the
     smaller one. A bin under a desk is inside the desk's box, too, but the desk also has legs elsewhere.
     """
-    if intersection_volume_m3(small.box, large.box) < 0.6 * small.box.volume_m3:
+    if intersection_volume_m3(small.box, large.box) < config.pot_inside * small.box.volume_m3:
         return False
     points = large.solid.points
     low, high = float(large.bounds[0, 2]), float(large.bounds[1, 2])
-    foot = points[points[:, 2] < low + 0.15 * (high - low)]
-    return len(foot) >= _MIN_POINTS and float(small.box.is_over_or_under(foot, _BESIDE_M).mean()) > 0.7
+    foot = points[points[:, 2] < low + config.pot_slice * (high - low)]
+    if len(foot) < config.min_points:
+        return False
+    return float(small.box.is_over_or_under(foot, config.beside_m).mean()) > config.pot_under
 
 
-def is_on_foot(upper: Track, lower: Track) -> bool:
-    """Return whether the lower track is the only support of the upper one: a seat on its swivel foot.
+def is_on_foot(upper: Body, lower: Body, config: SupportConfig) -> bool:
+    """Return whether the lower body is the only support of the upper one: a seat on its swivel foot.
 
     The upper one's lowest points lie over the lower one, closely above its top, and no support surface continues around
     them.
     """
     points = upper.solid.points
     (low, high), (base, top) = _ends_m(upper.solid), _ends_m(lower.solid)
-    if not -0.2 < low - top < 0.2 or low - base < 0.1:
+    if not -config.foot_step_m < low - top < config.foot_step_m or low - base < config.foot_height_m:
         return False
-    foot = points[points[:, 2] < low + max(0.03, 0.15 * (high - low))]
-    if len(foot) < _MIN_POINTS or float(lower.box.is_over_or_under(foot, _BESIDE_M).mean()) < 0.7:
+    foot = points[points[:, 2] < low + max(config.foot_slice_m, config.foot_slice * (high - low))]
+    if len(foot) < config.min_points:
+        return False
+    if float(lower.box.is_over_or_under(foot, config.beside_m).mean()) < config.foot_under:
         return False
     # A pot rests on a counter, but does not cover it as a seat covers its foot.
-    if float(upper.box.is_over_or_under(lower.solid.points, _CORNER_M).mean()) < 0.8:
+    if float(upper.box.is_over_or_under(lower.solid.points, config.corner_m).mean()) < config.foot_covered:
         return False
-    return not _stands_on(upper, lower)
+    return not _stands_on(upper, lower, config)
 
 
 def is_inner_part(
-    small: Track,
-    large: Track,
-    others: Iterable[Track] = (),
+    small: Body,
+    large: Body,
+    others: Iterable[Body],
+    config: SupportConfig,
     *,
-    inside: float = 0.8,
-    max_volume: float = 0.3,
+    inside: float | None = None,
+    max_volume: float | None = None,
     was_one: bool = False,
 ) -> bool:
-    """Return whether the smaller track is part of the larger one: inside its box, touching it, and resting on nothing.
+    """Return whether the smaller body is part of the larger one: inside its box, touching it, and resting on nothing.
 
     The panel of a desk, the board of a shelf, the foot of a chair. An object in a shelf rests on a board, and one under
     a desk does not touch it. A mug rests on the table, one of the `others`, although it is inside the box of a chair
-    that is pushed under the table. `was_one`: their points were of one track, so that they touch. A panel may touch
-    across a wider gap, since depth at its edges is less complete than on its face.
+    that is pushed under the table. `was_one`: their points were of one track, so that they touch. `inside` and
+    `max_volume` take the place of `part_inside` and `part_volume`.
     """
-    box = large.box.grown(0.02)
-    if small.box.volume_m3 > max_volume * large.box.volume_m3:
+    box = large.box.grown(config.part_slack_m)
+    if small.box.volume_m3 > (config.part_volume if max_volume is None else max_volume) * large.box.volume_m3:
         return False
-    if intersection_volume_m3(small.box, box) < inside * small.box.volume_m3:
+    least = config.part_inside if inside is None else inside
+    if intersection_volume_m3(small.box, box) < least * small.box.volume_m3:
         return False
     if not was_one:
-        touching = _touches_across(small, large, _PANEL_GAP_M) if is_panel(small) else _touches(small, large)
+        is_board = is_panel(small, config)
+        touching = _touches_across(small, large, config) if is_board else _touches(small, large, config)
         if not touching:
             return False
-    return not any(_stands_on(small, support) for support in (large, *others))
+    return not any(_stands_on(small, support, config) for support in (large, *others))
 
 
-def is_panel(track: Track) -> bool:
-    """Return whether a track is a thin board of the size of furniture panels, larger than a book."""
-    thin, width, length = sorted(2 * track.box.half_extents_m)
-    return bool(thin < _PANEL_M[0] and width > _PANEL_M[1] and length > _PANEL_M[2])
+def is_panel(body: Body, config: SupportConfig) -> bool:
+    """Return whether a body is a thin board of the size of furniture panels, larger than a book."""
+    thin, width, length = sorted(2 * body.box.half_extents_m)
+    return bool(thin < config.panel_m and width > config.panel_width_m and length > config.panel_length_m)
 
 
-def _touches(small: Track, large: Track) -> bool:
+def _touches(small: Body, large: Body, config: SupportConfig) -> bool:
     keys = small.solid.keys[:: max(1, len(small.solid.keys) // _SAMPLE)]
-    return float(is_near(keys, large.solid).mean()) >= _TOUCH_SHARE
+    return float(is_near(keys, large.solid).mean()) >= config.touch_share
 
 
-def _touches_across(small: Track, large: Track, gap_m: float) -> bool:
+def _touches_across(small: Body, large: Body, config: SupportConfig) -> bool:
+    gap_m = config.panel_gap_m
     points = small.solid.points[:: max(1, len(small.solid.points) // _SAMPLE)]
     around = large.solid.points[small.box.grown(gap_m).contains(large.solid.points)]
     if len(around) == 0:
         return False
     distances_m, _ = cKDTree(around).query(points, distance_upper_bound=gap_m)
-    return float(np.isfinite(distances_m).mean()) >= _TOUCH_SHARE
+    return float(np.isfinite(distances_m).mean()) >= config.touch_share
 
 
-def _stands_on(small: Track, large: Track) -> bool:
-    """Return whether the larger track has a horizontal surface around the foot of the smaller one, which rests on it.
+# ---- rests on -------------------------------------------------------------------------------------------------------
+
+
+def _stands_on(small: Body, large: Body, config: SupportConfig) -> bool:
+    """Return whether the larger body has a horizontal surface around the foot of the smaller one, which rests on it.
 
     The smaller one occludes the surface right below it. What does not rise above that surface does not rest on it.
     """
     low, high = _ends_m(small.solid)
-    around = large.solid.points[small.box.is_over_or_under(large.solid.points, _RING_M)]
-    around = around[(around[:, 2] > low - 0.04) & (around[:, 2] < low + 0.02)]
-    if len(around) < _MIN_POINTS or high - float(np.median(around[:, 2])) < _RISE_M:
+    around = large.solid.points[small.box.is_over_or_under(large.solid.points, config.ring_m)]
+    around = around[(around[:, 2] > low - config.ring_below_m) & (around[:, 2] < low + config.ring_above_m)]
+    if len(around) < config.min_points or high - float(np.median(around[:, 2])) < config.rise_m:
         return False
-    cells = np.unique(np.floor(around[:, :2] / _FOOT_CELL_M), axis=0)
+    cells = np.unique(np.floor(around[:, :2] / _RING_CELL_M), axis=0)
     x, y = 2 * small.box.half_extents_m[:2]
-    ring = 2 * _RING_M * float(x + y + 2 * _RING_M)
-    return len(cells) * _FOOT_CELL_M * _FOOT_CELL_M > 0.2 * ring
+    ring = 2 * config.ring_m * float(x + y + 2 * config.ring_m)
+    return len(cells) * _RING_CELL_M * _RING_CELL_M > config.ring_share * ring
+
+
+def height_under(body: Body, other: Body, config: SupportConfig) -> float | None:
+    """Return the height of another body's surface under a body, which rests on it; None where there is none.
+
+    It lies on most sides under the box's centre: that of a neighbour beside it does not.
+    """
+    bottom = bottom_of_box_m(body)
+    if bottom_of_box_m(other) > bottom - config.lower_m:
+        return None
+    points = other.cloud.points
+    near = points[(points[:, 2] > bottom - config.under_below_m) & (points[:, 2] < bottom + config.under_above_m)]
+    under = near[body.box.is_over_or_under(near, config.under_beside_m)]
+    if len(under) < config.min_points or not _surrounds(under, body.box, config):
+        return None
+    return float(np.quantile(under[:, 2], config.under_quantile))
+
+
+def bottom_of_box_m(body: Body) -> float:
+    """Return the height at which the box of a body begins."""
+    return float(body.box.center[2] - body.box.half_extents_m[2])
+
+
+def _surrounds(points: NDArray[np.float32], box: OrientedBox, config: SupportConfig) -> bool:
+    x, y = (points[:, :2] - box.center[:2]).T
+    sectors = np.floor((portable.arctan2(y, x) + np.pi) / (2 * np.pi) * _SECTORS).astype(np.int64) % _SECTORS
+    return int((np.bincount(sectors, minlength=_SECTORS) > 0).sum()) >= config.under_sectors
 
 
 _ENDS_M: WeakKeyDictionary[Cloud, tuple[float, float]] = WeakKeyDictionary()
@@ -182,5 +344,5 @@ def _ends_m(cloud: Cloud) -> tuple[float, float]:
     return ends
 
 
-def _bottom_m(track: Track) -> float:
-    return float(track.bounds[0, 2])
+def _bottom_m(body: Body) -> float:
+    return float(body.bounds[0, 2])

@@ -14,7 +14,6 @@ from hickory_stream.mapping.structure_checks import is_seen_through, points_in_w
 from hickory_stream.mapping.submaps import with_structure
 from hickory_stream.mapping.track import sketched, with_cloud
 from hickory_stream.mapping.track_endings import drop, unite
-from hickory_stream.mapping.unsupported import attachment_of
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -112,13 +111,14 @@ class Case:
         return why_structure(self.track, self.state.submaps.space, self.state.clock_ns, self.config)
 
     @cached_property
-    def attachment(self) -> Track | None:
-        """The track that this one, unsupported, is attached to; None if it is supported, or near nothing."""
+    def attachment(self) -> int | None:
+        """The track that this one, unsupported, hangs from; None if it is supported, or near nothing."""
         if not self._merges:
             return None
         confirmed = (o for o in self.state.tracks.values() if o.phase is not Phase.TENTATIVE)
         others = (o for o in confirmed if self.state.is_judged(o))
-        return attachment_of(self.track, others, self.state.submaps.space, self.config.unsupported)
+        support = self.state.support_graph(self.config).hangs_from(self.track, others)
+        return None if support is None else support.by
 
     def is_in_structure(self) -> bool:
         """Return whether most of the track lies in what was found to be structure."""
@@ -167,7 +167,7 @@ def _drop(case: Case, row: Transition) -> list[Effect]:
 def _merge(case: Case, _: Transition) -> list[Effect]:
     assert case.attachment is not None
     reason = "unsupported but for this one, which it touches"
-    return unite(case.state, case.attachment.id, case.track.id, reason, case.config)
+    return unite(case.state, case.attachment, case.track.id, reason, case.config)
 
 
 GUARDS: dict[Guard, Callable[[Case], bool]] = {

@@ -17,7 +17,6 @@ from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.existence import united
 from hickory_stream.mapping.lifecycle import Guard, LifeEvent, transition
-from hickory_stream.mapping.support_relations import is_inner_part, is_leg, is_on_foot, stands_in
 from hickory_stream.mapping.track import Track, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 from hickory_stream.ranges import Ranged, number
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.mapping.cloud import Cloud
+    from hickory_stream.mapping.support_graph import SupportGraph
     from hickory_stream.mapping.views import ViewConfig
     from hickory_stream.records import Phase
 
@@ -147,7 +147,7 @@ def foreign_points(
 
 
 def find_pair(
-    tracks: Mapping[int, Track], changed: Iterable[int], book: VoteBook, config: MergeConfig
+    tracks: Mapping[int, Track], changed: Iterable[int], book: VoteBook, graph: SupportGraph, config: MergeConfig
 ) -> tuple[int, int, str] | None:
     """Return (kept id, gone id, reason) of the first pair of tracks to merge, None if there is none."""
     ordered = [tracks[i] for i in sorted(tracks)]
@@ -156,7 +156,7 @@ def find_pair(
             continue
         near = touching(tracks[i].bounds, ordered, _FOOT_GAP_M)
         for other in near:
-            if other.id != i and (reason := why_one(tracks[i], other, near, book, config)) is not None:
+            if other.id != i and (reason := why_one(tracks[i], other, near, book, graph, config)) is not None:
                 return min(i, other.id), max(i, other.id), reason
     return None
 
@@ -194,13 +194,14 @@ def _phase_after(kept: Track, gone: Track) -> Phase:
     return kept.phase if row is None else gone.phase
 
 
-def why_one(a: Track, b: Track, near: Sequence[Track], book: VoteBook, config: MergeConfig) -> str | None:
+def why_one(
+    a: Track, b: Track, near: Sequence[Track], book: VoteBook, graph: SupportGraph, config: MergeConfig
+) -> str | None:
     """Return the reason to merge two tracks, None if there is none; `near` are the tracks around them."""
-    upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
+    is_known = min(a.sightings, b.sightings) >= config.min_votes
     # The column between a seat and its foot may be too thin for the sensor: the two need not touch.
-    if min(a.sightings, b.sightings) >= config.min_votes and not (a.is_promoted or b.is_promoted):
-        if is_on_foot(upper, lower):
-            return "the lower is the foot of the upper"
+    if is_known and not (a.is_promoted or b.is_promoted) and (part := graph.foot_of(a, b)) is not None:
+        return part.reason
     # The boxes of touching tracks intersect, given a few centimetres of slack.
     if intersection_volume_m3(a.box, b.box, 0.03) <= 0.0:
         return None
@@ -215,12 +216,6 @@ def why_one(a: Track, b: Track, near: Sequence[Track], book: VoteBook, config: M
     if share >= limit:
         return f"{share:.0%} of the smaller cloud lies on the larger one"
     less, more = (a, b) if a.box.volume_m3 <= b.box.volume_m3 else (b, a)
-    if min(a.sightings, b.sightings) >= config.min_votes:
-        if not less.is_promoted and is_leg(less, more):
-            return "the smaller stands under the larger like a leg"
-        if not less.is_promoted and stands_in(more, less):
-            return "the larger stands in the smaller"
-        others = [track for track in near if track.id not in (a.id, b.id)]
-        if not less.is_promoted and is_inner_part(less, more, others):
-            return "the smaller is a part inside the larger"
+    if is_known and not less.is_promoted and (part := graph.part_of(less, more, near)) is not None:
+        return part.reason
     return None

@@ -11,7 +11,6 @@ from hickory_stream.mapping.absorbed import after_split, recalled, restored, wit
 from hickory_stream.mapping.cloud import is_near, share_near, solid_part, without
 from hickory_stream.mapping.existence import Existence
 from hickory_stream.mapping.lifecycle import LifeEvent, first_phase
-from hickory_stream.mapping.support_relations import is_inner_part
 from hickory_stream.mapping.track import new_track, touching, with_cloud
 from hickory_stream.mapping.track_merging import pair_of, why_one
 
@@ -85,8 +84,9 @@ def _split_off(
     votes = state.votes.plus([pair], apart=num_apart).plus([pair], together=candidate.together)
     small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
     near = touching(new.bounds, [track for track in state.ordered() if track.id != host_id])
-    belongs = is_inner_part(small, large, near, inside=split.part_inside, max_volume=split.part_volume, was_one=True)
-    if belongs or why_one(left, new, near, votes, config.merge) is not None:
+    graph = state.support_graph(config)
+    is_part = graph.still_part_of(small, large, near, inside=split.part_inside, max_volume=split.part_volume)
+    if is_part is not None or why_one(left, new, near, votes, graph, config.merge) is not None:
         return None
     state.next_id += 1
     state.votes = votes

@@ -65,7 +65,8 @@ class Tracker:
         if self.is_told:
             return []
         effects: list[Effect] = []
-        while (pair := find_pair(state.tracks, changed, state.votes, self._config.merge)) is not None:
+        graph = state.support_graph(self._config)
+        while (pair := find_pair(state.tracks, changed, state.votes, graph, self._config.merge)) is not None:
             kept_id, gone_id, reason = pair
             effects += unite(state, kept_id, gone_id, reason, self._config)
             changed = (changed - {gone_id}) | {kept_id}

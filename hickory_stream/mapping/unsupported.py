@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.mapping.observed_space import SpaceState
-    from hickory_stream.mapping.track import Track
+    from hickory_stream.mapping.support_relations import Body
 
-_FOOT_M = 0.05
-_BELOW_M = (0.08, 0.13, 0.18)
+# The lowest points of a track are this percentile, in z, and all up to so far above it.
 _LOWEST_PCT = 2
+_FOOT_M = 0.05
+# Below them, the space is looked at in these depths: beyond the noise of the foot, and a few voxels deep.
+_BELOW_M = (0.08, 0.13, 0.18)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,18 +51,18 @@ class UnsupportedConfig(Ranged):
     attach_m: float = number(0.15, 0, 10, "m")
 
 
-def attachment_of(track: Track, others: Iterable[Track], space: SpaceState, config: UnsupportedConfig) -> Track | None:
-    """Return the track that an unsupported one is attached to; None if it is supported, or near no other."""
-    points = track.solid.points
+def attachment_of(body: Body, others: Iterable[Body], space: SpaceState, config: UnsupportedConfig) -> Body | None:
+    """Return the body that an unsupported one is attached to; None if it is supported, or near no other."""
+    points = body.solid.points
     if space.floor_z_m is None or len(points) == 0:
         return None
     low = float(np.percentile(points[:, 2], _LOWEST_PCT))
     if low < space.floor_z_m + config.min_height_m:
         return None
     foot = points[points[:, 2] < low + _FOOT_M]
-    if not _is_free_below(foot, points, space, config) or sees_structure(space, track.box, points, config.wall_m):
+    if not _is_free_below(foot, points, space, config) or sees_structure(space, body.box, points, config.wall_m):
         return None
-    near = [other for other in others if other.id != track.id and _meet(track, other, config.attach_m)]
+    near = [other for other in others if other.id != body.id and _meet(body, other, config.attach_m)]
     clouds = [cKDTree(other.solid.points) for other in near]
     for cloud in clouds:
         distances_m, _ = cloud.query(foot, distance_upper_bound=config.support_m)
@@ -81,6 +83,6 @@ def _is_free_below(
     return len(keys) > 0 and float(contains(space.free, keys).mean()) >= config.free_share
 
 
-def _meet(a: Track, b: Track, slack_m: float) -> bool:
+def _meet(a: Body, b: Body, slack_m: float) -> bool:
     (a_low, a_high), (b_low, b_high) = a.bounds, b.bounds
     return bool((a_low <= b_high + slack_m).all() and (b_low <= a_high + slack_m).all())

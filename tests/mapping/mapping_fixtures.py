@@ -1,6 +1,6 @@
 """Boxes of points, observations and tracks made of them, and a driver that answers the core as the engine does."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +26,11 @@ from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.existence import Existence
+from hickory_stream.mapping.observed_space import SpaceState, empty_space
+from hickory_stream.mapping.support_graph import SupportGraph
+from hickory_stream.mapping.support_relations import SupportConfig
 from hickory_stream.mapping.track import Track
+from hickory_stream.mapping.unsupported import UnsupportedConfig
 from hickory_stream.records import Containment, MaskFeature, ObjectShape, Observation, Phase, SpaceObservation, View
 
 VOXEL_M = 0.02
@@ -85,6 +89,15 @@ def track(track_id: int, points: NDArray[np.float32], *, sightings: int = 3, pha
         bounds=bounds_of(points),
         existence=Existence(evidence=float(sightings), places=np.zeros((1, 3))),
     )
+
+
+def graph_of(
+    tracks: Mapping[int, Track] | Iterable[Track], space: SpaceState | None = None, *, floor_z_m: float | None = None
+) -> SupportGraph:
+    """The support graph of tracks, in a room where nothing was seen but a floor, unless another one is given."""
+    bodies = tracks if isinstance(tracks, Mapping) else {item.id: item for item in tracks}
+    room = replace(empty_space(0.05), floor_z_m=floor_z_m) if space is None else space
+    return SupportGraph(bodies=bodies, space=room, config=SupportConfig(), unsupported=UnsupportedConfig())
 
 
 def view(frame_index: int, *, score: float | None = None, r_area: float = 0.05, r_depth: float = 0.9) -> View:

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from hickory_stream.mapping.requests import (
@@ -14,7 +13,6 @@ from hickory_stream.mapping.requests import (
     predicted_s,
     shape_request,
     state_of_request,
-    support_height_m,
 )
 from hickory_stream.mapping.track import ShapeState, Track
 from hickory_stream.records import Phase
@@ -178,44 +176,7 @@ def test_an_object_whose_shape_failed_too_often_is_set_aside() -> None:
     assert asked(failed(seen(1), failures=2), is_final=True) == []
 
 
-# ---- what an object stands on ---------------------------------------------------------------------------------------
-
-
-def table(track_id: int = 1) -> Track:
-    """A table whose top is at 0.74 m."""
-    legs = [box_surface((x, y, 0.35), (0.06, 0.06, 0.7)) for x in (-0.5, 0.5) for y in (-0.3, 0.3)]
-    return track(track_id, np.concatenate([box_surface((0, 0, 0.72), (1.2, 0.8, 0.04)), *legs]))
-
-
-def mug(bottom_m: float, x: float = 0.2) -> Track:
-    return track(2, box_surface((x, 0.1, bottom_m + 0.05), (0.08, 0.08, 0.1)))
-
-
-def test_a_mug_stands_on_the_table_that_is_under_it() -> None:
-    assert support_height_m(mug(0.74), [table(), mug(0.74)], floor_z_m=0.0) == pytest.approx(0.74, abs=0.01)
-
-
-def test_a_mug_whose_lower_rim_was_not_seen_still_stands_on_the_table() -> None:
-    assert support_height_m(mug(0.78), [table()], floor_z_m=0.0) == pytest.approx(0.74, abs=0.01)
-
-
-def test_a_mug_beside_the_table_does_not_stand_on_it() -> None:
-    assert support_height_m(mug(0.74, x=0.9), [table()], floor_z_m=0.0) is None
-
-
-def test_a_table_stands_on_the_floor_and_not_on_its_mug() -> None:
-    assert support_height_m(table(), [table(), mug(0.74)], floor_z_m=-0.02) == -0.02
-
-
-def test_what_hangs_or_has_no_floor_below_has_no_known_support() -> None:
-    lamp = track(3, box_surface((0, 0, 2.0)))
-    assert support_height_m(lamp, [table()], floor_z_m=0.0) is None
-    assert support_height_m(table(), [], floor_z_m=None) is None
-
-
-def test_of_two_things_under_it_an_object_stands_on_the_higher() -> None:
-    book = track(3, box_surface((0.2, 0.1, 0.755), (0.3, 0.3, 0.03)))
-    assert support_height_m(mug(0.77), [table(), book], floor_z_m=0.0) == pytest.approx(0.77, abs=0.01)
+# ---- what is asked for -----------------------------------------------------------------------------------------------
 
 
 def test_a_request_has_the_best_view_first_and_the_track_remembers_what_it_asked_with() -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.mapping import cloud, track, track_merging, track_splitting
+from hickory_stream.mapping import cloud, support_graph, track, track_merging, track_splitting
 from hickory_stream.mapping.support_relations import is_leg
 from tools.benchmarks.foreign_logs import WorldLog
 from tools.benchmarks.processes import ROOT
@@ -86,8 +86,8 @@ def test_a_number_of_a_module_is_changed_and_put_back() -> None:
 
 def test_a_function_is_another_one_for_whoever_imported_it_and_where_it_was_imported_alone() -> None:
     with patched("mapping.support_relations", "is_leg", None):
-        assert track_merging.is_leg is None
-    assert track_merging.is_leg is is_leg
+        assert support_graph.is_leg is None
+    assert support_graph.is_leg is is_leg
     with patched("mapping.track_merging", "share_near", None):
         assert track_merging.share_near is None
         assert track_splitting.share_near is cloud.share_near is not None

@@ -1,0 +1,75 @@
+"""What the objects of a map rest on, hang from and lean on: the support graph of a map that was saved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.mapping.cloud import Cloud, cloud_of
+from hickory_stream.mapping.moved import moved_object
+from hickory_stream.mapping.observed_space import known_space
+from hickory_stream.mapping.support_graph import Relation, Support, SupportGraph
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.records import MapSnapshot, TrackedObject
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ObjectBody:
+    """An object of a map as a body of the graph."""
+
+    id: int
+    cloud: Cloud
+    solid: Cloud
+    box: OrientedBox
+    bounds: NDArray[np.float32]
+
+
+def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple[Support, ...]]:
+    """Return the relations of each object of a map, by its id.
+
+    An object is held against the observed space of its submap; heights are those in the frame of that one. One without
+    points has none.
+    """
+    objects = [item for item in snapshot.objects if len(item.points_world)]
+    found: dict[int, tuple[Support, ...]] = {item.id: () for item in snapshot.objects}
+    for submap in snapshot.submaps:
+        own = {item.id for item in objects if item.submap_id == submap.id}
+        if not own:
+            continue
+        graph = SupportGraph(
+            bodies={item.id: _body(item, submap.world_from_submap, config) for item in objects},
+            space=known_space(submap.observed_space),
+            config=config.support,
+            unsupported=config.unsupported,
+        )
+        edges = graph.edges(own)
+        found |= {body: tuple(edge for edge in edges if edge.body == body) for body in own}
+    return found
+
+
+def told(supports: tuple[Support, ...]) -> str:
+    """Return in a few words what holds an object: what it rests on, else hangs from, is a part of, or leans on."""
+    held = {support.relation: support.by for support in reversed(supports)}
+    if Relation.RESTS_ON in held:
+        by = held[Relation.RESTS_ON]
+        return "the floor" if by is None else f"#{by}"
+    for relation in (Relation.HANGS_FROM, Relation.PART_OF):
+        if relation in held:
+            return f"{relation} #{held[relation]}"
+    return "a wall" if Relation.LEANS_ON in held else "-"
+
+
+def _body(item: TrackedObject, world_from_submap: NDArray[np.float64], config: MappingConfig) -> ObjectBody:
+    if not np.array_equal(world_from_submap, np.eye(4)):
+        item = moved_object(item, invert(world_from_submap))
+    cloud = cloud_of(item.points_world, item.colors, config.lattice.points_m)
+    return ObjectBody(id=item.id, cloud=cloud, solid=cloud, box=item.box, bounds=bounds_of(cloud.points))

@@ -1,0 +1,158 @@
+"""The support graph: what rests on, hangs from or leans on what, what is a part of it, and what it hides.
+
+Merging, splitting, the life cycle, completion (`rests_on` is where a closed shape ends) and queries ask it. An edge is
+found when it is asked for, from the bodies as they are then; `edges` finds all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from hickory_stream.mapping.observed_space import sees_structure
+from hickory_stream.mapping.support_relations import (
+    bottom_of_box_m,
+    height_under,
+    is_hidden_by,
+    is_inner_part,
+    is_leg,
+    is_on_foot,
+    stands_in,
+)
+from hickory_stream.mapping.unsupported import attachment_of
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping
+
+    from hickory_stream.mapping.observed_space import SpaceState
+    from hickory_stream.mapping.support_relations import Body, SupportConfig
+    from hickory_stream.mapping.unsupported import UnsupportedConfig
+
+# Bodies whose bounds are farther apart have nothing to do with each other: the longest reach of a relation, a leg's.
+_REACH_M = 0.3
+
+
+class Relation(StrEnum):
+    """How a body is supported."""
+
+    RESTS_ON = "rests on"
+    HANGS_FROM = "hangs from"
+    LEANS_ON = "leans on"
+    PART_OF = "is part of"
+    HIDDEN_BY = "is hidden by"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Support:
+    """An edge of the graph: `body` is in a relation to `by`, another body, or None: the room, its floor or a wall.
+
+    `height_m` is that of the surface that it rests on. `reason` says by which contact it is a part.
+    """
+
+    body: int
+    relation: Relation
+    by: int | None
+    height_m: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SupportGraph:
+    """The relations between `bodies`, by id, and to the room of a `space`."""
+
+    bodies: Mapping[int, Body]
+    space: SpaceState
+    config: SupportConfig
+    unsupported: UnsupportedConfig
+
+    def rests_on(self, body: Body) -> Support | None:
+        """Return the highest surface that a body rests on: another body's, or the floor; None where none is known."""
+        found: Support | None = None
+        for other in self.bodies.values():
+            if other.id == body.id or (height_m := height_under(body, other, self.config)) is None:
+                continue
+            if found is None or found.height_m is None or height_m > found.height_m:
+                found = Support(body=body.id, relation=Relation.RESTS_ON, by=other.id, height_m=height_m)
+        floor_m = self.space.floor_z_m
+        if found is not None or floor_m is None or bottom_of_box_m(body) - floor_m >= self.config.floor_m:
+            return found
+        return Support(body=body.id, relation=Relation.RESTS_ON, by=None, height_m=floor_m)
+
+    def leans_on(self, body: Body) -> Support | None:
+        """Return the room, where structure is beside a body; None where it stands or hangs free of it."""
+        is_beside = sees_structure(self.space, body.box, body.solid.points, self.unsupported.wall_m)
+        return Support(body=body.id, relation=Relation.LEANS_ON, by=None) if is_beside else None
+
+    def hangs_from(self, body: Body, others: Iterable[Body] | None = None) -> Support | None:
+        """Return the nearest body that one touches which nothing else supports; None if something does.
+
+        `others` are those that it can hang from; None: all bodies.
+        """
+        candidates = self.bodies.values() if others is None else others
+        host = attachment_of(body, candidates, self.space, self.unsupported)
+        return None if host is None else Support(body=body.id, relation=Relation.HANGS_FROM, by=host.id)
+
+    def foot_of(self, a: Body, b: Body) -> Support | None:
+        """Return that the lower of two bodies is the foot of the upper one, None where it is not."""
+        upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
+        if not is_on_foot(upper, lower, self.config):
+            return None
+        return _part(lower, upper, "the lower is the foot of the upper")
+
+    def part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:
+        """Return that the smaller body is a leg, the pot or an inner part of the larger one, None where it is not.
+
+        `near` are the bodies around them, on which the smaller may rest.
+        """
+        if is_leg(small, large, self.config):
+            return _part(small, large, "the smaller stands under the larger like a leg")
+        if stands_in(large, small, self.config):
+            return _part(small, large, "the larger stands in the smaller")
+        others = [body for body in near if body.id not in (small.id, large.id)]
+        if is_inner_part(small, large, others, self.config):
+            return _part(small, large, "the smaller is a part inside the larger")
+        return None
+
+    def still_part_of(
+        self, small: Body, large: Body, near: Iterable[Body], *, inside: float, max_volume: float
+    ) -> Support | None:
+        """Return that the smaller of two bodies that were one is still an inner part of the larger, None if it is not.
+
+        `inside`: minimum share of its box in the larger one's; `max_volume`: maximum ratio of the two volumes.
+        """
+        is_part = is_inner_part(small, large, near, self.config, inside=inside, max_volume=max_volume, was_one=True)
+        return _part(small, large, "the smaller was a part inside the larger") if is_part else None
+
+    def hidden_by(self, small: Body, large: Body) -> Support | None:
+        """Return that the larger body occludes the upper end of the smaller one, None where it does not."""
+        if not is_hidden_by(small, large, self.config):
+            return None
+        return Support(body=small.id, relation=Relation.HIDDEN_BY, by=large.id)
+
+    def edges(self, of: Collection[int] | None = None) -> tuple[Support, ...]:
+        """Return every relation of some bodies, None: of all. One rests on one surface at most, or hangs from one."""
+        found: list[Support | None] = []
+        for body in (self.bodies[i] for i in sorted(self.bodies if of is None else of)):
+            rests = self.rests_on(body)
+            found += [rests, self.leans_on(body), None if rests is not None else self.hangs_from(body)]
+            near = [other for other in self._near(body) if other.id != body.id]
+            for other in near:
+                if body.box.volume_m3 < other.box.volume_m3:
+                    found += [self.part_of(body, other, near), self.hidden_by(body, other)]
+                foot = self.foot_of(body, other)
+                found.append(foot if foot is not None and foot.body == body.id else None)
+        return tuple(edge for edge in found if edge is not None)
+
+    def _near(self, body: Body) -> list[Body]:
+        (low, high) = body.bounds
+        ordered = (self.bodies[i] for i in sorted(self.bodies))
+        return [
+            other
+            for other in ordered
+            if (low <= other.bounds[1] + _REACH_M).all() and (other.bounds[0] <= high + _REACH_M).all()
+        ]
+
+
+def _part(part: Body, whole: Body, reason: str) -> Support:
+    return Support(body=part.id, relation=Relation.PART_OF, by=whole.id, reason=reason)
