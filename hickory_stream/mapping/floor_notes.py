@@ -12,6 +12,7 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.voxels import cells_of_keys
+from hickory_stream.mapping.wall_columns import WALL_M, column_sizes, column_starts, is_wall_column
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 
 # Columns of voxels are looked at so far above and below the floor: 2 degrees are 0.35 m after 10 m.
 _REACH_M = 0.45
-# A column with structure along half of so much height is one of a wall.
-_WALL_M = 0.6
 # A floor that is told to be tilted is a plane to so many voxels, and so large; less than a degree is a floor.
 _PLANE_VOXELS, _LEAST_M2, _LEAST_DEG = 0.8, 2.0, 1.0
 # What is smaller may be a table, where no larger floor was ever seen.
@@ -98,14 +97,11 @@ def _columns(space: ObservedSpace, reach_m: float) -> NDArray[np.float64]:
     """Return (N, 3) the middle of the lowest structure of each column within reach of the floor, without walls'."""
     middles = (cells_of_keys(space.structure) + 0.5) * space.voxel_m
     above_m = middles[:, 2] - (space.floor_z_m or 0.0)
-    near = middles[(above_m > -reach_m) & (above_m < reach_m + _WALL_M)]
-    if len(near) == 0:
-        return np.empty((0, 3))
-    # Ordered by x, y, z, as keys are.
-    starts = np.flatnonzero(np.append(True, (near[1:, :2] != near[:-1, :2]).any(axis=1)))
-    counts = np.diff(np.append(starts, len(near)))
+    near = middles[(above_m > -reach_m) & (above_m < reach_m + WALL_M)]
+    starts = column_starts(near)
     lowest = near[starts]
-    is_floor = (counts * space.voxel_m < _WALL_M / 2) & (lowest[:, 2] - (space.floor_z_m or 0.0) < reach_m)
+    is_wall = is_wall_column(column_sizes(starts, len(near)), space.voxel_m)
+    is_floor = ~is_wall & (lowest[:, 2] - (space.floor_z_m or 0.0) < reach_m)
     return np.asarray(lowest[is_floor], dtype=np.float64)
 
 

@@ -25,6 +25,7 @@ from hickory_stream.geometry.voxels import (
     sorted_unique,
     union,
 )
+from hickory_stream.mapping.wall_columns import WALL_M, column_sizes, column_starts, is_wall_column
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import ObservedSpace
 
@@ -42,8 +43,6 @@ _MOST_VOTES = 240
 # What lies so much lower is no step down, but something else than what was taken for the floor; what was, is no table
 # if it is this large.
 _NO_STEP_M, _NO_TABLE_M2 = 0.3, 6.0
-# A column with structure along half of so much height above a level is one of a wall.
-_WALL_M = 0.6
 _STOREY_M = 2.4
 # The range of voxel indices.
 _FAR = 1 << 20
@@ -187,14 +186,12 @@ def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
     """Return which voxels of `surface` are within one of a height, and below no wall: walls go on above."""
     cells = cells_of_keys(state.surface)
     above_m = (cells[:, 2] + 0.5) * state.voxel_m - z_m
-    near = np.flatnonzero((above_m > -1.5 * state.voxel_m) & (above_m < _WALL_M))
+    near = np.flatnonzero((above_m > -1.5 * state.voxel_m) & (above_m < WALL_M))
     if len(near) == 0:
         return np.zeros(len(cells), dtype=bool)
-    # Ordered by x, y, z, as keys are.
-    begins = np.append(True, (cells[near[1:], :2] != cells[near[:-1], :2]).any(axis=1))
-    starts = np.flatnonzero(begins)
+    starts = column_starts(cells[near])
     heights = np.add.reduceat(state.is_structure[near].astype(np.int64), starts)
-    is_wall = np.repeat(heights * state.voxel_m > _WALL_M / 2, np.diff(np.append(starts, len(near))))
+    is_wall = np.repeat(is_wall_column(heights, state.voxel_m), column_sizes(starts, len(near)))
     out = np.zeros(len(cells), dtype=bool)
     out[near] = ~is_wall & (above_m[near] < 1.5 * state.voxel_m)
     return out
