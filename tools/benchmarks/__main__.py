@@ -12,13 +12,16 @@ from pathlib import Path
 import tools.benchmarks
 from hickory_stream.errors import HickoryError
 from tools.benchmarks.baseline import baseline_file, check, set_baseline
+from tools.benchmarks.documents import keep, write_docs
 from tools.benchmarks.figures import Options, print_table, write_json
+from tools.benchmarks.processes import ROOT
 
 _HELPERS = {
     "__main__",
     "apartment_maps",
     "baseline",
     "coarse_runs",
+    "documents",
     "figures",
     "first_difference",
     "first_layer",
@@ -60,7 +63,7 @@ def main() -> int:
     """Parse the arguments and run."""
     names = benchmark_names()
     parser = argparse.ArgumentParser(prog="tools/bench", description="Measure, print a table, write JSON.")
-    parser.add_argument("name", choices=names)
+    parser.add_argument("name", choices=names, nargs="?", help="without it, --write-docs writes what was kept")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write a list of {name, value, unit, better}")
     parser.add_argument("--seed", type=int, default=0, help="vary what is random about the measurement")
     parser.add_argument("--quick", action="store_true", help="a smaller sample, in under 50 s")
@@ -80,6 +83,9 @@ def main() -> int:
     )
     parser.add_argument(
         "--set-baseline", metavar="ABOUT", help="write what was measured into the committed baseline, and what it is"
+    )
+    parser.add_argument(
+        "--write-docs", action="store_true", help="keep what was measured, and fill the tables of the READMEs with it"
     )
     parser.add_argument("--maps", action="store_true", help="damage: alter maps instead of logs")
     parser.add_argument("--render", type=Path, metavar="DIR", help="shapes: write a picture of each object")
@@ -101,6 +107,12 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=math.inf, help="what goes on later: begin nothing after this")
     parser.add_argument("--fresh", action="store_true", help="what goes on later: forget what is kept")
     arguments = parser.parse_args()
+    if arguments.name is None:
+        if not arguments.write_docs:
+            parser.error(f"name a benchmark: {', '.join(names)}")
+        return _write_docs()
+    if arguments.write_docs and arguments.only:
+        parser.error("--write-docs takes a whole or a quick run, not --only a part")
     module = importlib.import_module(f"tools.benchmarks.{arguments.name}")
     if arguments.quick:
         print("quick: a smaller sample")
@@ -132,8 +144,17 @@ def main() -> int:
         write_json(figures, arguments.json)
     if arguments.set_baseline is not None:
         set_baseline(path, figures, arguments.set_baseline)
+    if arguments.write_docs:
+        keep(arguments.name, figures, is_quick=arguments.quick)
+        _write_docs()
     is_partial = arguments.quick or bool(arguments.only)
     return check(path, figures, is_partial=is_partial) if arguments.check else 0
+
+
+def _write_docs() -> int:
+    for readme in write_docs():
+        print(f"{readme.relative_to(ROOT)} has new figures")
+    return 0
 
 
 if __name__ == "__main__":

@@ -6,9 +6,12 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from hickory_stream.json_text import dumps
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -75,7 +78,12 @@ def print_table(figures: list[Figure]) -> None:
 
 def write_json(figures: list[Figure], path: Path) -> None:
     """Write the figures as a list of records."""
-    path.write_text(dumps([_record(figure) for figure in figures], indent=1) + "\n")
+    path.write_text(dumps(records_of(figures), indent=1) + "\n")
+
+
+def records_of(figures: Sequence[Figure]) -> list[dict[str, object]]:
+    """Return the figures as JSON."""
+    return [_record(figure) for figure in figures]
 
 
 def _record(figure: Figure) -> dict[str, object]:

@@ -94,13 +94,18 @@ def measurement_folder(state: Path, name: str, *, seed: int, fresh: bool) -> Pat
     about = folder / "about.json"
     if not about.exists():
         begun = datetime.now(tz=UTC).isoformat(timespec="seconds")
-        about.write_text(dumps_exactly({"begun": begun, "commit": _commit(), "code": code}, indent=1) + "\n")
+        about.write_text(dumps_exactly({"begun": begun, "commit": commit_of_the_code(), "code": code}, indent=1) + "\n")
     return folder
 
 
 def code_hash() -> str:
     """Return the sha256 of the sources of the packages, of the benchmarks and of the locked versions."""
     return hash_of_files(("requirements.lock", *_CODE), _KINDS)
+
+
+def product_hash() -> str:
+    """Return the sha256 of the sources of the packages alone: what figures are measured of."""
+    return hash_of_files(("hickory_stream", "players"), _KINDS)
 
 
 def hash_of_files(names: Iterable[str], suffixes: Collection[str]) -> str:
@@ -112,7 +117,8 @@ def hash_of_files(names: Iterable[str], suffixes: Collection[str]) -> str:
     return digest.hexdigest()
 
 
-def _commit() -> str:
+def commit_of_the_code() -> str:
+    """Return the commit that is checked out, marked where files differ from it; "unknown" without git."""
     try:
         asked = subprocess.run(
             ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True, check=True
