@@ -97,7 +97,9 @@ def _split_off(
     if before is None and (before := recalled(state.absorbed, host_id, left.solid, split.same_share)) is not None:
         # The part is what the host was before, and the rest of it is what was merged into it.
         rest_of_host = left.cloud
-        left, new = with_cloud(host, cloud, num_apart, voxel_m), with_cloud(new, rest_of_host, num_apart, voxel_m)
+        # Its cloud is that of the keyframes that told it apart; the track was seen as often as it was.
+        left = replace(with_cloud(host, cloud, num_apart, voxel_m), sightings=host.sightings)
+        new = with_cloud(new, rest_of_host, num_apart, voxel_m)
     if before is not None:
         state.absorbed = after_split(state.absorbed, host_id, before)
         new, left = restored(new, before), without_views_of(left, before)

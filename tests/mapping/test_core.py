@@ -316,6 +316,30 @@ def test_halves_that_a_merge_made_one_by_mistake_are_two_again_with_their_histor
     assert np.allclose(again.box.center, RIGHT.mean(axis=0), atol=0.05)  # but for the face that they share
 
 
+def test_a_host_that_gets_its_own_part_back_was_seen_as_often_as_before() -> None:
+    # The smaller one was there first: told apart again, it is the part, and the rest is what had been merged into it.
+    small = box_surface((-0.02, 0, 0.1), (0.16, 0.2, 0.2))
+    core = MapperCore(CONFIG)
+    apart = observation(0, small), observation(1, RIGHT)
+    drive(core, [frame(i, *apart) for i in range(3)])
+    drive(core, [frame(3 + i, observation(0, WHOLE)) for i in range(4)])
+    assert [tracked.id for tracked in core.snapshot().objects] == [1]
+    is_split = False
+    for i in range(7, 19):
+        before = by_id(core.snapshot())
+        effects = drive(core, [frame(i, *apart)])
+        if len(before) == 1 and len(core.snapshot().objects) == 2:
+            (split,) = (d for d in last_publish(effects).decisions if d.kind == "split")
+            assert "it was #2 before that was merged" in split.text
+            # The other mask, the larger one, was one more sighting of what then was both.
+            is_split = True
+            assert by_id(core.snapshot())[1].sightings == before[1].sightings + 1
+    assert is_split
+    own, other = core.snapshot().objects
+    assert np.allclose(own.box.center, small.mean(axis=0), atol=0.02)
+    assert np.allclose(other.box.center, RIGHT.mean(axis=0), atol=0.05)  # but for the face that they share
+
+
 def test_small_things_that_touch_and_are_always_seen_apart_stay_two() -> None:
     # Five voxels wide: what is within a voxel of the other is a large share of them, and no vote all the same.
     left, right = (box_surface((x, 0, 0.05), (0.1, 0.1, 0.1)) for x in (0, 0.1))
