@@ -58,7 +58,7 @@ def test_the_exported_network_is_exact_and_close_to_the_trained_one(trained, tmp
     exported = Network(path, NetworkConfig(provider="cpu", threads=1)).run(part)[0]
     np.testing.assert_array_equal(exported, run_in_integers(path, part))
     with torch.no_grad():
-        said = net(inputs_of(part))[0].numpy()
+        said = net(inputs_of(torch.from_numpy(part)))[0].numpy()
     assert np.abs((exported[0].astype(float) - 128) / 16 - said).mean() < 0.1
     PixelNetwork(path)
 

@@ -18,7 +18,7 @@ from hickory_stream.caches import cache_root
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.perception import pixel_network
 from hickory_stream.perception.pixel_inputs import CHANNELS
-from tools.network_training.frames import frames_of_scene
+from tools.network_training.frames import frames_of_scene, rendered
 from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, STAGES, drawn_frames, told
 from tools.network_training.stages import Schedule
 
@@ -41,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--checkpoint", type=Path, help="by default beside the frames; an old one is gone on from")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1, help="of torch")
+    parser.add_argument("--device", default="cpu", help="of torch: cpu, cuda")
+    parser.add_argument("--processes", type=int, default=0, help="that render and make lessons beside the training")
     parser.add_argument("--export-only", action="store_true", help="write what the checkpoint has, whatever its step")
     options = parser.parse_args(arguments)
     try:
@@ -59,15 +61,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cv2.setNumThreads(1)
     frames = options.frames or cache_root() / "network-frames"
     checkpoint = options.checkpoint or frames / "affinities.pt"
+    rendered((*OWN, *BROAD, *HELD_OUT), frames, options.processes)
     drawn = drawn_frames(frames)
     schedule = Schedule(seed=options.seed, stages=STAGES)
     if options.export_only:
         net = AffinityNet()
-        net.load_state_dict(torch.load(checkpoint, weights_only=True)["net"])
+        net.load_state_dict(torch.load(checkpoint, weights_only=True, map_location="cpu")["net"])
         net.eval()
     else:
-        net = train(drawn, schedule, checkpoint)
-    kept = torch.load(checkpoint, weights_only=True)
+        net = train(drawn, schedule, checkpoint, options.device, options.processes)
+    kept = torch.load(checkpoint, weights_only=True, map_location="cpu")
     rng = np.random.default_rng([options.seed, 77])
     calibration = [lesson_of(drawn(rng, STAGES[-1]), rng).inputs for _ in range(_CALIBRATED_ON)]
     options.out.mkdir(parents=True, exist_ok=True)
@@ -85,7 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ],
         "made_by": f"tools/train_network --seed {options.seed}",
         "steps_done": kept["step"],
-        "training_processor_minutes": round(kept["processor_s"] / 60, 1),
+        "training_minutes": round(kept["elapsed_s"] / 60, 1),
+        "trained_with": f"{kept['device']}, lessons by {max(kept['processes'], 1)} processes",
         "licence": LICENCE,
         "torch": torch.__version__,
         "trained_on": {

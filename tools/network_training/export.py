@@ -172,7 +172,7 @@ def _scales(net: AffinityNet, inputs: Sequence[NDArray[np.uint8]]) -> dict[int |
     handles = [m.register_forward_hook(watch((kind, i))) for kind, all_of in layers for i, m in enumerate(all_of)]
     with torch.no_grad():
         for one in inputs:
-            net(inputs_of(one[None]))
+            net(inputs_of(torch.from_numpy(one[None])))
     for handle in handles:
         handle.remove()
     greatest = {key: max(float(np.mean(values)), 1e-3) for key, values in found.items()}

@@ -9,7 +9,9 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
@@ -111,6 +113,21 @@ def frames_of_scene(scene: Scene, folder: Path) -> KeptFrames:
         _write(file, list(_rendered(scene)))
         print(f"rendered {scene.name} ({time.monotonic() - started:.1f} s)", file=sys.stderr, flush=True)
     return KeptFrames(file)
+
+
+def rendered(scenes: Sequence[Scene], folder: Path, processes: int) -> None:
+    """Render the scenes that are not kept in `folder` yet, several at a time if `processes` is over 0."""
+    missing = [scene for scene in scenes if not (folder / f"{scene.name}.npy").is_file()]
+    if processes < 1 or not missing:
+        return
+    frames_of_scene(missing[0], folder)  # compiles the kernels once, for all processes
+    with ProcessPoolExecutor(processes) as pool:
+        for _ in pool.map(partial(_render, folder=folder), missing[1:]):
+            pass
+
+
+def _render(scene: Scene, folder: Path) -> None:
+    frames_of_scene(scene, folder)
 
 
 def _rendered(scene: Scene) -> Iterator[TrueFrame]:

@@ -8,7 +8,6 @@ concatenation: in eight bits the first is integers and one rounding, the others 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import torch
 from torch import nn
@@ -16,12 +15,8 @@ from torch import nn
 from hickory_stream.perception.pixel_inputs import NUM_INPUTS, UNIT, ZERO
 from hickory_stream.perception.pixel_network import NUM_OUTPUTS
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-WIDTHS = (24, 48, 64, 96, 128)
-DECODED = (32, 32, 64, 96)
+WIDTHS = (24, 48, 96, 192, 320)
+DECODED = (32, 48, 96, 160)
 
 
 class Layer(nn.Module):
@@ -64,7 +59,7 @@ class AffinityNet(nn.Module):
         return logits
 
 
-def inputs_of(inputs: NDArray[np.uint8]) -> torch.Tensor:
+def inputs_of(inputs: torch.Tensor) -> torch.Tensor:
     """Return (B, NUM_INPUTS, H, W) bytes as the network takes them."""
-    values = (torch.from_numpy(inputs).float() - ZERO) / UNIT
+    values = (inputs.float() - ZERO) / UNIT
     return values.contiguous(memory_format=torch.channels_last)

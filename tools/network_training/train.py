@@ -16,72 +16,81 @@ import torch
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from hickory_stream.perception.pixel_network import DISTANCES_PX, OFFSETS, THING
-from tools.network_training.lessons import UNKNOWN, lesson_of
+from tools.network_training.batches import batches
+from tools.network_training.lessons import UNKNOWN
 from tools.network_training.model import AffinityNet, inputs_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from tools.network_training.batches import Batch
     from tools.network_training.frames import TrueFrame
     from tools.network_training.lessons import Lesson
     from tools.network_training.stages import Schedule, Stage
 
-_USUAL_AREA_PX = 400.0
-
 
 def train(
-    frame_of: Callable[[np.random.Generator, Stage], TrueFrame], schedule: Schedule, checkpoint: Path
+    frame_of: Callable[[np.random.Generator, Stage], TrueFrame],
+    schedule: Schedule,
+    checkpoint: Path,
+    device: str = "cpu",
+    processes: int = 0,
 ) -> AffinityNet:
-    """Return the network trained on frames that `frame_of(rng, stage)` draws.
+    """Return the network trained on frames that `frame_of(rng, stage)` draws, on the processor when it is done.
 
-    It goes on from a checkpoint if there is one.
+    It goes on from a checkpoint if there is one. `device` is torch's; `processes` make lessons beside the training. The
+    same weights come again on a processor with as many threads; another device rounds in other places.
     """
     torch.manual_seed(schedule.seed)
-    net = AffinityNet().to(memory_format=torch.channels_last)
+    net = AffinityNet().to(device, memory_format=torch.channels_last)
     optimizer = torch.optim.AdamW(net.parameters(), weight_decay=schedule.weight_decay)
     first, before_s = 0, 0.0
     if checkpoint.is_file():
-        kept = torch.load(checkpoint, weights_only=True)
+        kept = torch.load(checkpoint, weights_only=True, map_location=device)
         net.load_state_dict(kept["net"])
         optimizer.load_state_dict(kept["optimizer"])
-        first, before_s = kept["step"], kept["processor_s"]
+        first, before_s = kept["step"], kept["elapsed_s"]
     net.train()
-    started, started_cpu_s, told = time.monotonic(), time.process_time(), [0.0, 0]
-    for step in range(first, schedule.steps):
-        rng = np.random.default_rng([schedule.seed, step])
+    started = time.monotonic()
+    losses: list[torch.Tensor] = []
+    for step, batch in enumerate(batches(frame_of, schedule, first, processes), first):
         stage, step_of_stage = schedule.at(step)
-        lessons = [lesson_of(frame_of(rng, stage), rng) for _ in range(stage.batch)]
         rate = stage.rate_at(step_of_stage)
         for group in optimizer.param_groups:
             group["lr"] = rate
-        loss = _loss_of(net, lessons, schedule.precision)
+        loss = _loss_of(net, batch.to(device), schedule.precision)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         optimizer.step()
-        told = [told[0] + loss.item(), told[1] + 1]
-        if not math.isfinite(told[0]):
-            raise RuntimeError(f"step {step}: the loss is {loss.item()}; lower the rate")
+        losses.append(loss.detach())
         done = step + 1
         if done % schedule.told_every == 0:
+            mean = float(torch.stack(losses).mean())
+            if not math.isfinite(mean):
+                raise RuntimeError(f"step {step}: the loss is {mean}; lower the rate")
             spent = time.monotonic() - started
             print(
-                f"step {done} of {schedule.steps}: loss {told[0] / told[1]:.4f}, rate {rate:.2g}, "
+                f"step {done} of {schedule.steps}: loss {mean:.4f}, rate {rate:.2g}, "
                 f"{spent / (done - first):.2f} s a step, {spent / 60:.1f} min",
                 file=sys.stderr,
                 flush=True,
             )
-            told = [0.0, 0]
+            losses = []
         if done % schedule.kept_every == 0 or done == schedule.steps:
             unfinished = checkpoint.with_suffix(".unfinished")
-            spent_s = before_s + time.process_time() - started_cpu_s
-            state = {"net": net.state_dict(), "optimizer": optimizer.state_dict(), "step": done, "processor_s": spent_s}
+            state = {
+                "net": net.state_dict(),
+                "optimizer": optimizer.state_dict(),
+                "step": done,
+                "elapsed_s": before_s + time.monotonic() - started,
+                "device": device,
+                "processes": processes,
+            }
             torch.save(state, unfinished)
             unfinished.replace(checkpoint)
-    return net.eval()
+    return net.cpu().eval()
 
 
 def accuracies(net: AffinityNet, lessons: Sequence[Lesson]) -> dict[str, float]:
@@ -94,7 +103,7 @@ def accuracies(net: AffinityNet, lessons: Sequence[Lesson]) -> dict[str, float]:
     net.eval()
     with torch.no_grad():
         for lesson in lessons:
-            said = net(inputs_of(lesson.inputs[None]))[0].numpy() > 0
+            said = net(inputs_of(torch.from_numpy(lesson.inputs[None])))[0].numpy() > 0
             true, known = (v[0].numpy() for v in truth_of(torch.from_numpy(lesson.labels[None])))
             for i in range(len(said)):
                 row = min(i // 4, len(names) - 1)
@@ -129,12 +138,10 @@ def _moved(image: torch.Tensor, dy: int, dx: int) -> torch.Tensor:
     return out
 
 
-def _loss_of(net: AffinityNet, lessons: Sequence[Lesson], precision: str) -> torch.Tensor:
-    inputs = inputs_of(np.stack([lesson.inputs for lesson in lessons]))
-    labels = torch.from_numpy(np.stack([lesson.labels for lesson in lessons]))
-    pixel_weights = torch.from_numpy(np.stack([_weights(lesson.labels) for lesson in lessons]))
-    with torch.autocast("cpu", dtype=torch.bfloat16, enabled=precision == "bfloat16"):
-        said = net(inputs)
+def _loss_of(net: AffinityNet, batch: Batch, precision: str) -> torch.Tensor:
+    labels, pixel_weights = batch.labels, batch.weights
+    with torch.autocast(labels.device.type, dtype=torch.bfloat16, enabled=precision == "bfloat16"):
+        said = net(inputs_of(batch.inputs))
     true, known = truth_of(labels)
     pairs = [torch.maximum(pixel_weights, _moved(pixel_weights, dy, dx)) for dy, dx in OFFSETS]
     weights = torch.stack([*pairs, pixel_weights], dim=1) * known
@@ -146,9 +153,3 @@ def _loss_of(net: AffinityNet, lessons: Sequence[Lesson], precision: str) -> tor
     of_outputs = (losses * weights).sum(dim=(0, 2, 3)) / weights.sum(dim=(0, 2, 3)).clamp(min=1.0)
     return of_outputs[:THING].mean() + 0.5 * of_outputs[THING]
 
-
-def _weights(labels: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return (h, w) what each pixel counts: the root of how much smaller its thing is than a usual one."""
-    _, place, pixels = np.unique(labels, return_inverse=True, return_counts=True)
-    weights = np.clip(np.sqrt(_USUAL_AREA_PX / pixels), 0.3, 3.0)
-    return np.asarray(weights[place].reshape(labels.shape), dtype=np.float32)

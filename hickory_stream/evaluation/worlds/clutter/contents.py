@@ -217,6 +217,33 @@ def _flattened(model: Model) -> Model:
     return grounded(model.kind, [part.moved((0, 0, 0), turn) for part in model.parts])
 
 
+def laid_rows(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
+    """Return flat things that lie in rows, edge to edge or nearly, alone or in piles of one make, as on a shop's table."""
+    things: Things = []
+    gap, deepest = one_of(rng, (0.003, 0.006, 0.015, 0.05)), uniform(rng, 0.1, 0.35)
+    x = -place.half_m[0]
+    while x + 0.08 < place.half_m[0] and len(things) < 40:
+        y, furthest, name = -place.half_m[1] * uniform(rng, 0.6, 1.0), x, one_of(rng, kit.recipes.flat)
+        while y < place.half_m[1]:
+            room = (min(deepest, place.half_m[0] - x), min(0.35, place.half_m[1] - y), place.headroom_m)
+            drawn = _flattened(kit.make(rng, name))
+            model = fitted(drawn, room) if min(room[:2]) > 0.08 else None
+            if model is None:
+                break
+            low, high = model.bounds_m()
+            at = np.array([x - float(low[0]), y - float(low[1])])
+            for level in range(count(rng, 1, 5) if chance(rng, 0.4) else 1):
+                z = REST_M + level * (float(high[2]) + REST_M)
+                moved = at + rng.uniform(-0.2, 0.2, size=2) * gap
+                if z + float(high[2]) < place.headroom_m:
+                    things.append((model, _standing(moved, z, uniform(rng, -0.3, 0.3) * gap)))
+            y, furthest = y + float(high[1] - low[1]) + gap, max(furthest, x + float(high[0] - low[0]))
+            if chance(rng, 0.1):
+                y += uniform(rng, 0.05, 0.3)
+        x = max(furthest, x + 0.02) + gap
+    return things
+
+
 def heap(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
     """Return a heap of things as they fell."""
     number = count(rng, 4, 14)
@@ -326,7 +353,8 @@ def diagonal_row(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
 CONTENTS: dict[str, Filling] = {
     f.__name__: f
     for f in (
-        spread, touching, row, same, stacks, heap, cloth_and_things, ring_of_things, leaning_row, pyramid, diagonal_row,
+        spread, touching, row, same, stacks, heap, laid_rows, cloth_and_things, ring_of_things, leaning_row, pyramid,
+        diagonal_row,
     )
 }  # fmt: skip
 """The ways of filling a place by name."""

@@ -60,7 +60,7 @@ TABLE: dict[Family, Recipes] = {
             "uniform_paint", "worn_paint", "polished", "satin", "timber", "cardboard", "printed", "striped",
             "speckled", "boarded",
         ),
-        contents=("spread", "touching", "row", "same", "stacks", "heap", "cloth_and_things"),
+        contents=("spread", "touching", "row", "same", "stacks", "heap", "cloth_and_things", "laid_rows"),
         groups=(
             "flush_row", "filled_support", "table_with_seats", "floor_heap", "floor_stacks", "floor_spread",
             "carton_wall", "solitary", "leaning", "clothes_rail", "wall_boards",

@@ -53,7 +53,7 @@ def carton(rng: np.random.Generator, skin: Skin) -> Model:
 
 def book(rng: np.random.Generator, skin: Skin) -> Model:
     """Return a standing book, its back towards +x: two covers, a back and the leaves between them."""
-    depth, height, thick = uniform(rng, 0.1, 0.22), uniform(rng, 0.15, 0.32), log_uniform(rng, 0.008, 0.06)
+    depth, height, thick = uniform(rng, 0.1, 0.22), uniform(rng, 0.15, 0.32), log_uniform(rng, 0.003, 0.06)
     cover, leaf = skin(rng), skin(rng)
     board = min(0.003, 0.2 * thick)
     parts = [
