@@ -91,9 +91,15 @@ class GeometricSegmenter:
         joined = join_fragments(pieces.surface, pieces.labels, pieces.supports, pieces.room, self._trees, join, owners)
         return self.segmentation(frame, pieces, joined)
 
-    def segmentation(self, frame: Frame, pieces: Fragments, joined: Joined) -> Segmentation:
-        """Return the segmentation of a frame whose fragments were merged into masks."""
-        labels, rejected = _usable(pieces.surface, joined.labels, self._config)
+    def segmentation(
+        self, frame: Frame, pieces: Fragments, joined: Joined, structure_odds: NDArray[np.float64] | None = None
+    ) -> Segmentation:
+        """Return the segmentation of a frame whose fragments were merged into masks.
+
+        `structure_odds` (n + 1,) are log-odds that masks 0..n are part of the room, if anything else tells: those over
+        even odds are rejected.
+        """
+        labels, rejected = _usable(pieces.surface, joined.labels, self._config, structure_odds)
         size, factor = (frame.camera.width, frame.camera.height), pieces.surface.factor
         return Segmentation(
             instances=enlarged(labels, factor, size),
@@ -127,7 +133,10 @@ class GeometricSegmenter:
 
 
 def _usable(
-    surface: Surface, labels: NDArray[np.int32], config: GeometricConfig
+    surface: Surface,
+    labels: NDArray[np.int32],
+    config: GeometricConfig,
+    structure_odds: NDArray[np.float64] | None,
 ) -> tuple[NDArray[np.int32], tuple[RejectedMask, ...]]:
     """Return the labels of the masks worth lifting, renumbered, and the others with their reasons."""
     count = int(labels.max()) + 1
@@ -139,6 +148,8 @@ def _usable(
     boxes = label_boxes(labels, count)
     for i in range(1, count):
         reason = _why_not(surface, labels, i, int(pixels[i]), float(occluded[i]), boxes[i], config)
+        if reason is None and structure_odds is not None and structure_odds[i] > 0.0:
+            reason = f"part of the room, says the network: log-odds {structure_odds[i]:.1f}"
         if reason is None:
             kept += 1
             keep[i] = kept

@@ -10,6 +10,7 @@ from hickory_stream.perception.geometric import GeometricSegmenter
 from hickory_stream.perception.join import join_fragments
 from hickory_stream.perception.map_prior import fragment_owners
 from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
+from hickory_stream.perception.thing_odds import thing_log_odds
 from hickory_stream.perception.trees import embedded_trees
 from hickory_stream.ranges import Ranged, number
 
@@ -29,10 +30,13 @@ class NetworkJoinConfig(Ranged):
     Attributes:
         learned_probability: the trees that know them, the forest `odds`, join two groups from this probability of being
             one thing.
+        structure_shift: what is added to the network's log-odds that a mask is part of the room, which is rejected
+            where the sum is over 0: less believes the network less, -8 never.
         split: when the network divides fragments that geometry and colour left whole.
     """
 
     learned_probability: float = number(0.35, 0, 1, "probability")
+    structure_shift: float = number(-1.0, -8, 8, "log-odds")
     split: SplitConfig = field(default_factory=SplitConfig)
 
 
@@ -73,7 +77,8 @@ class NetworkSegmenter:
         joined = join_fragments(
             pieces.surface, pieces.labels, pieces.supports, pieces.room, self._trees, self._join, owners, odds
         )
-        return self.segmentation(frame, pieces, joined)
+        structure_odds = self._config.structure_shift - thing_log_odds(joined.labels, found.odds)
+        return self._geometric.segmentation(frame, pieces, joined, structure_odds)
 
     def segmentation(self, frame: Frame, pieces: Fragments, joined: Joined) -> Segmentation:
         """Return what is said of a frame whose fragments were joined into masks."""

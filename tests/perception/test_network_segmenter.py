@@ -11,7 +11,7 @@ from hickory_stream.perception.join import JoinConfig
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
 from hickory_stream.perception.odds_features import ODDS_FEATURES
 from hickory_stream.perception.perceive import PerceptionConfig
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_ZERO, PixelOdds
+from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 LEFT = Block(low=(-0.15, 0.15, 0.0), high=(0.15, 0.45, 0.35), color=(190, 40, 40))
@@ -46,6 +46,24 @@ def even():
 @pytest.fixture(scope="module")
 def two_boxes():
     return render([floor(), LEFT, RIGHT], VIEW)
+
+
+def test_a_mask_that_the_network_takes_for_a_part_of_the_room_is_rejected_with_the_reason(two_boxes):
+    frame, shown = two_boxes
+    odds = even()
+    columns = np.flatnonzero((shown == 1).any(axis=0)) * 160 // shown.shape[1]
+    odds[THING, :, columns.min() - 1 : columns.max() + 2] = ODDS_ZERO - 3 * ODDS_UNIT
+    masks, reasons = {}, {}
+    for shift in (-1.0, -8.0):
+        config = NetworkJoinConfig(structure_shift=shift)
+        result = NetworkSegmenter(Said(odds), config, GeometricConfig()).segment(frame)
+        masks[shift] = [best_iou(result.instances, shown == i)[0] for i in (1, 2)]
+        reasons[shift] = [mask.reason for mask in result.rejected]
+    assert masks[-1.0][0] < 0.2
+    assert masks[-1.0][1] > 0.8
+    assert min(masks[-8.0]) > 0.8
+    assert any("part of the room" in reason for reason in reasons[-1.0])
+    assert not any("part of the room" in reason for reason in reasons[-8.0])
 
 
 def test_two_boxes_apart_are_two_instances(two_boxes):

@@ -15,6 +15,7 @@ from test_network_lessons import true_frame  # noqa: E402 -- after what is skipp
 
 from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
 from hickory_stream.perception.pixel_network import NUM_OUTPUTS, OFFSETS, THING, PixelNetwork  # noqa: E402
+from tools.network_training.batches import batches  # noqa: E402
 from tools.network_training.export import export  # noqa: E402
 from tools.network_training.lessons import UNKNOWN, lesson_of  # noqa: E402
 from tools.network_training.model import inputs_of  # noqa: E402
@@ -44,6 +45,15 @@ def test_a_run_that_was_broken_off_ends_as_one_that_was_not(trained, tmp_path):
     again = train(lambda rng, stage: frame, SHORT, broken_off)
     for a, b in zip(whole.state_dict().values(), again.state_dict().values(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
+
+
+def test_other_processes_make_the_same_lessons():
+    frame = true_frame()
+    alone, helped = (list(batches(lambda rng, stage: frame, SHORT, 2, processes)) for processes in (0, 2))
+    assert [len(batch.labels) for batch in alone] == [1, 1, 2, 2]
+    for one, other in zip(alone, helped, strict=True):
+        for name in ("inputs", "labels", "weights"):
+            torch.testing.assert_close(getattr(one, name), getattr(other, name), rtol=0, atol=0)
 
 
 def test_the_exported_network_is_exact_and_close_to_the_trained_one(trained, tmp_path, monkeypatch):

@@ -61,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cv2.setNumThreads(1)
     frames = options.frames or cache_root() / "network-frames"
     checkpoint = options.checkpoint or frames / "affinities.pt"
-    rendered((*OWN, *BROAD, *HELD_OUT), frames, options.processes)
+    if not options.export_only:
+        rendered((*OWN, *BROAD, *HELD_OUT), frames, options.processes)
     drawn = drawn_frames(frames)
     schedule = Schedule(seed=options.seed, stages=STAGES)
     if options.export_only:

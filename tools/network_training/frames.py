@@ -137,7 +137,8 @@ def _rendered(scene: Scene) -> Iterator[TrueFrame]:
 
 def _of_random_rooms(scene: Scene, family: str) -> Iterator[TrueFrame]:
     for frame in frames_of(scene.seed, family, scene.frames, WIDTH_PX, HEIGHT_PX):
-        instances = np.where(frame.is_structure | (frame.instances > 0), frame.instances, -1)
+        is_known = frame.is_structure | (frame.instances > 0)
+        instances = np.where(is_known, frame.instances.astype(np.int32), np.int32(-1))
         yield TrueFrame(
             rgb=frame.rgb,
             depth_m=frame.exact_depth_m,

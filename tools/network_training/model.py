@@ -15,8 +15,8 @@ from torch import nn
 from hickory_stream.perception.pixel_inputs import NUM_INPUTS, UNIT, ZERO
 from hickory_stream.perception.pixel_network import NUM_OUTPUTS
 
-WIDTHS = (24, 48, 96, 192, 320)
-DECODED = (32, 48, 96, 160)
+WIDTHS = (24, 48, 64, 96, 128)
+DECODED = (32, 32, 64, 96)
 
 
 class Layer(nn.Module):

@@ -21,10 +21,10 @@ OWN = (
     *(Scene(kind="apartment", seed=seed, frames=16) for seed in range(300, 315)),
     *(Scene(kind="tabletop", seed=seed, frames=10) for seed in range(350, 366, 2)),
 )
-BROAD = tuple(Scene(kind="clutter-training", seed=seed, frames=_FRAMES) for seed in range(1000, 1512))
-OWN_SHARE = 0.12
-RENDERED_AT = {"clutter-training 1000-1511": "COMMIT"}
-"""The commit whose generators made the frames of the weights in the package: others may give other frames."""
+BROAD = tuple(Scene(kind="clutter-training", seed=seed, frames=_FRAMES) for seed in range(112))
+OWN_SHARE = 0.2
+RENDERED_AT = {"clutter-training 0-47": "f4e6ad6", "clutter-training 48-111": "98c6798"}
+"""The commits whose generators made the frames of the weights in the package: others may give other frames."""
 HELD_OUT = (
     *(Scene(kind="apartment", seed=seed, frames=16) for seed in (315, 316)),
     Scene(kind="clutter-tuning", seed=0, frames=48),
@@ -32,8 +32,11 @@ HELD_OUT = (
 """Own rooms of other seeds, and random rooms of another family: nothing was trained on them."""
 
 
-STAGES = (Stage(steps=20_000, batch=32, rooms=(0, len(BROAD)), rising=500, falling_share=0.4),)
-"""Of the weights in the package."""
+STAGES = (
+    Stage(steps=4000, batch=4, rooms=(0, 48), falling_share=0),
+    Stage(steps=4000, batch=8, rooms=(48, 112), rising=1, falling_share=1 / 3),
+)
+"""Of the weights in the package: larger batches from rooms not seen before, as the rate begins to fall."""
 
 
 def drawn_frames(folder: Path) -> Callable[[np.random.Generator, Stage], TrueFrame]:

@@ -152,4 +152,3 @@ def _loss_of(net: AffinityNet, batch: Batch, precision: str) -> torch.Tensor:
     losses = binary_cross_entropy_with_logits(said.float(), true.float(), reduction="none")
     of_outputs = (losses * weights).sum(dim=(0, 2, 3)) / weights.sum(dim=(0, 2, 3)).clamp(min=1.0)
     return of_outputs[:THING].mean() + 0.5 * of_outputs[THING]
-

@@ -218,7 +218,7 @@ def _flattened(model: Model) -> Model:
 
 
 def laid_rows(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return flat things that lie in rows, edge to edge or nearly, alone or in piles of one make, as on a shop's table."""
+    """Return flat things that lie in rows, edge to edge or nearly, alone or in piles of one make."""
     things: Things = []
     gap, deepest = one_of(rng, (0.003, 0.006, 0.015, 0.05)), uniform(rng, 0.1, 0.35)
     x = -place.half_m[0]
