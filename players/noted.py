@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.testing import FaultySource, parse_faults
+from players.faults import FaultySource, parse_faults
 from players.first_frames import FirstFrames
 from players.opening import open_source
 from players.options import SourceOptions

@@ -11,13 +11,13 @@ import pytest
 
 from hickory_stream.alignment.answer import NoAlignment, Refusal
 from hickory_stream.alignment.object_map import object_map
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.manifest import MANIFEST
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.relocalise import relocalise
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.testing import SceneSource
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 
 if TYPE_CHECKING:

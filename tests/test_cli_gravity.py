@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, cast_scene
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.testing import SCENE_BOXES, SCENE_CAMERA, SceneBox, cast_scene
 from tests.mapping.test_bad_gravity import AROUND_THE_TABLE, CIRCLE, LEG, ON_TABLE, OVER_THE_TABLE, TABLE
 from tests.test_cli import run
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
 from hickory_stream.errors import InputError, RecordingError
-from hickory_stream.testing import FAULTS, PERIOD_NS, START_NS, Faults, FaultySource, SceneSource, parse_faults
+from players.faults import FAULTS, Faults, FaultySource, parse_faults
 
 if TYPE_CHECKING:
     from hickory_stream.records import RawFrame

@@ -34,7 +34,7 @@ LAYERS = (
         "hickory_stream.alignment",
     ),
     ("hickory_stream.merging",),
-    ("hickory_stream.config+hickory_stream.testing",),
+    ("hickory_stream.config+hickory_stream.box_scene+hickory_stream.testing",),
     ("hickory_stream.engine",),
     ("hickory_stream.sinks", "players", "hickory_stream.evaluation"),
     (
@@ -120,3 +120,9 @@ def test_nothing_prints_but_the_command_line() -> None:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
     }
     assert {name.rpartition(".")[0] if name.count(".") > 1 else name for name in printers} == {"hickory_stream.cli"}
+
+
+def test_twins_for_tests_are_imported_by_tests_only() -> None:
+    """What a run needs, such as the scene that warms it up, is no twin for tests."""
+    users = [module_of(file) for file in FILES if "hickory_stream.testing" in set(imports_of(file))]
+    assert users == []

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.ports import Accounting, Interruptible, Seekable, SourceAround, account_of, interrupt, num_seeks
-from hickory_stream.testing import SceneSource
 from players import open_source
 from players.playback import PlaybackClock, PlayedSource
 

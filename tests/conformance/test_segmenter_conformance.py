@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.records import MapPrior, ObservedSpace
-from hickory_stream.testing import InstanceSegmenter, SceneSource
+from hickory_stream.testing import InstanceSegmenter
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 from tests.examples.plane_segmenter import PlaneSegmenter
 from tests.perception.perception_scenes import CAMERA, Block, best_iou, floor, looking, render

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig, read_config
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.keyframe_images import crop_of
@@ -18,7 +19,7 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.records import View
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, SceneSource
+from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.conftest import COARSE_SHAPES
 
 if TYPE_CHECKING:

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
-from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink, SceneSource
+from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
 
 if TYPE_CHECKING:

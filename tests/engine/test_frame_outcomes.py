@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
 from hickory_stream.engine.reading import Read
 from hickory_stream.mapping.keyframes import KeyframeConfig
-from hickory_stream.testing import SceneSource
 
 RAW = next(SceneSource(1).frames())
 CONFIG = KeyframeConfig()

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
 from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import ShapeFailed, SourceEnded, TimeJumped
-from hickory_stream.testing import SCENE_CAMERA
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import JournalConfig
 from hickory_stream.engine.keyframe_images import color_of, crop_of
-from hickory_stream.testing import SceneSource
 from tests.mapping.mapping_fixtures import box_surface, observation
 
 if TYPE_CHECKING:

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import START_NS, SceneSource
 from hickory_stream.cli import main
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.journal import JOURNAL, Journal
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import OutputError, RecordingError
-from hickory_stream.testing import START_NS, InstanceSegmenter, RememberingSink, SceneSource
+from hickory_stream.testing import InstanceSegmenter, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
 
 if TYPE_CHECKING:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import pytest
 from threadpoolctl import threadpool_info
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError, ViewerError
-from hickory_stream.testing import BlindSource, BreakingSource, SceneSource
+from hickory_stream.testing import BreakingSource
+from players.faults import Faults, FaultySource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
 
 if TYPE_CHECKING:
@@ -136,7 +138,7 @@ def test_a_source_without_frames_is_refused_and_leaves_no_map(tmp_path: Path) ->
 
 def test_a_source_without_a_single_return_of_depth_is_refused_and_leaves_no_map(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=rf"memory:scene has no depth in any of {NUM_FRAMES} keyframes"):
-        map_scene(tmp_path, source=BlindSource(SceneSource(NUM_FRAMES)))
+        map_scene(tmp_path, source=FaultySource(SceneSource(NUM_FRAMES), Faults(blind=1.0)))
     assert not (tmp_path / "map").exists()
 
 

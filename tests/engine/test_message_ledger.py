@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import player_scenes as scenes
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.message_ledger import message_ledger
-from hickory_stream.testing import Faults, FaultySource, SceneSource
 from players import open_source
+from players.faults import Faults, FaultySource
 from players.first_frames import FirstFrames
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.reading import sensed
 from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
-from hickory_stream.testing import SceneSource
 
 RAW = next(SceneSource(1).frames())
 FRAME = RAW.decode()

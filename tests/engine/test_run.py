@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
-from hickory_stream.testing import BreakingSource, FailingSink, RememberingSink, SceneSource, SlowSink
+from hickory_stream.testing import BreakingSource, FailingSink, RememberingSink, SlowSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
 
 if TYPE_CHECKING:

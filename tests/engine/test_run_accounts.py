@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.run_accounts import run_ledger, run_timings
-from hickory_stream.testing import SceneSource
 
 
 def test_frames_that_came_late_were_read_and_what_did_not_happen_is_not_told() -> None:

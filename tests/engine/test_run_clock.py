@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.reading import Read
 from hickory_stream.engine.run_clock import RunClock
 from hickory_stream.events import TimeJumped
-from hickory_stream.testing import SceneSource
 
 RAW = next(SceneSource(1).frames())
 SECOND_NS = 1_000_000_000

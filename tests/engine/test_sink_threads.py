@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.errors import MapFolderError
 from hickory_stream.records import FrameReport
-from hickory_stream.testing import SCENE_CAMERA, FailingSink, RememberingSink, SlowSink
+from hickory_stream.testing import FailingSink, RememberingSink, SlowSink
 
 if TYPE_CHECKING:
     from hickory_stream.ports import Sink

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import PERIOD_NS, SCENE_CAMERA, START_NS, SceneBox, SceneSource, scene_pose
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.ladder import RUNGS, TrueImages, TrueSegmenter, core_of, mapping_of, segmenter_of
@@ -16,7 +17,6 @@ from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
 from hickory_stream.events import Event, SourceEnded
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.records import Phase, TrackedObject
-from hickory_stream.testing import PERIOD_NS, SCENE_CAMERA, START_NS, SceneBox, SceneSource, scene_pose
 from tests.mapping.mapping_fixtures import drive
 
 if TYPE_CHECKING:

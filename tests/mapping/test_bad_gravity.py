@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import PERIOD_NS, SCENE_BOXES, SCENE_CAMERA, START_NS, SceneBox, cast_scene, scene_pose
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.voxels import centers_of_keys
 from hickory_stream.mapping.core import MapperCore
@@ -20,7 +21,6 @@ from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
 from hickory_stream.records import Decision, Frame, MapSnapshot, ObservedSpace, Phase
-from hickory_stream.testing import PERIOD_NS, SCENE_BOXES, SCENE_CAMERA, START_NS, SceneBox, cast_scene, scene_pose
 from tools.benchmarks.first_layer import answered
 
 if TYPE_CHECKING:

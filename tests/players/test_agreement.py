@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import SCENE_BOXES, cast_scene, scene_pose
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame
-from hickory_stream.testing import SCENE_BOXES, cast_scene, scene_pose
 from players.agreement import ColorAgreement, border_scores, color_agreement
 from players.register import Registration, register_depth
 

@@ -11,10 +11,10 @@ import numpy as np
 import player_scenes as scenes
 import pytest
 
+from hickory_stream.box_scene import SCENE_CAMERA, START_NS, SceneSource
 from hickory_stream.cli import main
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.records import RawFrame, SourceInfo
-from hickory_stream.testing import SCENE_CAMERA, START_NS, SceneSource
 from players import SourceOptions
 from players.agreement import ColorAgreement
 from players.doctor import SOUND, UNUSABLE, WITH_LOSSES, Diagnosis, examine, examine_frames, judge_color

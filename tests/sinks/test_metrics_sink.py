@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.errors import InputError
 from hickory_stream.records import FrameReport
 from hickory_stream.sinks.metrics_sink import MetricsSink
-from hickory_stream.testing import SCENE_CAMERA
 
 REPORT = FrameReport(
     index=0,

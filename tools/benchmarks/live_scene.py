@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
+from hickory_stream.box_scene import SCENE_BOXES, START_NS, cast_scene, scene_pose
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
@@ -27,7 +28,6 @@ from hickory_stream.json_text import dumps
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 from hickory_stream.sinks.disk_sink import DiskSink
-from hickory_stream.testing import SCENE_BOXES, START_NS, cast_scene, scene_pose
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

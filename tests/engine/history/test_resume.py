@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.history.resume import reopen
@@ -17,7 +18,7 @@ from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.mapper import Mapper, MapperConfig
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError
-from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor, SceneSource
+from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
 
 if TYPE_CHECKING:

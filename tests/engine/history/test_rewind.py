@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.history.resume import save_live, was_sought
@@ -17,14 +18,7 @@ from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError
-from hickory_stream.testing import (
-    PERIOD_NS,
-    START_NS,
-    InstanceSegmenter,
-    MeanColorExtractor,
-    RememberingSink,
-    SceneSource,
-)
+from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from players.playback import PlaybackClock, PlayedSource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
 

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.time_travel import changes, own_clock_s, stamp_of
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError, MapFolderError
-from hickory_stream.testing import PERIOD_NS, START_NS, RememberingSink, SceneSource
+from hickory_stream.testing import RememberingSink
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
 from tests.engine.snapshot_fixtures import make_snapshot
 

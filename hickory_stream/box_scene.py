@@ -1,0 +1,148 @@
+"""Three boxes on a floor that a camera walks around, as a source: no file, no network.
+
+It is cast analytically: colour, depth, instances and poses are exact, so that what a part makes of them can be compared
+with the truth. The engine warms its kernels up on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.records import Frame, RawFrame, SourceInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+SCENE_CAMERA = Camera(width=240, height=180, fx=210.0, fy=210.0, cx=119.5, cy=89.5)
+START_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 300_000_000
+_EYE_HEIGHT_M, _EYE_DISTANCE_M, _STEP_RAD = 1.1, 2.0, 0.12
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SceneBox:
+    """A box on the floor: its lowest and highest corner in the world (metres), and its colour."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    rgb: tuple[int, int, int]
+
+
+SCENE_BOXES = (
+    SceneBox(low=(-0.45, -0.35, 0.0), high=(-0.10, -0.05, 0.40), rgb=(190, 80, 60)),
+    SceneBox(low=(0.15, -0.30, 0.0), high=(0.50, 0.05, 0.25), rgb=(70, 130, 190)),
+    SceneBox(low=(-0.15, 0.25, 0.0), high=(0.20, 0.50, 0.55), rgb=(120, 170, 80)),
+)
+
+
+def scene_pose(index: int) -> NDArray[np.float64]:
+    """Return world_from_camera (4, 4) of a frame: on a circle around the boxes, looking at their middle."""
+    angle = index * _STEP_RAD
+    eye = np.array([_EYE_DISTANCE_M * np.cos(angle), _EYE_DISTANCE_M * np.sin(angle), _EYE_HEIGHT_M])
+    forward = np.array([0.0, 0.0, 0.2]) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = eye
+    return pose
+
+
+def cast_scene(
+    boxes: Sequence[SceneBox], camera: Camera, world_from_camera: NDArray[np.float64]
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
+    """Return colour (H, W, 3), depth (H, W) along the axis, NaN for none, and instances: 0 floor, i + 1 box i."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+    rays, eye = rays @ world_from_camera[:3, :3].T, world_from_camera[:3, 3]
+    with np.errstate(divide="ignore"):
+        floor = np.where(rays[..., 2] < 0, -eye[2] / rays[..., 2], np.inf)
+        depths = np.stack([floor, *(_entry(box, eye, rays) for box in boxes)])
+    instances = depths.argmin(axis=0).astype(np.int32)
+    depth = depths.min(axis=0)
+    points = eye + rays * np.where(np.isfinite(depth), depth, 0.0)[..., None]
+    # Stripes: a surface without texture would have no gradients to describe.
+    shade = 0.8 + 0.2 * np.sign(np.sin(40.0 * points.sum(axis=-1)))
+    palette = np.array([(150, 145, 140), *(box.rgb for box in boxes)])
+    return (
+        (palette[instances] * shade[..., None]).astype(np.uint8),
+        np.where(np.isfinite(depth), depth, np.nan).astype(np.float32),
+        instances,
+    )
+
+
+def _entry(box: SceneBox, eye: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (H, W) where each ray enters a box, infinity where it misses (slab method)."""
+    a, b = (np.array(box.low) - eye) / rays, (np.array(box.high) - eye) / rays
+    near, far = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
+    return np.where((near < far) & (near > 0), near, np.inf)
+
+
+class SceneSource:
+    """A `Source` of the scene: `num_frames` frames, 0.3 s and 7 degrees apart, each of them a keyframe by default."""
+
+    def __init__(self, num_frames: int = 8, boxes: Sequence[SceneBox] = SCENE_BOXES) -> None:
+        self._num_frames = num_frames
+        self._boxes = tuple(boxes)
+        self._num_yielded = 0
+        self.is_closed = False
+
+    @property
+    def info(self) -> SourceInfo:
+        """What there is to play."""
+        return SourceInfo(
+            uri="memory:scene",
+            kind="synthetic scene",
+            identity=f"scene-{self._num_frames}-{len(self._boxes)}",
+            camera=SCENE_CAMERA,
+            num_frames=self._num_frames,
+            start_ns=START_NS,
+            end_ns=START_NS + (self._num_frames - 1) * PERIOD_NS,
+            streams=(("color", "cast"), ("depth", "cast"), ("pose", "circle")),
+        )
+
+    @cached_property
+    def instances(self) -> Mapping[int, NDArray[np.int32]]:
+        """The true instances (H, W) of every frame, by its stamp: what `InstanceSegmenter` reads."""
+        poses = {START_NS + i * PERIOD_NS: scene_pose(i) for i in range(self._num_frames)}
+        return {stamp_ns: cast_scene(self._boxes, SCENE_CAMERA, pose)[2] for stamp_ns, pose in poses.items()}
+
+    def frames(self) -> Iterator[RawFrame]:
+        """Yield the frames from the beginning."""
+        self._num_yielded = 0
+        for i in range(self._num_frames):
+            self._num_yielded += 1
+            yield RawFrame(
+                index=i,
+                stamp_ns=START_NS + i * PERIOD_NS,
+                camera=SCENE_CAMERA,
+                world_from_camera=scene_pose(i),
+                decode=partial(self._decode, i),
+            )
+
+    def _decode(self, index: int) -> Frame:
+        rgb, depth_m, _ = cast_scene(self._boxes, SCENE_CAMERA, scene_pose(index))
+        return Frame(
+            index=index,
+            stamp_ns=START_NS + index * PERIOD_NS,
+            rgb=rgb,
+            depth_m=depth_m,
+            camera=SCENE_CAMERA,
+            world_from_camera=scene_pose(index),
+        )
+
+    def ledger(self) -> Mapping[str, int]:
+        """Return how many frames the latest pass has yielded."""
+        return {"frames": self._num_yielded}
+
+    def close(self) -> None:
+        """Note that it was closed."""
+        self.is_closed = True
