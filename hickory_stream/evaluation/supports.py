@@ -41,18 +41,21 @@ def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple
     """
     objects = [item for item in snapshot.objects if len(item.points_world)]
     found: dict[int, tuple[Support, ...]] = {item.id: () for item in snapshot.objects}
+    in_map = {item.id: _body(item, config) for item in objects}
     for submap in snapshot.submaps:
         own = {item.id for item in objects if item.submap_id == submap.id}
         if not own:
             continue
+        is_in_place = np.array_equal(submap.world_from_submap, np.eye(4))
+        place = invert(submap.world_from_submap)
         graph = SupportGraph(
-            bodies={item.id: _body(item, submap.world_from_submap, config) for item in objects},
+            bodies=in_map if is_in_place else {item.id: _body(moved_object(item, place), config) for item in objects},
             space=known_space(submap.observed_space),
             config=config.support,
             unsupported=config.unsupported,
         )
-        edges = graph.edges(own)
-        found |= {body: tuple(edge for edge in edges if edge.body == body) for body in own}
+        for edge in graph.edges(own):
+            found[edge.body] += (edge,)
     return found
 
 
@@ -68,8 +71,6 @@ def told(supports: tuple[Support, ...]) -> str:
     return "a wall" if Relation.LEANS_ON in held else "-"
 
 
-def _body(item: TrackedObject, world_from_submap: NDArray[np.float64], config: MappingConfig) -> ObjectBody:
-    if not np.array_equal(world_from_submap, np.eye(4)):
-        item = moved_object(item, invert(world_from_submap))
+def _body(item: TrackedObject, config: MappingConfig) -> ObjectBody:
     cloud = cloud_of(item.points_world, item.colors, config.lattice.points_m)
     return ObjectBody(id=item.id, cloud=cloud, solid=cloud, box=item.box, bounds=bounds_of(cloud.points))

@@ -77,6 +77,11 @@ class FragmentOdds:
         return sums, levels
 
 
+def mean_log_odds(sums: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return mean log-odds of sums of bytes counted from even odds; NaN where nothing was counted."""
+    return np.where(counts > 0, sums / (ODDS_UNIT * np.maximum(counts, 1)), np.nan)
+
+
 def near_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the sum over the near ones of values by distance (K, D, ...)."""
     return np.asarray(values[:, :_NUM_NEAR].sum(axis=1))

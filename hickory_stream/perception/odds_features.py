@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.perception.fragment_odds import far_of, near_of
-from hickory_stream.perception.pixel_network import DISTANCES_PX, ODDS_UNIT
+from hickory_stream.perception.fragment_odds import far_of, mean_log_odds, near_of
+from hickory_stream.perception.pixel_network import DISTANCES_PX
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,32 +39,27 @@ def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: in
     large, small = pairs.T
     sums, levels = odds.of_pairs(pairs, count)
     counts = levels.sum(axis=2)
-    found = [_mean(near_of(sums), near_of(counts)), _mean(far_of(sums), far_of(counts))]
-    found += [_mean(sums[:, i], counts[:, i]) for i in range(len(DISTANCES_PX))]
+    found = [mean_log_odds(near_of(sums), near_of(counts)), mean_log_odds(far_of(sums), far_of(counts))]
+    found += [mean_log_odds(sums[:, i], counts[:, i]) for i in range(len(DISTANCES_PX))]
     for of_level in (near_of(levels), far_of(levels)):
         all_of = of_level.sum(axis=1)
         found += [_share(n, all_of) for n in (of_level[:, 0], of_level[:, :2].sum(axis=1), of_level[:, -1])]
     root = np.sqrt(np.maximum(odds.num_pixels[small], 1))
     found += [near_of(counts) / root, far_of(counts) / root]
     for part in (near_of, far_of):
-        within = _mean(part(odds.inner), part(odds.num_inner))
+        within = mean_log_odds(part(odds.inner), part(odds.num_inner))
         found += [within[large], within[small]]
     all_pairs = np.stack([odds.a, odds.b], axis=1)
-    every = _mean(odds.sums.sum(axis=1), odds.levels.sum(axis=(1, 2)))
+    every = mean_log_odds(odds.sums.sum(axis=1), odds.levels.sum(axis=(1, 2)))
     best = np.full(count, -np.inf)
     for side in (0, 1):
         np.maximum.at(best, all_pairs[:, side], every)
-    own = _mean(sums.sum(axis=1), counts.sum(axis=1))
+    own = mean_log_odds(sums.sum(axis=1), counts.sum(axis=1))
     known = np.isfinite(own)
     found += [np.where(known, best[side], np.nan) - own for side in (large, small)]
-    thing = _mean(odds.thing, odds.num_pixels)
+    thing = mean_log_odds(odds.thing, odds.num_pixels)
     found += [thing[large], thing[small]]
     return dict(zip(ODDS_FEATURES, found, strict=True))
-
-
-def _mean(sums: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return mean log-odds; NaN where nothing was counted."""
-    return np.where(counts > 0, sums / (ODDS_UNIT * np.maximum(counts, 1)), np.nan)
 
 
 def _share(some: NDArray[np.int64], all_of: NDArray[np.int64]) -> NDArray[np.float64]:

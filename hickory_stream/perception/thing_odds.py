@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.perception.pixel_network import ODDS_UNIT, ODDS_ZERO, THING
+from hickory_stream.perception.fragment_odds import mean_log_odds
+from hickory_stream.perception.pixel_network import ODDS_ZERO, THING
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,6 +22,6 @@ def thing_log_odds(labels: NDArray[np.int32], odds: PixelOdds) -> NDArray[np.flo
     """
     few = labels[::2, ::2].ravel()
     count = int(labels.max(initial=0)) + 1
-    sums = np.bincount(few, weights=odds.odds[THING].ravel().astype(np.float64) - ODDS_ZERO, minlength=count)
-    pixels = np.bincount(few, minlength=count)
-    return np.where(pixels > 0, sums / (ODDS_UNIT * np.maximum(pixels, 1)), np.nan)
+    from_even = odds.odds[THING].ravel().astype(np.float64) - ODDS_ZERO
+    sums = np.bincount(few, weights=from_even, minlength=count).astype(np.int64)  # of whole numbers: exact
+    return mean_log_odds(sums, np.bincount(few, minlength=count))

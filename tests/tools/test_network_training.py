@@ -20,7 +20,7 @@ from tools.network_training.export import export  # noqa: E402
 from tools.network_training.lessons import UNKNOWN, lesson_of  # noqa: E402
 from tools.network_training.model import inputs_of  # noqa: E402
 from tools.network_training.stages import Schedule, Stage  # noqa: E402
-from tools.network_training.train import accuracies, train, truth_of  # noqa: E402
+from tools.network_training.train import accuracies, read_checkpoint, train, truth_of  # noqa: E402
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600)]
 FIRST, SECOND = Stage(steps=4, batch=1, rooms=(0, 1), rising=2), Stage(steps=2, batch=2, rooms=(1, 4), rising=2)
@@ -45,6 +45,14 @@ def test_a_run_that_was_broken_off_ends_as_one_that_was_not(trained, tmp_path):
     again = train(lambda rng, stage: frame, SHORT, broken_off)
     for a, b in zip(whole.state_dict().values(), again.state_dict().values(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
+
+
+def test_a_checkpoint_of_an_earlier_version_is_refused(trained, tmp_path):
+    kept = read_checkpoint(trained[1])
+    del kept["elapsed_s"]
+    torch.save(kept, tmp_path / "old.pt")
+    with pytest.raises(RuntimeError, match="earlier version"):
+        train(lambda rng, stage: true_frame(), SHORT, tmp_path / "old.pt")
 
 
 def test_other_processes_make_the_same_lessons():

@@ -75,9 +75,10 @@ def read_measured(name: str, folder: Path = MEASURED) -> Measured | None:
 def write_docs(folder: Path = MEASURED) -> list[Path]:
     """Fill the tables of all READMEs; return those that have changed."""
     changed = []
+    code = product_hash()
     for readme in readmes():
         text = readme.read_text(encoding="utf-8")
-        filled = filled_in(text, folder=folder, code=product_hash())
+        filled = filled_in(text, folder=folder, code=code)
         if filled != text:
             readme.write_text(filled, encoding="utf-8")
             changed.append(readme)

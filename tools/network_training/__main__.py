@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from tools.network_training.export import export
         from tools.network_training.lessons import lesson_of
         from tools.network_training.model import AffinityNet
-        from tools.network_training.train import accuracies, train
+        from tools.network_training.train import accuracies, read_checkpoint, train
     except ModuleNotFoundError as error:
         print(f"{error.name} is missing; install the extra: pip install -e '.[train]'", file=sys.stderr)
         return 2
@@ -65,13 +65,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rendered((*OWN, *BROAD, *HELD_OUT), frames, options.processes)
     drawn = drawn_frames(frames)
     schedule = Schedule(seed=options.seed, stages=STAGES)
-    if options.export_only:
-        net = AffinityNet()
-        net.load_state_dict(torch.load(checkpoint, weights_only=True, map_location="cpu")["net"])
-        net.eval()
-    else:
-        net = train(drawn, schedule, checkpoint, options.device, options.processes)
-    kept = torch.load(checkpoint, weights_only=True, map_location="cpu")
+    if not options.export_only:
+        train(drawn, schedule, checkpoint, options.device, options.processes)
+    kept = read_checkpoint(checkpoint)
+    net = AffinityNet()
+    net.load_state_dict(kept["net"])
+    net.eval()
     rng = np.random.default_rng([options.seed, 77])
     calibration = [lesson_of(drawn(rng, STAGES[-1]), rng).inputs for _ in range(_CALIBRATED_ON)]
     options.out.mkdir(parents=True, exist_ok=True)

@@ -127,6 +127,7 @@ def rendered(scenes: Sequence[Scene], folder: Path, processes: int) -> None:
 
 
 def _render(scene: Scene, folder: Path) -> None:
+    """Leave the frames of a scene on the disk: what a process returned would be sent to another one."""
     frames_of_scene(scene, folder)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -47,7 +47,7 @@ def train(
     optimizer = torch.optim.AdamW(net.parameters(), weight_decay=schedule.weight_decay)
     first, before_s = 0, 0.0
     if checkpoint.is_file():
-        kept = torch.load(checkpoint, weights_only=True, map_location=device)
+        kept = read_checkpoint(checkpoint, device)
         net.load_state_dict(kept["net"])
         optimizer.load_state_dict(kept["optimizer"])
         first, before_s = kept["step"], kept["elapsed_s"]
@@ -91,6 +91,18 @@ def train(
             torch.save(state, unfinished)
             unfinished.replace(checkpoint)
     return net.cpu().eval()
+
+
+def read_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Return what training kept: `net`, `optimizer`, `step`, `elapsed_s`, `device` and `processes`.
+
+    Raises:
+        RuntimeError: the file is of an earlier version.
+    """
+    kept: dict[str, Any] = torch.load(path, weights_only=True, map_location=device)
+    if "elapsed_s" not in kept:
+        raise RuntimeError(f"{path}: a checkpoint of an earlier version; remove it, or name another by --checkpoint")
+    return kept
 
 
 def accuracies(net: AffinityNet, lessons: Sequence[Lesson]) -> dict[str, float]:
