@@ -494,8 +494,9 @@ class FrameReport:
 
     `keyframe_index` is None between keyframes; then there is no `frame`, no `segmentation`, no `snapshot`.
     `object_ids` (per observation) says which object each observation went to; `rejected` are the masks that became
-    none. `patches` (h, w, D) are the patch features of the frame, None where none were computed. `metrics` are named
-    numbers for plots: stage timings in seconds under `time/...`, queue lengths under `queue/...`, S under `score/ID`.
+    none; `space` is what the keyframe by itself says of space. `patches` (h, w, D) are the patch features of the frame,
+    None where none were computed. `metrics` are named numbers for plots: stage timings in seconds under `time/...`,
+    queue lengths under `queue/...`, S under `score/ID`.
     """
 
     index: int
@@ -509,6 +510,7 @@ class FrameReport:
     observations: tuple[Observation, ...] = ()
     object_ids: tuple[int | None, ...] = ()
     rejected: tuple[RejectedMask, ...] = ()
+    space: SpaceObservation | None = None
     patches: NDArray[np.float32] | None = None
     decisions: tuple[Decision, ...] = ()
     snapshot: MapSnapshot | None = None

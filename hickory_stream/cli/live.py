@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"found --record-limit {options.record_limit:g}, expected gigabytes, more than 0")
     out = options.out or Path(f"{default_name(options.uri)}.map")
     # What cannot be had is refused before a map that is there is replaced.
-    beside = sinks_beside(options, settings)
+    beside = sinks_beside(options, settings, is_live=True)
     printer = ProgressPrinter(make_style(options))
     recorder: Recorder | None = None
     source: LiveMapSource | None = None

@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
 
     # What cannot be had is refused before a map that is there is replaced.
-    beside = sinks_beside(options, settings)
+    beside = sinks_beside(options, settings, is_live=options.live)
     printer = ProgressPrinter(style, clock.describe)
     keys = Keys(clock)
     if style == "bar" and sys.stdin.isatty():
@@ -133,8 +133,12 @@ def run(options: argparse.Namespace) -> int:
     return finish(options, out, played)
 
 
-def sinks_beside(options: argparse.Namespace, settings: Settings) -> list[Sink]:
-    """Return the sinks of `--metrics-port` and `--costmap`; raises `InputError`."""
+def sinks_beside(options: argparse.Namespace, settings: Settings, *, is_live: bool) -> list[Sink]:
+    """Return the sinks of `--metrics-port` and `--costmap`, where in a live run nothing waits to be sure.
+
+    Raises:
+        InputError: what they are told cannot be had.
+    """
     made: list[Sink] = []
     if options.metrics_port is not None:
         from hickory_stream.sinks.metrics_sink import MetricsSink
@@ -147,7 +151,8 @@ def sinks_beside(options: argparse.Namespace, settings: Settings) -> list[Sink]:
     if options.costmap is not None:
         from hickory_stream.sinks.costmap_sink import CostmapSink
 
-        made.append(CostmapSink(robot_of_option(options.costmap_robot, "--costmap-robot"), path=options.costmap))
+        robot = robot_of_option(options.costmap_robot, "--costmap-robot")
+        made.append(CostmapSink(robot, path=options.costmap, early=is_live))
     return made
 
 

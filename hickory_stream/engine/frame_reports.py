@@ -49,6 +49,7 @@ def keyframe_report(
         observations=perceived.observations,
         object_ids=published.object_ids,
         rejected=perceived.rejected,
+        space=perceived.space,
         patches=patches,
         decisions=published.decisions,
         snapshot=published.snapshot,

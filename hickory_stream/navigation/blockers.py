@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.navigation.outline import outlines_of_hulls, outlines_of_rows
 from hickory_stream.navigation.robot import Part
+from hickory_stream.navigation.stand_ins import SEEN_SURFACE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,16 +21,20 @@ if TYPE_CHECKING:
 class Blocker:
     """An object, or the observed structure (`object_id` None), that a robot at a place would meet.
 
-    `distance_m`: in the plane, from the place to what of it is at the robot's heights; 0 within.
+    `is_observed_only`: in a live run, a stand-in for what was seen of it so far; `SEEN_SURFACE` is what was seen and is
+    of no object yet. `distance_m`: in the plane, from the place to what of it is at the robot's heights; 0 within.
     """
 
     object_id: int | None
     distance_m: float
+    is_observed_only: bool = False
 
     @property
     def text(self) -> str:
         """It, in words."""
         name = "a wall" if self.object_id is None else f"object {self.object_id}"
+        if self.is_observed_only:
+            name = "something seen" if self.object_id == SEEN_SURFACE else f"{name} (observed only)"
         return f"{name}, {self.distance_m:.2f} m away" if self.distance_m > 0 else f"{name}, which is there"
 
 
@@ -41,7 +46,11 @@ def blockers_at(space: FreeSpace, place: NDArray[np.float64]) -> tuple[Blocker, 
     # A body without width, as high as the robot: its outlines are the obstacles' own.
     low_m, high_m = space.heights_m
     slim = Part(low_m=low_m, high_m=high_m)
-    found = [Blocker(object_id=i, distance_m=_distance_m(place, *_outlines(space, i, slim))) for i in ids]
+    early = {*space.observed_only, SEEN_SURFACE}
+    found = [
+        Blocker(object_id=i, distance_m=_distance_m(place, *_outlines(space, i, slim)), is_observed_only=i in early)
+        for i in ids
+    ]
     if any(layer.is_wall_at(row, column) for layer in layers):
         apart_m = _distance_m(place, *outlines_of_hulls(space.walls, slim))
         found.append(Blocker(object_id=None, distance_m=apart_m))

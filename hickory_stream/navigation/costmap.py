@@ -2,7 +2,7 @@
 
 An object is stamped again only when its layer 4 (or, without one, its box) is another one; walls and unknown space
 every few snapshots, since the whole observed space is looked through for them. The grid grows in steps of metres; when
-it does, the next message is a whole one again.
+it does, the next message is a whole one again. In a live run it is early: what has no layer 4 yet has a stand-in.
 """
 
 from __future__ import annotations
@@ -14,15 +14,19 @@ import numpy as np
 
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.navigation.free_space import extent_of, floor_of, layer_four_of, obstacles_of
+from hickory_stream.navigation.free_space import bodies_of, extent_of, floor_of
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import GridFrame, Occupancy, frame_around
 from hickory_stream.navigation.robot import Part
+from hickory_stream.navigation.stand_ins import SEEN_SURFACE
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from hickory_stream.navigation.robot import Robot
+    from hickory_stream.navigation.stand_ins import Obstacle, SeenSurface
     from hickory_stream.records import MapSnapshot
 
 _ROOM_M = 2.0
@@ -45,9 +49,13 @@ class CostmapUpdate:
 
 
 class Costmap:
-    """Follows the snapshots of a run; obstacles at the heights of a robot, in any posture, without its footprint."""
+    """Follows the snapshots of a run; obstacles at the heights of a robot, in any posture, without its footprint.
 
-    def __init__(self, robot: Robot, *, cell_m: float, observe_every: int = 5) -> None:
+    `seen`: what was seen in a live run, in which nothing waits to be sure; whoever calls adds to it.
+    """
+
+    def __init__(self, robot: Robot, *, cell_m: float, observe_every: int = 5, seen: SeenSurface | None = None) -> None:
+        self._seen = seen
         self._heights_m = robot.heights_m
         self._cell_m = cell_m
         self._observe_every = observe_every
@@ -60,29 +68,39 @@ class Costmap:
 
     def update(self, snapshot: MapSnapshot) -> CostmapUpdate | None:
         """Return what changed with a snapshot, None for nothing."""
+        obstacles = bodies_of(snapshot, early=self._seen is not None)
         try:
-            low, high = extent_of(snapshot)
+            low, high = extent_of(snapshot, obstacles)
         except InputError:
             return None  # nothing was seen yet
         floor = floor_of(snapshot)
         grid = self._grid
         if grid is None or not _holds(grid.frame, low, high) or abs(floor - self._floor_m) > _FLOOR_MOVED_M:
             grid = self._begin(low, high, floor)
-        obstacles = {tracked.id: tracked for tracked in obstacles_of(snapshot)}
-        for object_id in sorted(self._known.keys() - obstacles.keys()):
-            grid.remove(object_id)
-            del self._known[object_id]
-        for object_id, tracked in obstacles.items():
-            shape = tracked.box if tracked.shape is None else tracked.shape.inflated
-            if self._known.get(object_id) is not shape:
-                grid.put(object_id, layer_four_of(tracked))
-                self._known[object_id] = shape
+        self._put(grid, snapshot, obstacles)
         self._since_observed += 1
         if self._sent is None or self._since_observed >= self._observe_every:
             seen = seen_columns(snapshot.submaps, grid.frame, self._band, self._floor_m)
             grid.observe(seen.walls, unknown_hulls(seen.is_known, grid.frame, self._band))
             self._since_observed = 0
+        if self._seen is not None:
+            grid.put_hulls(SEEN_SURFACE, self._seen.hulls(snapshot, obstacles, self._band, self._floor_m))
         return self._changed(grid, snapshot.stamp_ns)
+
+    def _put(self, grid: Occupancy, snapshot: MapSnapshot, obstacles: Sequence[Obstacle]) -> None:
+        """Stamp the obstacles that are new or have changed, and take those out that are gone."""
+        records = {tracked.id: tracked for tracked in snapshot.objects}
+        for object_id in sorted(self._known.keys() - {obstacle.id for obstacle in obstacles}):
+            grid.remove(object_id)
+            del self._known[object_id]
+        for obstacle in obstacles:
+            tracked = records[obstacle.id]
+            shape: object = tracked.box if tracked.shape is None else tracked.shape.inflated
+            if obstacle.is_observed_only:
+                shape = tracked  # any new point may reach out
+            if self._known.get(obstacle.id) is not shape:
+                grid.put(obstacle.id, obstacle.body)
+                self._known[obstacle.id] = shape
 
     def _begin(self, low: NDArray[np.float64], high: NDArray[np.float64], floor_m: float) -> Occupancy:
         """Return a new, larger grid, or one for another height of the floor."""

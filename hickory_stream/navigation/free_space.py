@@ -15,23 +15,25 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.errors import InputError
-from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, world_bounds
+from hickory_stream.geometry.superquadric import Superquadrics, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import MOST_BYTES, Cell, GridFrame, Occupancy, distance_field_m, frame_around
 from hickory_stream.navigation.robot import Part, Robot, raised, turned
+from hickory_stream.navigation.stand_ins import MARGIN_M, SEEN_SURFACE, Obstacle, box_as_superquadric, early_obstacles
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.navigation.stand_ins import SeenSurface
     from hickory_stream.records import MapSnapshot, TrackedObject
 
 CELL_M = 0.033
 UnknownSpace = Literal["blocked", "free"]
-_MARGIN_M = 0.02
 _NARROW_CELLS = 3.0
 _GROUP = 256
 _FEW_HEADINGS = 0.4
@@ -69,6 +71,8 @@ class FreeSpace:
         self.walls: NDArray[np.float64] = np.empty((0, 8, 3))
         self.unknown: NDArray[np.float64] = np.empty((0, 8, 3))
         self.hulls: dict[int, NDArray[np.float64]] = {}
+        self.observed_only: frozenset[int] = frozenset()
+        """Objects of which a stand-in is avoided, until they have a layer 4."""
         range_rad = 2 * np.pi / robot.num_headings
         self.parts = [
             [
@@ -190,13 +194,18 @@ def free_space_of(
     cell_m: float = CELL_M,
     unknown: UnknownSpace = "blocked",
     most_bytes: int = MOST_BYTES,
+    seen: SeenSurface | None = None,
 ) -> FreeSpace:
     """Return the free space of a map, for a robot.
+
+    In a live run `seen` is what keyframes have seen: objects without a layer 4 then have stand-ins from their first
+    sighting on, and surface that is of no object is occupied.
 
     Raises:
         InputError: the map is empty, the robot does not fit into it, or the grid would take too much memory.
     """
-    low, high = extent_of(snapshot)
+    obstacles = bodies_of(snapshot, early=seen is not None)
+    low, high = extent_of(snapshot, obstacles)
     layers = len(robot.postures) * robot.num_headings
     frame = frame_around(low, high, cell_m, num_layers=layers, most_bytes=most_bytes)
     room_m = float(np.min(high - low))
@@ -205,14 +214,17 @@ def free_space_of(
             f"the robot {robot.name} reaches {robot.reach_m:.2f} m from its middle; the map is only {room_m:.2f} m wide"
         )
     space = FreeSpace(robot, frame, floor_of(snapshot))
-    for tracked in obstacles_of(snapshot):
-        space.put(tracked.id, layer_four_of(tracked))
+    for obstacle in obstacles:
+        space.put(obstacle.id, obstacle.body)
+    space.observed_only = frozenset(obstacle.id for obstacle in obstacles if obstacle.is_observed_only)
     # One band for all layers: what was seen must not depend on the posture.
     low_m, high_m = space.heights_m
     band = Band(low_m=low_m, high_m=high_m)
-    seen = seen_columns(snapshot.submaps, frame, band, space.floor_z_m)
-    dark = unknown_hulls(seen.is_known, frame, band) if unknown == "blocked" else np.empty((0, 8, 3))
-    space.observe(seen.walls, dark)
+    columns = seen_columns(snapshot.submaps, frame, band, space.floor_z_m)
+    dark = unknown_hulls(columns.is_known, frame, band) if unknown == "blocked" else np.empty((0, 8, 3))
+    space.observe(columns.walls, dark)
+    if seen is not None:
+        space.put_hulls(SEEN_SURFACE, seen.hulls(snapshot, obstacles, band, space.floor_z_m))
     return space
 
 
@@ -224,14 +236,15 @@ def obstacle_grid(snapshot: MapSnapshot, robot: Robot, *, cell_m: float, most_by
     Raises:
         InputError: the map is empty, or the grid would take too much memory.
     """
-    low, high = extent_of(snapshot)
+    obstacles = bodies_of(snapshot)
+    low, high = extent_of(snapshot, obstacles)
     frame = frame_around(low, high, cell_m, most_bytes=most_bytes)
     floor = floor_of(snapshot)
     low_m, high_m = robot.heights_m
     part = Part(low_m=floor + low_m, high_m=floor + high_m)
     grid = Occupancy(frame, [part])
-    for tracked in obstacles_of(snapshot):
-        grid.put(tracked.id, layer_four_of(tracked))
+    for obstacle in obstacles:
+        grid.put(obstacle.id, obstacle.body)
     band = Band(low_m=part.low_m, high_m=part.high_m)
     seen = seen_columns(snapshot.submaps, frame, band, floor)
     grid.observe(seen.walls, unknown_hulls(seen.is_known, frame, band))
@@ -241,6 +254,16 @@ def obstacle_grid(snapshot: MapSnapshot, robot: Robot, *, cell_m: float, most_by
 def obstacles_of(snapshot: MapSnapshot) -> list[TrackedObject]:
     """Return the objects that count as obstacles: all but those that were hardly seen yet."""
     return [tracked for tracked in snapshot.objects if tracked.phase is not Phase.TENTATIVE]
+
+
+def bodies_of(snapshot: MapSnapshot, *, early: bool = False) -> list[Obstacle]:
+    """Return what the obstacles take up, sorted by id; `early`: with stand-ins for all that has no layer 4 yet."""
+    if early:
+        return early_obstacles(snapshot.objects)
+    return [
+        Obstacle(id=tracked.id, body=layer_four_of(tracked), is_observed_only=False)
+        for tracked in obstacles_of(snapshot)
+    ]
 
 
 def without_layer_four(snapshot: MapSnapshot) -> list[int]:
@@ -265,16 +288,7 @@ def layer_four_of(tracked: TrackedObject) -> Superquadrics:
     """Return the inflated superquadrics of an object, or one around its box and a margin of 2 cm."""
     if tracked.shape is not None and len(tracked.shape.inflated):
         return tracked.shape.inflated
-    return box_as_superquadric(tracked.box, _MARGIN_M)
-
-
-def box_as_superquadric(box: OrientedBox, margin_m: float) -> Superquadrics:
-    """Return the superquadric with the sharpest edges that holds a box and a margin around it."""
-    # At a corner of the box G is 3 before this: 1 for each axis.
-    axes = (box.half_extents_m + margin_m) * 3 ** (MIN_EXPONENT / 2) * (1 + 1e-9)
-    return Superquadrics(
-        exponents=np.full((1, 2), MIN_EXPONENT), semi_axes_m=axes[None], world_from_local=box.world_from_box[None]
-    )
+    return box_as_superquadric(tracked.box, MARGIN_M)
 
 
 def floor_of(snapshot: MapSnapshot) -> float:
@@ -286,8 +300,12 @@ def floor_of(snapshot: MapSnapshot) -> float:
     return min((float(tracked.box.corners_world()[:, 2].min()) for tracked in snapshot.objects), default=0.0)
 
 
-def extent_of(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the low and high corner (2,) of what was seen and of all objects."""
+def extent_of(snapshot: MapSnapshot, obstacles: Sequence[Obstacle]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the low and high corner (2,) of what was seen and of all obstacles.
+
+    Raises:
+        InputError: there is neither, or they are not finite.
+    """
     places = [np.empty((0, 2))]
     for submap in snapshot.submaps:
         space = submap.observed_space
@@ -298,7 +316,7 @@ def extent_of(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.fl
             corners = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
             world = corners @ submap.world_from_submap[:3, :3].T + submap.world_from_submap[:3, 3]
             places.append(world[:, :2])
-    bounds = [world_bounds(layer_four_of(tracked)).reshape(-1, 3)[:, :2] for tracked in obstacles_of(snapshot)]
+    bounds = [world_bounds(obstacle.body).reshape(-1, 3)[:, :2] for obstacle in obstacles]
     found = np.concatenate([*places, *bounds])
     if len(found) == 0:
         raise InputError("the map is empty: it has neither objects nor observed space to plan in")

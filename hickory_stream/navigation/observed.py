@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hickory_stream.records import Submap
 
 _SEEN_SHARE = 0.5
-_NO_HULLS = np.empty((0, 8, 3))
+NO_HULLS = np.empty((0, 8, 3))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ def seen_columns(submaps: Sequence[Submap], frame: GridFrame, band: Band, floor_
 
     They count together: where one ends and the next begins, each saw a part of a cell or of its height.
     """
-    walls = [_NO_HULLS, *(wall_hulls(submap, band, floor_z_m) for submap in submaps)]
+    walls = [NO_HULLS, *(wall_hulls(submap, band, floor_z_m) for submap in submaps)]
     heights = _heights(submaps, band)
     is_seen = np.zeros((len(heights), frame.rows + 1, frame.columns + 1), bool)
     for submap in submaps:
@@ -65,14 +65,9 @@ def seen_columns(submaps: Sequence[Submap], frame: GridFrame, band: Band, floor_
 def wall_hulls(submap: Submap, band: Band, floor_z_m: float) -> NDArray[np.float64]:
     """Return (N, 8, 3) the corners, in the world, of boxes that hold all structure within the band but the floor."""
     space = submap.observed_space
-    cells = cells_of_keys(space.structure)
-    centers = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)
-    half = 0.5 * space.voxel_m * float(np.abs(submap.world_from_submap[2, :3]).sum())
-    is_floor = np.abs(centers[:, 2] - floor_z_m) <= space.voxel_m
-    is_within = (centers[:, 2] + half > band.low_m + 1e-9) & (centers[:, 2] - half < band.high_m - 1e-9)
-    cells = cells[is_within & ~is_floor]
+    cells = above_floor(space.structure, space.voxel_m, submap.world_from_submap, band, floor_z_m)
     if len(cells) == 0:
-        return _NO_HULLS
+        return NO_HULLS
     first = cells.min(axis=0)
     # Layer by layer in a tilted submap; where z is up, columns stand for all of their voxels.
     is_upright = abs(submap.world_from_submap[2, 2]) > 1 - 1e-12
@@ -91,11 +86,23 @@ def wall_hulls(submap: Submap, band: Band, floor_z_m: float) -> NDArray[np.float
     return np.asarray(apply(submap.world_from_submap, hulls.reshape(-1, 3)).reshape(-1, 8, 3))
 
 
+def above_floor(
+    keys: NDArray[np.int64], voxel_m: float, world_from_submap: NDArray[np.float64], band: Band, floor_z_m: float
+) -> NDArray[np.int64]:
+    """Return (N, 3) the cells of those keys whose voxels reach into the band and are none of the floor."""
+    cells = cells_of_keys(keys)
+    centers = apply(world_from_submap, (cells + 0.5) * voxel_m)
+    half = 0.5 * voxel_m * float(np.abs(world_from_submap[2, :3]).sum())
+    is_floor = np.abs(centers[:, 2] - floor_z_m) <= voxel_m
+    is_within = (centers[:, 2] + half > band.low_m + 1e-9) & (centers[:, 2] - half < band.high_m - 1e-9)
+    return np.asarray(cells[is_within & ~is_floor])
+
+
 def unknown_hulls(is_known: NDArray[np.bool_], frame: GridFrame, band: Band) -> NDArray[np.float64]:
     """Return (N, 8, 3) the corners of boxes that hold the cells that are not known."""
     boxes = rectangles(~is_known.T)
     if not boxes:
-        return _NO_HULLS
+        return NO_HULLS
     flat = np.array(boxes, dtype=np.float64) * frame.cell_m + np.tile(frame.origin_m, 2)
     low, high = np.full(len(flat), band.low_m), np.full(len(flat), band.high_m)
     return box_corners(np.column_stack([flat[:, :2], low, flat[:, 2:], high]))

@@ -17,6 +17,7 @@ import numpy as np
 
 from hickory_stream.errors import InputError, OutputError
 from hickory_stream.navigation.costmap import Costmap, CostmapUpdate
+from hickory_stream.navigation.stand_ins import SeenSurface
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,7 +38,8 @@ class CostmapSink:
     """Follows the snapshots, and hands what changed to `publish` and to a file.
 
     The file may be a named pipe: until somebody reads it nothing is written, and a reader that comes gets a whole grid
-    first; nobody waits for one. `show` and `close` raise OutputError when the disk refuses.
+    first; nobody waits for one. `early`: in a live run, what was seen and is not sure yet is in the way. `show` and
+    `close` raise OutputError when the disk refuses.
 
     Raises:
         InputError: the file cannot be written.
@@ -50,9 +52,11 @@ class CostmapSink:
         cell_m: float = 0.05,
         path: Path | None = None,
         publish: Callable[[CostmapUpdate], None] | None = None,
+        early: bool = False,
     ) -> None:
         self._robot, self._cell_m, self._path = robot, cell_m, path
-        self._costmap = Costmap(robot, cell_m=cell_m)
+        self._seen = SeenSurface() if early else None
+        self._costmap = Costmap(robot, cell_m=cell_m, seen=self._seen)
         self._publish = publish
         self._pipe = path if path is not None and path.is_fifo() else None
         self._file = _Messages(_opened(path)) if path is not None and self._pipe is None else None
@@ -65,6 +69,8 @@ class CostmapSink:
         """Send what changed with the report's snapshot."""
         if report.snapshot is None:
             return
+        if self._seen is not None and report.space is not None:
+            self._seen.add(report.space, report.snapshot)
         if self._pipe is not None and self._file is None:
             self._connect(self._pipe)
         if self._file is None and self._publish is None:
@@ -97,7 +103,7 @@ class CostmapSink:
         if stream is not None:
             self._file = _Messages(stream)
             # This reader knows nothing: the next update is a whole grid.
-            self._costmap = Costmap(self._robot, cell_m=self._cell_m)
+            self._costmap = Costmap(self._robot, cell_m=self._cell_m, seen=self._seen)
 
     def _write(self, file: _Messages, update: CostmapUpdate) -> None:
         try:

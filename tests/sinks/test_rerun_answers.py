@@ -10,9 +10,10 @@ from test_rerun_arrangement import arrangement_of
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.navigation.free_space import box_as_superquadric, free_space_of
+from hickory_stream.navigation.free_space import free_space_of
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import NoPath, NoPathReason, SearchConfig, plan
+from hickory_stream.navigation.stand_ins import box_as_superquadric
 from hickory_stream.sinks.rerun_alignment import write_alignment
 from hickory_stream.sinks.rerun_path import write_plan
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of

@@ -34,6 +34,7 @@ _HELPERS = {
     "labelled_clouds",
     "live_log",
     "live_receiver",
+    "live_safety",
     "live_scene",
     "map_changes",
     "map_damage",

@@ -1,8 +1,9 @@
 """Live: every route from a fake robot to the ledger and to the map, on the loopback address.
 
-Three parts. Transport: 1280x720 JPEG colour and raw 16-bit depth at 30 Hz over each route, read and paired but not
+Four parts. Transport: 1280x720 JPEG colour and raw 16-bit depth at 30 Hz over each route, read and paired but not
 mapped. Map: the embedded recording as a robot, mapped, recorded, and compared with the map of the recording; the robot
-goes away once. Storm: losses, jitter, disconnections and a restart at once, mapped.
+goes away once. Storm: losses, jitter, disconnections and a restart at once, mapped. Safety: how soon a robot keeps off
+what it sees.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import STRICT_IOU, match_boxes
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.live_log import write_720p
+from tools.benchmarks.live_safety import early_safety
 from tools.benchmarks.processes import ROOT, play
 
 _DEMO = ROOT / "recordings" / "demo.mcap"
@@ -43,6 +45,7 @@ class Sample:
     storm: tuple[str, ...]
     map_options: tuple[str, ...]
     mapped_720p_s: float
+    safety_s: float
 
 
 _STORM = ("--loss", "0.1", "--jitter", "150", "--delay", "40", "--bandwidth", "10", "--clock-offset", "-300")
@@ -54,6 +57,7 @@ _FULL = Sample(
     storm=(*_STORM, "--disconnect", "40:60", "--disconnect", "150:5", "--restart", "200", "--loop", "15"),
     map_options=(),
     mapped_720p_s=8.0,
+    safety_s=20.0,
 )
 _QUICK = Sample(
     log_s=1.0,
@@ -63,6 +67,7 @@ _QUICK = Sample(
     storm=(*_STORM, "--disconnect", "2:1", "--restart", "4", "--seconds", "6"),
     map_options=("--no-shapes",),
     mapped_720p_s=0.0,
+    safety_s=3.0,
 )
 
 
@@ -74,6 +79,7 @@ def measure(options: Options) -> list[Figure]:
         figures = _transport(sample, options.seed, folder)
         figures += _map(sample, options.seed, folder)
         figures += _storm(sample, options.seed, folder)
+        figures += _safety(sample, folder)
     return figures
 
 
@@ -167,6 +173,19 @@ def _storm(sample: Sample, seed: int, folder: Path) -> list[Figure]:
     ]
 
 
+def _safety(sample: Sample, folder: Path) -> list[Figure]:
+    found = early_safety(_DEMO, folder / "safety", seconds=sample.safety_s)
+    things = f"{len(found.shown_s)} things within 3 m"
+    never = len(found.shown_s) - len(found.safe_s)
+    return [
+        _figure("time_to_safe_shape_s", _p95(list(found.safe_s.values())), "s", "lower", f"p95 of {things}"),
+        _figure("never_safe_things", never, "things", "lower", f"of {things}, in {sample.safety_s:g} s"),
+        _figure("stand_in_contained_p5", _p5(found.contained), "share", "higher", "of the surface seen so far"),
+        _figure("avoided_p5", _p5(found.avoided), "share", "higher", "the same with occupied space"),
+        _figure("stand_in_volume_ratio_p95", _p95(found.volumes), "ratio", "lower", "to the final layer 4"),
+    ]
+
+
 def _run(
     via: str, logs: list[Path], folder: Path, *faults: str, to: tuple[str | Path, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -210,6 +229,10 @@ def _unaccounted(sent: dict[str, Any], came: dict[str, Any]) -> int:
 
 def _p95(values: list[float]) -> float:
     return float(np.percentile(values, 95)) if values else 0.0
+
+
+def _p5(values: list[float]) -> float:
+    return float(np.percentile(values, 5)) if values else 0.0
 
 
 def _figure(name: str, value: float, unit: str, better: Any, of: str = "") -> Figure:

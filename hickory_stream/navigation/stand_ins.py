@@ -1,0 +1,240 @@
+"""What a robot keeps off before the map is sure of it: stand-ins for things without a layer 4, and what else was seen.
+
+In a live run nothing waits for 32 sightings. A track has a stand-in from its first keyframe on: its sketch, or its box
+in a few slabs one above the other (a lamp is no pillar), whichever takes less space, grown around all of its points. It
+is never cut upright: the inside of a thing of which two sides were seen stays inside. Surface that is of no track is
+occupied space, until rays pass there or it is found to be structure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.superquadric import (
+    MIN_EXPONENT,
+    Superquadrics,
+    implicit_value,
+    joined,
+    log_implicit_value,
+    sorted_by_volume,
+    volumes_m3,
+    world_bounds,
+)
+from hickory_stream.geometry.voxels import (
+    centers_of_keys,
+    contains,
+    difference,
+    dilate,
+    keys_of_points,
+    sorted_unique,
+    union,
+)
+from hickory_stream.navigation.observed import NO_HULLS, above_floor, box_corners, rectangles
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.navigation.observed import Band
+    from hickory_stream.records import MapSnapshot, SpaceObservation, TrackedObject
+
+MARGIN_M = 0.02
+SEEN_SURFACE = -1
+"""Stands in the place of an object's id for surface that is of no object yet."""
+
+_MOST_SLABS, _CUTS = 4, 15
+_LEAST_SAVED = 0.1
+_THINNEST_M = 0.001
+_GONE = 2
+"""After so many keyframes that saw through it, or structure there, a voxel is no surface any more."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Obstacle:
+    """What an object takes up. `is_observed_only`: no layer 4 was made yet; it is a stand-in for what was seen."""
+
+    id: int
+    body: Superquadrics
+    is_observed_only: bool
+
+
+def early_obstacles(objects: Sequence[TrackedObject]) -> list[Obstacle]:
+    """Return what all objects take up, those that were seen once included."""
+    return [
+        Obstacle(id=tracked.id, body=stand_in_of(tracked), is_observed_only=True)
+        if tracked.shape is None or len(tracked.shape.inflated) == 0
+        else Obstacle(id=tracked.id, body=tracked.shape.inflated, is_observed_only=False)
+        for tracked in objects
+    ]
+
+
+def stand_in_of(tracked: TrackedObject, margin_m: float = MARGIN_M) -> Superquadrics:
+    """Return superquadrics that hold all points of an object and a margin: of its slabs or its sketch the smaller.
+
+    Of the sketch the margin holds along its axes; of the slabs everywhere.
+    """
+    points = tracked.points_world.astype(np.float64)
+    slabs = _slabs(_around(tracked.box, points), points, margin_m)
+    boxed = sorted_by_volume(joined([box_as_superquadric(slab, margin_m) for slab in slabs]))
+    if tracked.sketch is None or len(tracked.sketch) != 1:
+        return boxed
+    sketched = _grown(tracked.sketch, points, margin_m)
+    return sketched if volumes_m3(sketched).sum() < volumes_m3(boxed).sum() else boxed
+
+
+def box_as_superquadric(box: OrientedBox, margin_m: float) -> Superquadrics:
+    """Return the superquadric with the sharpest edges that holds a box and a margin around it."""
+    # At a corner of the box G is 3 before this: 1 for each axis.
+    axes = (box.half_extents_m + margin_m) * 3 ** (MIN_EXPONENT / 2) * (1 + 1e-9)
+    return Superquadrics(
+        exponents=np.full((1, 2), MIN_EXPONENT), semi_axes_m=axes[None], world_from_local=box.world_from_box[None]
+    )
+
+
+def _around(box: OrientedBox, points: NDArray[np.float64]) -> OrientedBox:
+    """Return a box that holds all points, too."""
+    if len(points) == 0:
+        return box
+    local = apply(invert(box.world_from_box), points)
+    return _box_of(box, np.concatenate([local, [-box.half_extents_m, box.half_extents_m]]))
+
+
+def _slabs(box: OrientedBox, points: NDArray[np.float64], margin_m: float) -> list[OrientedBox]:
+    """Return a box that holds all points as slabs that do; one slab as long as more hardly save space."""
+    local = apply(invert(box.world_from_box), points)
+    parts = [np.arange(len(local))]
+    for _ in range(_MOST_SLABS - 1):
+        best, saved_m3 = None, _LEAST_SAVED * sum(_volume_m3(local[part], margin_m) for part in parts)
+        for n, part in enumerate(parts):
+            heights = local[part, 2]
+            for height in np.linspace(heights.min(initial=0.0), heights.max(initial=0.0), _CUTS + 2)[1:-1]:
+                halves = part[heights <= height], part[heights > height]
+                if min(map(len, halves)) == 0:
+                    continue
+                less_m3 = _volume_m3(local[part], margin_m) - sum(_volume_m3(local[half], margin_m) for half in halves)
+                if less_m3 > saved_m3:
+                    best, saved_m3 = (n, halves), less_m3
+        if best is None:
+            break
+        parts[best[0] : best[0] + 1] = best[1]
+    return [box] if len(parts) == 1 else [_box_of(box, local[part]) for part in parts]
+
+
+def _volume_m3(local: NDArray[np.float64], margin_m: float) -> float:
+    return float((np.ptp(local, axis=0) + 2 * margin_m).prod()) if len(local) else 0.0
+
+
+def _box_of(box: OrientedBox, local: NDArray[np.float64]) -> OrientedBox:
+    """Return the box around points in the frame of another one, with its axes."""
+    low, high = local.min(axis=0), local.max(axis=0)
+    pose = box.world_from_box.copy()
+    pose[:3, 3] = apply(box.world_from_box, (low + high)[None] / 2)[0]
+    return OrientedBox(world_from_box=pose, half_extents_m=np.maximum((high - low) / 2, _THINNEST_M))
+
+
+def _grown(sketch: Superquadrics, points: NDArray[np.float64], margin_m: float) -> Superquadrics:
+    """Return a sketch that is larger by a margin along its axes, and by one factor where points are still outside."""
+    steps = sketch.world_from_local[0, :3, :3].T * margin_m
+    held = np.concatenate([points + side * step for step in steps for side in (-1.0, 1.0)])
+    larger = replace(sketch, semi_axes_m=sketch.semi_axes_m + margin_m)
+    log_g = float(log_implicit_value(larger, 0, held).max(initial=0.0))
+    return replace(larger, semi_axes_m=larger.semi_axes_m * np.exp(log_g * larger.exponents[0, 0] / 2) * (1 + 1e-9))
+
+
+class SeenSurface:
+    """The voxels in which keyframes have seen something that is no structure, submap by submap."""
+
+    def __init__(self) -> None:
+        self._seen: dict[int, tuple[NDArray[np.int64], NDArray[np.uint8]]] = {}
+        self._voxel_m = 0.0
+
+    def add(self, seen: SpaceObservation, snapshot: MapSnapshot) -> None:
+        """Take what a keyframe saw; `snapshot` is the map after it."""
+        if not snapshot.submaps:
+            return
+        submap = snapshot.submaps[-1]
+        if submap.observed_space.voxel_m != self._voxel_m:
+            self._seen, self._voxel_m = {}, submap.observed_space.voxel_m
+        self._seen.setdefault(submap.id, (np.empty(0, np.int64), np.empty(0, np.uint8)))
+        against = union(seen.free_keys, seen.structure_keys)
+        new = seen.surface_keys
+        # All keys are in the world of the odometry: what one submap saw, a later one may see through.
+        for submap_id, (keys, misses) in self._seen.items():
+            is_seen = contains(seen.surface_keys, keys)
+            counted = np.where(is_seen, 0, misses + contains(against, keys))
+            stays = counted < _GONE
+            self._seen[submap_id] = (keys[stays], counted[stays].astype(np.uint8))
+            new = difference(new, keys)
+        keys, misses = self._seen[submap.id]
+        merged = union(keys, new)
+        counts = np.zeros(len(merged), np.uint8)
+        counts[np.searchsorted(merged, keys)] = misses
+        self._seen[submap.id] = (merged, counts)
+
+    def keys(self) -> NDArray[np.int64]:
+        """Return the sorted keys of all, in the world of the odometry."""
+        return sorted_unique(np.concatenate([np.empty(0, np.int64), *(keys for keys, _ in self._seen.values())]))
+
+    def hulls(
+        self, snapshot: MapSnapshot, obstacles: Sequence[Obstacle], band: Band, floor_z_m: float
+    ) -> NDArray[np.float64]:
+        """Return (N, 8, 3) the corners, in the world, of boxes that hold what is within the band and of no object.
+
+        `obstacles` are those of the snapshot's objects.
+        """
+        found = [NO_HULLS]
+        for submap in snapshot.submaps:
+            if submap.id not in self._seen:
+                continue
+            keys, _ = self._seen[submap.id]
+            keys = difference(keys, submap.observed_space.structure)
+            keys = _of_no_object(keys, self._voxel_m, submap.world_from_submap, snapshot.objects, obstacles)
+            cells = above_floor(keys, self._voxel_m, submap.world_from_submap, band, floor_z_m)
+            corners = _layered_boxes(cells) * self._voxel_m
+            if len(corners):
+                hulls = box_corners(corners).reshape(-1, 3)
+                found.append(np.asarray(apply(submap.world_from_submap, hulls).reshape(-1, 8, 3)))
+        return np.concatenate(found)
+
+
+def _of_no_object(
+    keys: NDArray[np.int64],
+    voxel_m: float,
+    world_from_submap: NDArray[np.float64],
+    objects: Sequence[TrackedObject],
+    obstacles: Sequence[Obstacle],
+) -> NDArray[np.int64]:
+    """Return the keys of voxels without a point of an object, and whose centre is in no obstacle.
+
+    Where an object has a layer 4, what is beside its points is noise of its edges.
+    """
+    submap_from_world = invert(world_from_submap)
+    for tracked, obstacle in zip(objects, obstacles, strict=True):
+        own = sorted_unique(keys_of_points(apply(submap_from_world, tracked.points_world), voxel_m))
+        keys = difference(keys, own if obstacle.is_observed_only else dilate(own))
+        centers = apply(world_from_submap, centers_of_keys(keys, voxel_m).astype(np.float64))
+        is_inside = np.zeros(len(keys), bool)
+        for i, (low, high) in enumerate(world_bounds(obstacle.body)):
+            near = np.flatnonzero(((centers > low) & (centers < high)).all(axis=1))
+            is_inside[near] |= implicit_value(obstacle.body, i, centers[near]) <= 1.0
+        keys = keys[~is_inside]
+    return keys
+
+
+def _layered_boxes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (M, 6) low and high corners, in voxels, of boxes that make up (N, 3) cells, layer by layer."""
+    boxes: list[tuple[float, ...]] = []
+    for z in np.unique(cells[:, 2]).tolist():
+        flat = cells[cells[:, 2] == z, :2]
+        first = flat.min(axis=0)
+        mask = np.zeros(np.ptp(flat, axis=0) + 1, bool)
+        mask[tuple((flat - first).T)] = True
+        x, y = first.tolist()
+        boxes += [(x0 + x, y0 + y, z, x1 + x, y1 + y, z + 1) for x0, y0, x1, y1 in rectangles(mask)]
+    return np.array(boxes, dtype=np.float64).reshape(-1, 6)
