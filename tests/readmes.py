@@ -1,13 +1,12 @@
-"""The READMEs: that of the project, and those beside the code of a package."""
+"""What a README consists of: its code, and its prose."""
 
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-ROOT = Path(__file__).resolve().parent.parent
-FOLDERS = ("hickory_stream", "players", "tools", "recordings")
-READMES = (ROOT / "README.md", *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("README.md")))
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def blocks_of(language: str, readme: Path) -> str:

@@ -16,7 +16,8 @@ from hickory_stream.cli import main
 from hickory_stream.cli.completion import commands_of, fish_script, zsh_script
 from hickory_stream.cli.examples import TEXTS
 from hickory_stream.cli.parser import make_parser
-from tests.readmes import READMES, blocks_of
+from tests.readmes import blocks_of
+from tools.readmes import READMES
 
 if TYPE_CHECKING:
     from pathlib import Path

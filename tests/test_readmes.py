@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.readmes import READMES, ROOT, blocks_of, prose_of
+from tests.readmes import blocks_of, prose_of
+from tools.readmes import READMES, ROOT
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 from hickory_stream.mapping.lifecycle import life_cycle_table
+from tools.readmes import ROOT, filled
 
-README = Path(__file__).resolve().parent.parent / "hickory_stream" / "mapping" / "README.md"
-_PLACE = re.compile(r"(<!-- life cycle -->\n).*?(<!-- end of life cycle -->\n)", re.DOTALL)
+README = ROOT / "hickory_stream" / "mapping" / "README.md"
+_OPENING, _CLOSING = "<!-- life cycle -->", "<!-- end of life cycle -->"
 
 if __name__ == "__main__":
     text = README.read_text(encoding="utf-8")
-    written = _PLACE.sub(lambda found: f"{found[1]}\n{life_cycle_table()}\n{found[2]}", text)
+    written = filled(text, _OPENING, _CLOSING, lambda found: f"\n{life_cycle_table()}")
     README.write_text(written, encoding="utf-8")
     print("written" if written != text else "as it was", README)

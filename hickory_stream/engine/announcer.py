@@ -1,4 +1,4 @@
-"""What tells others of a run: sinks, whoever iterates over the snapshots, and the progress bar."""
+"""Publishes what a run does: to sinks, to the consumer that iterates over the snapshots, and to the progress bar."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Announcer:
-    """Keeps the newest `snapshot`: reports are shown where the map has them. `waits` for sinks that are full."""
+    """Keeps the newest `snapshot`, whose pose corrections reports are shown with; `waits`: for sinks that are full."""
 
     def __init__(
         self,
@@ -36,7 +36,7 @@ class Announcer:
 
     @property
     def num_not_shown(self) -> int:
-        """How many reports sinks that were behind did not get."""
+        """How many reports were left out for sinks that could not keep up."""
         return sum(sink.num_dropped for sink in self._sinks)
 
     @property

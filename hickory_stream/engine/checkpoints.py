@@ -1,4 +1,4 @@
-"""The state of the core as a checkpoint keeps it: the sure part of a track's cloud is but a choice of its points."""
+"""The state of the core as a checkpoint stores it: the reliable part of a track's cloud as a mask over its points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PackedTrack:
-    """A track whose `solid` is the part of its cloud that is marked: half of what a checkpoint would take."""
+    """A track whose `solid` is stored as a mask over its cloud: half of what a checkpoint would take."""
 
     track: Track
     is_solid: NDArray[np.bool_]

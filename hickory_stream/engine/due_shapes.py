@@ -1,4 +1,4 @@
-"""What tells the core of shapes: those that are due (playback), or that have come (live), and the last ones."""
+"""Commits results of shape jobs to the core: when they are due (playback) or have arrived (live), and at the end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class OutOfPatienceError(Exception):
-    """A stopped run waits no longer."""
+    """The grace period of a stopped run is over."""
 
 
 class DueShapes:

@@ -1,4 +1,4 @@
-"""What carries out effects: gives the core an event, and does what the core wants until it wants nothing more."""
+"""Carries out effects: gives the core an event, then does what its effects ask for until none is left."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class EffectRunner:
         self._crop_margin = crop_margin
 
     async def handle(self, event: Event, at_hand: AtHand | None = None) -> Handled:
-        """Let the core decide, and carry out what it wants."""
+        """Give the core an event, and carry out its effects and those that follow from them."""
         published: Publish | None = None
         patches: NDArray[np.float32] | None = None
         asked: Event | None = event

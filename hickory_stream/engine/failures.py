@@ -1,4 +1,4 @@
-"""What failed while a map was made: the shape jobs that gave nothing, by reason, as the map folder keeps them."""
+"""Failures while a map was made: shape jobs without a result, by reason, as the map folder keeps them."""
 
 from __future__ import annotations
 

@@ -13,8 +13,8 @@
       ledger.json     what became of every message and frame
       timings.json    seconds; in no digest
 
-`objects.json` is replaced last and what it no longer names is removed after that: killed at any byte, the folder opens
-as of its last complete save. No pickle is written or read.
+`objects.json` is replaced last and what it no longer names is removed after that: whenever a run is killed, its
+folder opens as of its last complete save. No pickle is written or read.
 """
 
 from __future__ import annotations

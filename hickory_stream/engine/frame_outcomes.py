@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class FrameOutcome(StrEnum):
     """What becomes of a frame; the values are the names of the counts.
 
-    `DROPPED`: it would have been a keyframe, had the map not been behind. `UNDECODABLE`: it was to be one, and its
+    `DROPPED`: a keyframe that was left out because mapping could not keep up. `UNDECODABLE`: it was to be one, and its
     images are torn.
     """
 

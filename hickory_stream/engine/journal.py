@@ -1,4 +1,4 @@
-"""`journal.mcap`: every event of a run, step by step, so that the run can be continued, repeated and looked back at.
+"""`journal.mcap`: every event of a run, step by step, so that the run can be resumed, replayed and inspected.
 
 Each step is one compressed chunk with a CRC: a file that was cut anywhere holds all steps before the cut. Messages are
 CBOR (see `record_codec`), one channel per kind of event; the channel `step` says where the run stood, `checkpoint`
@@ -194,7 +194,7 @@ class JournalWriter:
 
 
 class _Parts:
-    """Where the arrays of the checkpoints are: (chunk, number in the chunk), by identity, while they are alive."""
+    """Where the arrays of earlier checkpoints are stored: (chunk, number in the chunk), by identity of the array."""
 
     def __init__(self) -> None:
         self._places: dict[int, tuple[NDArray[Any], tuple[int, int]]] = {}
@@ -327,7 +327,7 @@ class Journal:
             yield self.entry(index)
 
     def cut_to_resumable(self) -> None:
-        """Forget what a run cannot be continued from: what follows the first damage, or was committed at a stop."""
+        """Leave out the steps that a run cannot be continued from: after the first damage, or committed at a stop."""
         for position, chunk in enumerate(self._steps):
             try:
                 kind = self.step(position).kind
@@ -401,7 +401,7 @@ class Journal:
 
 
 def _check_unpacked_size(chunk: Chunk) -> None:
-    """Refuse a chunk that would unpack to something else than it says, or to more than there can be.
+    """Refuse a chunk that is not compressed by zstd, or declares another size than its data has or a map can need.
 
     Raises:
         ValueError: it is none of ours.

@@ -1,4 +1,4 @@
-"""How late the event loop runs what is due: the one number that says whether something holds it."""
+"""The delay of the event loop: how late it runs what is due, and so whether anything blocks it."""
 
 from __future__ import annotations
 

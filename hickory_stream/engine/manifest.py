@@ -1,4 +1,4 @@
-"""The manifest: what a map folder says of itself, and how one is told from any other folder."""
+"""The manifest of a map folder, and how such a folder is told from any other."""
 
 from __future__ import annotations
 

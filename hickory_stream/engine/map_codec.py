@@ -3,7 +3,7 @@
 The name of a binary file carries the hash of its content: a document can only refer to files that are complete, and a
 file that exists never needs to be written again. Float32 arrays without a file of their own (features) are base64.
 
-What is read may come from anybody: every name is checked before it is followed, every number before it is believed.
+What is read may come from anybody: every name is checked before it is opened, every number before it is used.
 """
 
 from __future__ import annotations

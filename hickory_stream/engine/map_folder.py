@@ -1,7 +1,7 @@
 """The map folder while it is written: made, continued, saved and finished by one process.
 
-`objects.json` is replaced last and what it no longer names is removed after that: killed at any byte, the folder opens
-as of its last complete save. `folder_layout` says what it holds, `saved_map` reads it.
+`objects.json` is replaced last and what it no longer names is removed after that: whenever a run is killed, its
+folder opens as of its last complete save. `folder_layout` says what it holds, `saved_map` reads it.
 """
 
 from __future__ import annotations

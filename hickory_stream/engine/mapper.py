@@ -56,7 +56,7 @@ class Mapper:
 
     Entering makes the shape workers available; leaving ends them, and a run whose loop was left before its end: as
     `stop` does, with the map saved, or at once where an error or a temporary folder leaves nothing to save. One `run`
-    per mapper. In between linear algebra has one thread in this process: the cores are busy with workers, and sums that
+    per mapper. Meanwhile BLAS has one thread in this process: the processors are busy with workers, and sums that
     are split differently differ in their last bits.
 
     Raises:

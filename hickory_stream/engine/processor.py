@@ -1,4 +1,4 @@
-"""Which kind of processor a map depends on: none, where everything that decided it rounds in one way everywhere.
+"""Which kind of processor a map depends on: none, where all arithmetic that decided it rounds alike everywhere.
 
 From pixels to layer 4 that is shown for x86-64 (`tools/bench engine --only processors`). The network of affinities adds
 integers (`perception/pixel_network.py`). It is not shown for other networks, which run as onnxruntime chooses, for

@@ -1,4 +1,4 @@
-"""From a source to the loop: frames on their way, decoded ahead in a playback, the newest ones in a live run."""
+"""Reads a source for the event loop: decoded ahead in a playback, the newest frames in a live run."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Position:
 
 
 class Reader:
-    """What reads: takes frames from a source, on a thread of its own, into a channel until it ends or the run stops.
+    """Takes frames from a source, on a thread of its own, into a channel until it ends or the run stops.
 
     A playback has few frames on their way, decoded, and waits while they are not taken. A live run has a second of
     them, still compressed, the newest.
@@ -199,7 +199,7 @@ class Reader:
         return raw
 
     def _is_late(self, last_ns: int | None, stamp_ns: int) -> bool:
-        """Return whether a frame comes after a younger one, but not so much that the clock must have gone back."""
+        """Return whether a frame is out of order: older than the one before, but by less than a jump of the clock."""
         return last_ns is not None and 0 < last_ns - stamp_ns <= self._config.run.late_s * 1e9
 
     async def _decoded(self, raw: RawFrame, index: int) -> Frame | None:

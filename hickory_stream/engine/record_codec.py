@@ -68,8 +68,8 @@ def decode(data: bytes, part: Callable[[int, int], NDArray[Any]] | None = None) 
         ValueError: the bytes are damaged, or hold a record that this version does not know.
     """
     try:
-        # Every item takes a byte at least, unless items are shared, which ours never are: a few bytes that unfold
-        # to more have been made for that.
+        # Every item takes a byte at least, unless items are shared, which ours never are: a few bytes that expand
+        # to more items were crafted to exhaust memory.
         return _Reader(part, most_items=len(data)).value(cbor2.loads(data))
     except _DAMAGE as error:
         raise ValueError(f"no record of this version: {error!r}") from error

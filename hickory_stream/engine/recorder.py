@@ -1,4 +1,4 @@
-"""What of a run reaches the disk while it goes on: pixels of kept views, then the step of the journal that needs them.
+"""Writes to the disk while a run goes on: the pixels of kept views, then the step of the journal that needs them.
 
 One thread does it all, in the order in which it was asked for: a step that is in the journal has its views beside it,
 and what it drops is removed only after it is there.

@@ -1,4 +1,4 @@
-"""A running log that finds itself in a stored map: mapped as it plays, and aligned again and again as it grows.
+"""Relocalisation of a running log in a stored map: it is mapped as it plays, and aligned again as its map grows.
 
 A place is believed when two answers in a row agree: the first one may be chance that a few more objects would undo.
 """

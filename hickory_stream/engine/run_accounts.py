@@ -1,4 +1,4 @@
-"""What a run says of itself: numbers for plots as it goes, and where every message, frame, job and second went."""
+"""The accounts of a run: metrics for plots, the ledger of messages, frames and jobs, and where the time went."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A map folder that is read: the map as of its last complete save, and what was known at earlier moments.
 
-What looks back needs the core; it is imported when it is asked for, so that a map opens in half of the time.
+Looking back needs the core, which is imported only when it is asked for, so that a map opens in half of the time.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class SavedMap:
 
     @property
     def doubt(self) -> str:
-        """Why what the map says of its layer 4 may not hold, in a sentence; "" where its digest is as it must be."""
+        """Why the map's layer 4 may not be what was proven, in a sentence; "" where its digest is the manifest's."""
         if self.is_altered:
             expected = self.manifest.digest
             told = f"its manifest says {expected[:16]}" if expected is not None else "its manifest has none"

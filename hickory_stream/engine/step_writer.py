@@ -1,4 +1,4 @@
-"""What writes steps: collects what happens between two keyframes, and has it written as one entry of the journal."""
+"""Collects what happens between two keyframes, and has it written as one step of the journal."""
 
 from __future__ import annotations
 

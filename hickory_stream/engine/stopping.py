@@ -1,4 +1,4 @@
-"""The request to end a run, and how long the run still waits for what was begun."""
+"""The request to end a run, and the grace period in which work that was begun may finish."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kernels are compiled by the first call there ever is, which takes a minute: here, so that it is in nobody's job.
+"""Warm-up of the compiler: numba kernels are compiled here, which takes a minute, rather than in the first job.
 
 As a program (`python -m hickory_stream.engine.warm_up PART`) it prints the name of every kernel that it compiles, as a
 line of JSON: `first_run` is its caller.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tools.benchmarks.damage import run_cases
-from tools.benchmarks.repetitions import Repetitions, code_hash, measurement_folder
+from tools.benchmarks.repetitions import Repetitions, code_hash, measurement_folder, syntax_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -68,3 +68,9 @@ def test_damage_broken_off_and_continued_gives_the_figures_of_one_go(tmp_path: P
     second.close()
     assert continued.cases == 12
     assert continued == run_cases(12, 3)
+
+
+def test_a_rewritten_docstring_or_comment_is_the_same_code() -> None:
+    before = 'def half(x: float) -> float:\n    """Return half."""\n    return x / 2\n'
+    told = 'def half(x: float) -> float:\n    """Return x by two."""\n    return x / 2  # exactly\n'
+    assert syntax_of(before) == syntax_of(told) != syntax_of(before.replace("2", "3"))

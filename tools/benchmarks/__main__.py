@@ -112,8 +112,6 @@ def main() -> int:
         if not arguments.write_docs:
             parser.error(f"name a benchmark: {', '.join(names)}")
         return _write_docs()
-    if arguments.write_docs and arguments.only:
-        parser.error("--write-docs takes a whole or a quick run, not --only a part")
     module = importlib.import_module(f"tools.benchmarks.{arguments.name}")
     if arguments.quick:
         print("quick: a smaller sample")
@@ -146,10 +144,16 @@ def main() -> int:
     if arguments.set_baseline is not None:
         set_baseline(path, figures, arguments.set_baseline)
     if arguments.write_docs:
-        keep(arguments.name, figures, is_quick=arguments.quick)
+        keep(arguments.name, figures, options=_sample(arguments))
         _write_docs()
     is_partial = arguments.quick or bool(arguments.only)
     return check(path, figures, is_partial=is_partial) if arguments.check else 0
+
+
+def _sample(arguments: argparse.Namespace) -> str:
+    """Return the options that made a run a part or a smaller sample, as they are typed."""
+    only = " ".join(["", "--only", *arguments.only]) if arguments.only else ""
+    return (" --quick" if arguments.quick else "") + (" --maps" if arguments.maps else "") + only
 
 
 def _write_docs() -> int:

@@ -1,16 +1,24 @@
 """The tables of figures in the READMEs, filled from what was measured last: `tools/bench NAME --write-docs`.
 
 A table stands between `<!-- figures: NAME -->` and `<!-- end of figures -->`. A row says in its first column what a
-figure means, with its name in backticks, and has goals in the columns between; the last column, and the line under the
+figure means, with its name in backticks, and has goals in the columns between; the last column, and the lines under the
 table, are written from `measured/NAME.json`: when and at which commit that was, and whether the code is another by now.
-With `<!-- figures: NAME, goals -->` the whole table is written: every figure for which the baseline has a goal.
+A comment in the first cell says what the last one is to look like (`<!-- {found} of {things} -->`).
+
+- `<!-- figures: NAME, goals -->`: the whole table is written, every figure for which the baseline has a goal.
+- `<!-- figures: by row -->`: the last cell of a row names its benchmark (`tools/bench NAME`), and the last cell but one
+  is filled.
+
+A figure may be measured in parts (`--only kills`), at different times: each replaces older ones of the same name alone.
 """
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
+import textwrap
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,128 +27,191 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.json_text import dumps
 from tools.benchmarks.baseline import baseline_file, read_baseline
 from tools.benchmarks.figures import records_of
-from tools.benchmarks.processes import ROOT
 from tools.benchmarks.repetitions import commit_of_the_code, product_hash
+from tools.readmes import READMES, filled
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from tools.benchmarks.figures import Figure
 
 MEASURED = Path(__file__).parent / "measured"
-_BLOCK = re.compile(
-    r"(<!-- figures: (?P<name>\w+)(?P<goals>, goals)? -->\n)(?P<body>.*?)(\n?<!-- end of figures -->)", re.DOTALL
-)
-_OLDER = " **The code has changed since.**"
+_OPENING, _CLOSING = r"<!-- figures: (?P<name>by row|\w+)(?P<goals>, goals)? -->", "<!-- end of figures -->"
+_OLDER = "\n**The code has changed since.**"
+_OLDER_IN_A_ROW = ", **older than the code**"
 _NEVER = "*Typed before measurements were kept: older than the code. `tools/bench {name} --write-docs` measures it.*"
 _NONE = "*No measurement is kept yet: `tools/bench {name} --write-docs` makes one.*"
+_COMMENT = re.compile(r"<!-- (.*?) -->")
 _ABSENT = "not measured"
+_WIDTH = 120
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Measured:
-    """What was measured last: `values` by name, each as it is shown.
+class Run:
+    """One run of a benchmark: what it measured, by name, each as it is shown.
 
-    `code` is the hash of the packages then, `load` how many processes wanted a processor, the measured ones included.
+    `options` are those of `tools/bench` that made it a part or a smaller sample, `code` is the hash of what the
+    packages did then, `load` how many processes wanted a processor, the measured ones included; None: not noted.
     """
 
     values: Mapping[str, str]
+    options: str
     commit: str
     date: str
     code: str
-    load: float
-    is_quick: bool
+    load: float | None
 
 
-def keep(name: str, figures: Sequence[Figure], *, is_quick: bool, folder: Path = MEASURED) -> None:
-    """Write what a benchmark measured just now, with the commit, the date and the hash of the code."""
+def keep(
+    name: str,
+    figures: Sequence[Figure],
+    *,
+    options: str,
+    folder: Path = MEASURED,
+    about: Mapping[str, Any] | None = None,
+) -> None:
+    """Write what a benchmark measured; older figures of the same names are forgotten.
+
+    Args:
+        name: of the benchmark.
+        figures: what it measured.
+        options: with which of `tools/bench` it was a part or a smaller sample.
+        folder: where measurements are kept.
+        about: commit, date, hash of the code, and load; of now, if not given.
+    """
+    if about is None:
+        today = datetime.now(tz=UTC).date().isoformat()
+        load = round(os.getloadavg()[0], 1)
+        about = {"commit": commit_of_the_code(), "date": today, "code": product_hash(), "load": load}
+    path = folder / f"{name}.json"
+    anew = {figure.name for figure in figures}
+    runs = json.loads(path.read_text(encoding="utf-8"))["runs"] if path.is_file() else []
+    for run in runs:
+        run["figures"] = [entry for entry in run["figures"] if entry["name"] not in anew]
+    runs.append({"options": options, **about, "figures": records_of(figures)})
     folder.mkdir(exist_ok=True)
-    about = {"commit": commit_of_the_code(), "date": datetime.now(tz=UTC).date().isoformat(), "code": product_hash()}
-    load = round(os.getloadavg()[0], 1)
-    content = {**about, "load": load, "is_quick": is_quick, "figures": records_of(figures)}
-    (folder / f"{name}.json").write_text(dumps(content, indent=1) + "\n", encoding="utf-8")
+    path.write_text(dumps({"runs": [run for run in runs if run["figures"]]}, indent=1) + "\n", encoding="utf-8")
 
 
-def read_measured(name: str, folder: Path = MEASURED) -> Measured | None:
-    """Return what a benchmark measured last; None where nothing was kept."""
+def read_measured(name: str, folder: Path = MEASURED) -> tuple[Run, ...]:
+    """Return the runs of a benchmark that are kept, of each figure the last; none where nothing was kept."""
     path = folder / f"{name}.json"
     if not path.is_file():
-        return None
-    content = json.loads(path.read_text(encoding="utf-8"))
-    values = {entry["name"]: _shown(entry) for entry in content["figures"]}
-    about = {key: content[key] for key in ("commit", "date", "code", "load", "is_quick")}
-    return Measured(values=values, **about)
+        return ()
+    return tuple(
+        Run(
+            values={entry["name"]: _shown(entry) for entry in run["figures"]},
+            **{key: run[key] for key in ("options", "commit", "date", "code", "load")},
+        )
+        for run in json.loads(path.read_text(encoding="utf-8"))["runs"]
+    )
 
 
 def write_docs(folder: Path = MEASURED) -> list[Path]:
     """Fill the tables of all READMEs; return those that have changed."""
     changed = []
     code = product_hash()
-    for readme in readmes():
+    for readme in READMES:
         text = readme.read_text(encoding="utf-8")
-        filled = filled_in(text, folder=folder, code=code)
-        if filled != text:
-            readme.write_text(filled, encoding="utf-8")
+        written = filled_in(text, folder=folder, code=code)
+        if written != text:
+            readme.write_text(written, encoding="utf-8")
             changed.append(readme)
     return changed
 
 
-def readmes() -> Iterator[Path]:
-    """Yield the README of the project and those beside the code."""
-    yield ROOT / "README.md"
-    for package in ("hickory_stream", "players", "tools"):
-        yield from sorted((ROOT / package).rglob("README.md"))
-
-
 def filled_in(text: str, *, folder: Path, code: str) -> str:
     """Return a text with its tables filled; `code` is the hash of the packages now."""
+    measured = functools.cache(functools.partial(read_measured, folder=folder))
 
-    def fill(block: re.Match[str]) -> str:
+    def write(block: re.Match[str]) -> str:
         name = block["name"]
-        measured = read_measured(name, folder)
-        body = block["body"]
-        lines = [line for line in body.splitlines() if line.startswith("|")]
+        lines = [line for line in block["body"].splitlines() if line.startswith("|")]
+        if name == "by row":
+            rows = [_row_with_benchmark(line, measured(_benchmark_of(line)), code) for line in lines[2:]]
+            return "\n".join([*lines[:2], *rows])
+        runs = measured(name)
         if block["goals"]:
-            lines = _table_of_goals(name, measured) if measured is not None else []
-        elif measured is not None:
-            lines = lines[:2] + [_row(line, measured.values) for line in lines[2:]]
-        caption = _NEVER.format(name=name) if measured is None else _caption(name, measured, code)
-        if block["goals"] and measured is None:
-            caption = _NONE.format(name=name)
-        return block[1] + "\n".join([*lines, *([""] if lines else []), caption, "<!-- end of figures -->"])
+            lines = _table_of_goals(name, runs) if runs else []
+        elif runs:
+            lines = lines[:2] + [_row(line, runs) for line in lines[2:]]
+        if not runs:
+            captions = [(_NONE if block["goals"] else _NEVER).format(name=name)]
+        else:
+            captions = _captions(name, runs, {figure for line in lines[2:] for figure in _named(line)}, code)
+        return "\n".join([*lines, *([""] if lines else []), *captions])
 
-    return _BLOCK.sub(fill, text)
+    return filled(text, _OPENING, _CLOSING, write)
 
 
 def without_age(text: str) -> str:
     """Return a text without what it says of the age of its figures: that changes with every change of the code."""
-    return text.replace(_OLDER, "")
+    return text.replace(_OLDER, "").replace(_OLDER_IN_A_ROW, "")
 
 
-def _caption(name: str, measured: Measured, code: str) -> str:
-    quick = " --quick" if measured.is_quick else ""
-    told = (
-        f"*`tools/bench {name}{quick}`, {measured.date}, commit {measured.commit}, under a load of {measured.load:g}.*"
-    )
-    return told + (_OLDER if measured.code != code else "")
+def _captions(name: str, runs: Sequence[Run], wanted: Collection[str], code: str) -> list[str]:
+    """Return a line for each run that some of the wanted figures are from; it names them where there are several."""
+    used = [run for run in runs if not run.values.keys().isdisjoint(wanted)]
+    lines = []
+    for run in used:
+        figures = ", ".join(f"`{figure}`" for figure in run.values if figure in wanted)
+        load = f", under a load of {run.load:g}" if run.load is not None else ""
+        told = f"`tools/bench {name}{run.options}`, {run.date}, commit {run.commit}{load}"
+        about = f"*{told}.*" if len(used) == 1 else f"*{told}: {figures}.*"
+        wrapped = textwrap.fill(about, _WIDTH, break_long_words=False, break_on_hyphens=False)
+        lines.append(wrapped + (_OLDER if run.code != code else ""))
+    return lines
 
 
-def _row(line: str, values: Mapping[str, str]) -> str:
-    """Return a row with its last cell filled: the values of the figures that its first cell names, in their order."""
-    cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
-    named = re.findall(r"`(\w+)`", cells[0])
-    found = [values[name] for name in named if name in values]
-    return "| " + " | ".join([*cells[:-1], ", ".join(found) or _ABSENT]) + " |"
+def _row(line: str, runs: Sequence[Run]) -> str:
+    """Return a row with its last cell filled."""
+    return _joined([*_cells(line)[:-1], _filled(line, runs)])
 
 
-def _table_of_goals(name: str, measured: Measured) -> list[str]:
+def _row_with_benchmark(line: str, runs: Sequence[Run], code: str) -> str:
+    """Return a row whose last cell names its benchmark: filled, and with the commit there, if anything was measured."""
+    cells = _cells(line)
+    used = [run for run in runs if not run.values.keys().isdisjoint(_named(line))]
+    if not used:
+        return _joined([*cells[:-1], f"`tools/bench {_benchmark_of(line)}`, typed before measurements were kept"])
+    told = "; ".join(f"`tools/bench {_benchmark_of(line)}{run.options}`, {run.date}, {run.commit}" for run in used)
+    older = _OLDER_IN_A_ROW if any(run.code != code for run in used) else ""
+    return _joined([*cells[:-2], _filled(line, used), told + older])
+
+
+def _filled(line: str, runs: Sequence[Run]) -> str:
+    """Return the measured values of a row, as the comment in its first cell says, else in the order of their names."""
+    values = {name: value for run in runs for name, value in run.values.items()}
+    names = _named(line)
+    if template := _COMMENT.search(_cells(line)[0]):
+        return template[1].format_map(dict.fromkeys(names, _ABSENT) | values)
+    return ", ".join(values[name] for name in names if name in values) or _ABSENT
+
+
+def _benchmark_of(line: str) -> str:
+    """Return which benchmark the last cell of a row names."""
+    return re.findall(r"`tools/bench (\w+)", line)[-1]
+
+
+def _named(line: str) -> list[str]:
+    """Return the figures that the first cell of a row names: in its comment, if it has one, else in backticks."""
+    cell = _cells(line)[0]
+    template = _COMMENT.search(cell)
+    return re.findall(r"\{(\w+)\}", template[1]) if template else re.findall(r"`(\w+)`", cell)
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def _joined(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _table_of_goals(name: str, runs: Sequence[Run]) -> list[str]:
     path = baseline_file(name)
     goals = {key: entry["goal"] for key, entry in read_baseline(path)["figures"].items()} if path.is_file() else {}
-    rows = [
-        f"| `{key}` | {goal:g} | {measured.values.get(key, _ABSENT)} |"
-        for key, goal in goals.items()
-        if isinstance(goal, int | float)
-    ]
+    rows = [_row(f"| `{key}` | {goal:g} | |", runs) for key, goal in goals.items() if isinstance(goal, int | float)]
     return ["| figure | goal | measured |", "|---|---|---|", *rows]
 
 

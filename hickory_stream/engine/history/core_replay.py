@@ -41,7 +41,7 @@ class Replayed:
     published: Publish | None
 
 
-# What the core may meet in events and states that are whole and of the right types, and yet make no sense together.
+# Errors of the core on events and states that are well-formed one by one but contradict one another.
 _NONSENSE = (ValueError, LookupError, TypeError, AttributeError, AssertionError, ArithmeticError, MemoryError)
 
 
@@ -104,7 +104,7 @@ class Replay:
 
     @contextmanager
     def _sense(self) -> Iterator[None]:
-        """Tell what the core cannot make sense of as damage of the journal."""
+        """Report what the core cannot process as damage of the journal."""
         try:
             yield
         except _NONSENSE as error:

@@ -133,7 +133,7 @@ def frame_pose(path: Path, frame: int) -> tuple[Camera, FramePose]:
 
 
 def _told(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntry, Told]]:
-    """Yield the steps and what was told of each; from the first that holds nothing of it, what comes of the events."""
+    """Yield the steps and the decisions of each; from the first step that has none, those of a replay of its events."""
     first = 0
     for entry in journal.entries():
         if entry.told is None and entry.step.kind is StepKind.KEYFRAME:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import RunConfig
 
-# What is run and connected to: that is never taken from a map.
+# Which program is run and which address connected to is never taken from a map, which may come from anybody.
 MACHINE_KEYS = ("worker_python", "cluster")
 
 
@@ -34,7 +34,7 @@ def recorded_config(path: Path) -> MapperConfig:
 
 
 def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False) -> MapperConfig:
-    """Return the configuration that a map goes on with: its own, but what is run and connected to from `own`.
+    """Return the configuration to continue a map with: its own, but interpreter and cluster are those of `own`.
 
     `ignores_recorded`: that the map was made with other workers is no reason to refuse.
 

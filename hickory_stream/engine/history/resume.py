@@ -80,7 +80,7 @@ def reopen(
 
 
 def was_sought(path: Path) -> bool:
-    """Return whether somebody went to and fro in the log while it was played: such a run cannot be continued.
+    """Return whether somebody sought in the log while it was played: such a run cannot be continued.
 
     Raises:
         MapFolderError: there is no journal, or it is damaged.

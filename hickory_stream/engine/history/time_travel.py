@@ -56,7 +56,7 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
 
 
 def seen_by(final: MapSnapshot, stamp_ns: int) -> MapSnapshot:
-    """Return what is known in the end, of the objects that had been seen by a stamp, with the views taken by then.
+    """Return the finished map, restricted to objects that had been seen by a stamp and to views taken by then.
 
     An object that had been seen then keeps its final shape and points; one whose views are all later has none left.
     """

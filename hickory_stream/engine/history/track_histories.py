@@ -25,7 +25,7 @@ class Joined:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Turn:
-    """Another event in the history of a track; `frame` is None at the end of the run."""
+    """Any other event in the history of a track; `frame` is None at the end of the run."""
 
     frame: int | None
     text: str
