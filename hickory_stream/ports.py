@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         FrameReport,
         MapPrior,
         RawFrame,
+        Scan,
         Segmentation,
         SemanticImage,
         SourceInfo,
@@ -285,6 +286,50 @@ class BuiltShape:
 
     def __post_init__(self) -> None:
         freeze(self, "seen_share", "f8", (len(self.fitted),))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Registered:
+    """Where a scan was taken: `start_from_sensor` (4, 4), the sensor's pose in its frame at the first scan.
+
+    `information` (6, 6) is that of the pose's error in the sensor's frame, rotation (rad) first, then translation (m);
+    None where the method does not say. `degenerate` (K, 6) are unit directions, in the same order, along which the scan
+    says nothing: there the pose is the predicted one.
+    """
+
+    stamp_ns: int
+    start_from_sensor: NDArray[np.float64]
+    information: NDArray[np.float64] | None
+    degenerate: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self, "start_from_sensor", "f8", (4, 4))
+        freeze(self, "degenerate", "f8", (None, 6))
+        if self.information is not None:
+            freeze(self, "information", "f8", (6, 6))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NotRegistered:
+    """It cannot be said where a scan was taken: an expected outcome."""
+
+    reason: str
+
+
+class Odometry(Protocol):
+    """Estimates the motion of a sensor from its scans; the same scans in the same order give the same poses."""
+
+    @property
+    def name(self) -> str:
+        """The name by which `--odometry` chooses it."""
+        ...
+
+    def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
+        """Return where a scan was taken; `last_from_scan` (4, 4) is the motion since the last, where somebody knows.
+
+        The first scan is where the poses start, at the identity. A scan that cannot be registered changes nothing.
+        """
+        ...
 
 
 class Sink(Protocol):

@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.portable_kernels import arccos, cos, sin
+from hickory_stream.geometry.portable_kernels import arccos
 from hickory_stream.geometry.rigid import (
     compose,
     from_rotation_translation,
     interpolate,
     invert,
-    rotation_angle_rad,
+    rotation_of_vector,
+    rotation_vector,
 )
 from hickory_stream.ranges import Ranged, number
 from players.poses import HOLD_NS, pose_of_row
@@ -247,24 +248,6 @@ class GrowingTrack:
         turn = rotation_vector(portable.matmul(before[:3, :3].T, last[:3, :3]))
         position = last[:3, 3] + share * (last[:3, 3] - before[:3, 3])
         return from_rotation_translation(portable.matmul(last[:3, :3], rotation_of_vector(share * turn)), position)
-
-
-def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation vector (3,) of a (3, 3) rotation."""
-    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    sine = portable.norm(skew)
-    angle = rotation_angle_rad(rotation)
-    return 0.5 * skew if sine < 1e-9 else skew * (angle / sine)
-
-
-def rotation_of_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation of a rotation vector, by Rodrigues' formula."""
-    angle = portable.norm(vector)
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + sin(angle) * cross + (1.0 - cos(angle)) * portable.matmul(cross, cross)
 
 
 def _hermite(times_s: NDArray[np.float64], points: NDArray[np.float64], i: int, time_s: float) -> NDArray[np.float64]:

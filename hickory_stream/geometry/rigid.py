@@ -110,6 +110,24 @@ def rotation_angle_rad(rotation: NDArray[Any]) -> float:
     return float(arctan2(portable.norm(skew), float(np.trace(rotation)) - 1.0))
 
 
+def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation vector (3,) of a (3, 3) rotation."""
+    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    sine = portable.norm(skew)
+    angle = rotation_angle_rad(rotation)
+    return 0.5 * skew if sine < 1e-9 else skew * (angle / sine)
+
+
+def rotation_of_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation of a rotation vector, by Rodrigues' formula."""
+    angle = portable.norm(vector)
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + sin(angle) * cross + (1.0 - cos(angle)) * portable.matmul(cross, cross)
+
+
 def yaw_rotation(yaw_rad: float) -> NDArray[np.float64]:
     """Return the (3, 3) rotation by `yaw_rad` about z."""
     c, s = cos(float(yaw_rad)), sin(float(yaw_rad))

@@ -10,9 +10,11 @@ from hickory_stream.geometry.rigid import (
     invert,
     quaternion_from_rotation,
     rotation_angle_rad,
+    rotation_of_vector,
+    rotation_vector,
     yaw_rotation,
 )
-from players.tracks import GrowingTrack, JumpLimits, rotation_of_vector, rotation_vector
+from players.tracks import GrowingTrack, JumpLimits
 
 MS = 1_000_000
 GAP_NS = 500 * MS

@@ -1,0 +1,86 @@
+"""How far estimated poses are from true ones: ATE and RPE as the tool `evo` computes them (evo_ape -a, evo_rpe).
+
+ATE is the RMSE of positions after the best rigid alignment (Umeyama 1991, without scale), RPE that of the motion from
+one pose to the next (Sturm et al., IROS 2012).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import InputError
+from hickory_stream.evaluation.pose_error import pose_error
+from hickory_stream.geometry.rigid import rotation_angle_rad
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+MATCHED_NS = 10_000_000
+"""Poses further apart in time are not of one moment; evo's default."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrajectoryError:
+    """RMSE: `ate_m` after alignment, `rpe_m` and `rpe_deg` from pose to pose; the length of the true way."""
+
+    ate_m: float
+    rpe_m: float
+    rpe_deg: float
+    way_m: float
+    num_poses: int
+
+
+def trajectory_error(
+    stamps_ns: Sequence[int],
+    poses: NDArray[np.float64],
+    true_stamps_ns: Sequence[int],
+    true_poses: NDArray[np.float64],
+) -> TrajectoryError:
+    """Return the error of poses (N, 4, 4) against true ones (M, 4, 4), each with its stamps, in order.
+
+    Raises:
+        InputError: fewer than two poses have a true one of their moment.
+    """
+    pairs = matched(stamps_ns, true_stamps_ns)
+    if len(pairs) < 2:
+        raise InputError(
+            f"{len(pairs)} of {len(stamps_ns)} poses have a true one within {MATCHED_NS / 1e6:g} ms; the true ones are "
+            f"from {_span_text(true_stamps_ns)}, the estimated ones from {_span_text(stamps_ns)}"
+        )
+    found = poses[[i for i, _ in pairs]]
+    true = true_poses[[j for _, j in pairs]]
+    steps = [
+        np.linalg.inv(np.linalg.inv(true[i]) @ true[i + 1]) @ (np.linalg.inv(found[i]) @ found[i + 1])
+        for i in range(len(pairs) - 1)
+    ]
+    moved = np.array([np.linalg.norm(step[:3, 3]) for step in steps])
+    turned = np.degrees([rotation_angle_rad(step[:3, :3]) for step in steps])
+    return TrajectoryError(
+        ate_m=pose_error(found[:, :3, 3], true[:, :3, 3]).ate_aligned_m,
+        rpe_m=float(np.sqrt((moved**2).mean())),
+        rpe_deg=float(np.sqrt((turned**2).mean())),
+        way_m=float(np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1).sum()),
+        num_poses=len(pairs),
+    )
+
+
+def matched(stamps_ns: Sequence[int], true_stamps_ns: Sequence[int]) -> list[tuple[int, int]]:
+    """Return which true pose each pose has, the nearest in time; those that have none are left out."""
+    if not len(stamps_ns) or not len(true_stamps_ns):
+        return []
+    true = np.asarray(true_stamps_ns, dtype=np.int64)
+    pairs = []
+    for i, stamp_ns in enumerate(stamps_ns):
+        j = int(np.abs(true - stamp_ns).argmin())
+        if abs(int(true[j]) - stamp_ns) <= MATCHED_NS:
+            pairs.append((i, j))
+    return pairs
+
+
+def _span_text(stamps_ns: Sequence[int]) -> str:
+    return f"{min(stamps_ns) / 1e9:.3f} s to {max(stamps_ns) / 1e9:.3f} s" if len(stamps_ns) else "none"

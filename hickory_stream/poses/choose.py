@@ -1,0 +1,29 @@
+"""Which odometry: by the name that `--odometry` gives."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, assert_never
+
+from hickory_stream.poses.config import DEFAULT_METHOD
+from hickory_stream.poses.kiss_icp_odometry import KissIcpOdometry
+from hickory_stream.poses.voxel_map_odometry import VoxelMapOdometry
+
+if TYPE_CHECKING:
+    from hickory_stream.ports import Odometry
+    from hickory_stream.poses.config import MethodName, Sensor
+
+
+def make_odometry(sensor: Sensor, method: MethodName | None = None) -> Odometry:
+    """Return a fresh odometry for the scans of a sensor; None: the method that is the default for it.
+
+    Raises:
+        ModelError: its library is not installed.
+    """
+    chosen = method or DEFAULT_METHOD[sensor]
+    match chosen:
+        case "small_gicp":
+            return VoxelMapOdometry(sensor)
+        case "kiss-icp":
+            return KissIcpOdometry(sensor)
+        case _:
+            assert_never(chosen)

@@ -1,0 +1,27 @@
+"""A depth image as a scan: the points that a camera sees well, thinned out evenly over the image."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.camera import backproject
+from hickory_stream.records import Scan
+
+if TYPE_CHECKING:
+    from hickory_stream.records import Frame
+
+_STRIDE_AT_640 = 3
+_MAX_SIGMA_M = 0.05
+"""A return that is less sure than this pulls a registration about more than it holds it."""
+
+
+def scan_of_depth(frame: Frame) -> Scan:
+    """Return every few pixels of a frame as points of the camera (optical axes); without what is too far to be sure."""
+    stride = max(1, round(_STRIDE_AT_640 * frame.camera.width / 640))
+    points = backproject(frame.depth_m, frame.camera)[::stride, ::stride]
+    sigma_m = frame.sensor.sigma_m(np.ascontiguousarray(points[..., 2]))
+    with np.errstate(invalid="ignore"):
+        is_sure = np.isfinite(points[..., 2]) & (points[..., 2] > 0) & (sigma_m <= _MAX_SIGMA_M)
+    return Scan(stamp_ns=frame.stamp_ns, frame="camera", points=points[is_sure])

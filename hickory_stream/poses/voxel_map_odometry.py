@@ -1,0 +1,167 @@
+"""Odometry by registration against a local voxel map: generalised ICP of the library small_gicp.
+
+Segal, Haehnel and Thrun, Generalized-ICP (RSS 2009), against Gaussian voxels (Koide et al., ICRA 2021), on one thread:
+the order of sums is then fixed. Both are the library's; what is here is what it does not say: whether to believe it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.rigid import (
+    compose,
+    from_rotation_translation,
+    invert,
+    quaternion_from_rotation,
+    rotation_angle_rad,
+    rotation_from_quaternion,
+)
+from hickory_stream.ports import NotRegistered, Registered
+from hickory_stream.poses.config import OdometryConfig, config_of, typical_range_m
+from hickory_stream.poses.degeneracy import Surfels, degenerate_directions, surfels_of, without_degenerate
+from hickory_stream.poses.motion import ConstantVelocity, deskewed, scaled_motion
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.poses.config import Sensor
+    from hickory_stream.records import Scan
+
+_CORRELATED = 50.0
+"""So many neighbouring points err alike: the share of the Hessian that counts as independent evidence."""
+
+_CLEAR_EVERY = 10
+
+_TESTED_EVERY, _TESTED_NEIGHBORS = 8, 25
+"""Of so many points one is looked at for what it says of the motion, with so many around it."""
+
+
+class VoxelMapOdometry:
+    """An `Odometry` that keeps the distributions of points in voxels, and registers each scan to them."""
+
+    def __init__(self, sensor: Sensor, config: OdometryConfig | None = None) -> None:
+        self._sensor = sensor
+        self._given = config
+        self._config = config or OdometryConfig()
+        self._map: Any = None
+        self._motion = ConstantVelocity()
+
+    @property
+    def name(self) -> str:
+        """The name by which `--odometry` chooses it."""
+        return "small_gicp"
+
+    def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
+        """Return where the scan was taken, or why that cannot be said; then the map is left as it was."""
+        predicted = self._predicted(scan, last_from_scan)
+        if len(scan.points) < self._config.least_points:
+            return NotRegistered(reason=f"{len(scan.points)} points; expected {self._config.least_points} and more")
+        if self._map is None:
+            return self._begin(scan)
+        cloud, surfels = self._cloud(scan, predicted)
+        found = self._aligned(cloud, predicted)
+        reason = self._why_not(cloud, found, predicted)
+        if reason is not None:
+            return NotRegistered(reason=reason)
+        degenerate = degenerate_directions(
+            surfels, strong_cosine=self._config.strong_cosine, least_strong=self._config.least_strong
+        )
+        start_from_sensor = without_degenerate(_rigid(found.T_target_source), predicted, degenerate)
+        self._map.insert(cloud, start_from_sensor)
+        self._motion.add(scan.stamp_ns, start_from_sensor)
+        return Registered(
+            stamp_ns=scan.stamp_ns,
+            start_from_sensor=start_from_sensor,
+            information=_information(found, degenerate),
+            degenerate=degenerate,
+        )
+
+    def _predicted(self, scan: Scan, last_from_scan: NDArray[np.float64] | None) -> NDArray[np.float64]:
+        last = self._motion.last
+        if last is None or last_from_scan is None:
+            return self._motion.predicted(scan.stamp_ns)
+        return compose(last, last_from_scan)
+
+    def _begin(self, scan: Scan) -> Registered:
+        """Return the start, with a map of this scan: its range says how coarse."""
+        import small_gicp
+
+        self._config = self._given or config_of(self._sensor, typical_range_m(scan))
+        self._map = small_gicp.GaussianVoxelMap(self._config.voxel_m)
+        self._map.set_lru(horizon=self._config.kept_scans, clear_cycle=_CLEAR_EVERY)
+        self._map.insert(self._cloud(scan, np.eye(4))[0], np.eye(4))
+        self._motion.add(scan.stamp_ns, np.eye(4))
+        return Registered(
+            stamp_ns=scan.stamp_ns,
+            start_from_sensor=np.eye(4),
+            information=np.zeros((6, 6)),
+            degenerate=np.empty((0, 6)),
+        )
+
+    def _cloud(self, scan: Scan, pose: NDArray[np.float64]) -> tuple[Any, Surfels]:
+        """Return the scan thinned out, with surfaces, as if taken at once; and what is known of its normals."""
+        import small_gicp
+
+        points = scan.points
+        if scan.times_s is not None and len(points) and float(np.ptp(scan.times_s)) > 0:
+            last = self._motion.last
+            duration_ns = self._motion.since(scan.stamp_ns)
+            if last is not None and duration_ns is not None:
+                velocity = scaled_motion(compose(invert(last), pose), 1e9 / duration_ns)
+                points = deskewed(points, scan.times_s, velocity)
+        thin = small_gicp.voxelgrid_sampling(points.astype(np.float64), self._config.points_m)
+        tree = small_gicp.KdTree(thin)
+        places = thin.points()[:, :3]
+        neighbors, _ = tree.batch_knn_search(places[::_TESTED_EVERY], _TESTED_NEIGHBORS, 1)
+        surfels = surfels_of(places, neighbors, _TESTED_EVERY)
+        small_gicp.estimate_normals_covariances(thin, tree, self._config.num_neighbors, 1)
+        return thin, surfels
+
+    def _aligned(self, cloud: Any, predicted: NDArray[np.float64]) -> Any:
+        import small_gicp
+
+        return small_gicp.align(
+            self._map,
+            cloud,
+            init_T_target_source=predicted,
+            max_correspondence_distance=self._config.gate_m,
+            num_threads=1,
+            max_iterations=self._config.max_iterations,
+        )
+
+    def _why_not(self, cloud: Any, found: Any, predicted: NDArray[np.float64]) -> str | None:
+        """Return why a result is not to be believed, None where it is."""
+        config = self._config
+        if cloud.size() < config.least_points:
+            return f"{cloud.size()} points after thinning out; expected {config.least_points} and more"
+        share = found.num_inliers / cloud.size()
+        if not share >= config.least_share:
+            return f"{share:.0%} of the points lie on the map; expected {config.least_share:.0%} and more"
+        step = compose(invert(predicted), found.T_target_source)
+        moved_m = float(np.sqrt((step[:3, 3] * step[:3, 3]).sum()))
+        turned_rad = rotation_angle_rad(step[:3, :3])
+        if not (moved_m <= config.jump_m and turned_rad <= config.jump_rad):
+            return f"it would be {moved_m:.2f} m and {np.degrees(turned_rad):.0f} degrees from where motion leads"
+        return None
+
+
+def _rigid(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a transform with an exact rotation: products of thousands of steps drift from it."""
+    rotation = rotation_from_quaternion(*quaternion_from_rotation(matrix[:3, :3]).tolist())
+    return from_rotation_translation(rotation, matrix[:3, 3])
+
+
+def _information(found: Any, degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the information (6, 6) of a result: its Hessian in units of its residuals, none where degenerate."""
+    variance = max(2.0 * found.error / max(3 * found.num_inliers - 6, 1), 1e-12)
+    information = np.asarray(found.H, dtype=np.float64) / (variance * _CORRELATED)
+    information = 0.5 * (information + information.T)
+    for direction in degenerate:
+        keep = np.eye(6) - np.outer(direction, direction)
+        information = portable.matmul(portable.matmul(keep, information), keep)
+    return information

@@ -1,0 +1,37 @@
+"""An odometry of one's own: adds up the motion that somebody else has measured, as the wheels do, and sees nothing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import compose
+from hickory_stream.ports import NotRegistered, Registered
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import Scan
+
+
+class DeadReckoning:
+    """Believes `last_from_scan`; without one it has not moved."""
+
+    name = "dead-reckoning"
+
+    def __init__(self) -> None:
+        self._start_from_sensor = np.eye(4)
+
+    def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
+        """Return the sum of the motions so far; all directions are degenerate, as no surface speaks for any."""
+        if not len(scan.points):
+            return NotRegistered(reason="0 points; expected 1 and more")
+        if last_from_scan is not None:
+            self._start_from_sensor = compose(self._start_from_sensor, last_from_scan)
+        return Registered(
+            stamp_ns=scan.stamp_ns,
+            start_from_sensor=self._start_from_sensor,
+            information=np.zeros((6, 6)),
+            degenerate=np.eye(6),
+        )
