@@ -61,6 +61,23 @@ class LiveWaiting(TypedDict):
     text: str
 
 
+class LiveGoals(TypedDict):
+    """What became of the goals that a robot sent; `dropped`: newer ones came before they were answered."""
+
+    answered: int
+    no_path: int
+    refused: int
+    dropped: int
+
+
+class LivePublished(TypedDict):
+    """What `live --publish` has sent: by topic the messages `sent`, `unheard` (nobody there) and `dropped`."""
+
+    event: Literal["published"]
+    topics: dict[str, dict[str, int]]
+    goals: LiveGoals
+
+
 class LiveTopic(TypedDict):
     """One topic of a live route: `role` in the map ("" for none), `problem` says what is missing and why."""
 
@@ -507,6 +524,7 @@ OUTPUTS: dict[str, Any] = {
     "metrics": Metrics,
     "live-waiting": LiveWaiting,
     "live-status": LiveStatus,
+    "live-published": LivePublished,
     "play": Finished,
     "resume-saved": Saved,
     "replay": Replayed,

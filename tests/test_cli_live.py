@@ -84,6 +84,16 @@ def test_what_is_missing_and_what_cannot_be_is_said_in_one_line(
         ((f"mcap:{tmp_path}/none",), "no such file or pipe"),
         ((uri, "--wait", "-1"), "found --wait -1, expected seconds, 0 or more"),
         ((uri, "--for", "0"), "found --for 0, expected seconds"),
+        ((uri, "--publish"), "--publish-robot"),
+        ((uri, "--publish", "--publish-robot", "tank"), "found no robot tank"),
+        (
+            (uri, "--publish-only", "map", "--publish-robot", "b2"),
+            "found --publish-only map, expected some of costmap,",
+        ),
+        (
+            (uri, "--publish", "--publish-robot", "b2"),
+            "has no way back to a robot; --publish needs zenoh:// or foxglove://",
+        ),
         ((uri, "--pose-topic", "/none", "--wait", "0"), "has no topic /none for --pose-topic"),
     ):
         assert main(["live", *arguments, "--out", str(tmp_path / "map"), "--viewer", "none"]) == 2

@@ -14,7 +14,7 @@ from hickory_stream.cli.finish import finish
 from hickory_stream.cli.play import add_run_options, all_sinks, make_style, sinks_beside
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.unfinished import resume_command
-from hickory_stream.cli.values import read_settings, seconds
+from hickory_stream.cli.values import read_settings, robot_of_option, seconds
 from hickory_stream.cli.written import add_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from hickory_stream.cli.commands import Commands
+    from hickory_stream.navigation.robot import Robot
+    from hickory_stream.sinks.publish_sink import PublishSink
     from players.live import LiveMapSource
     from players.live.recorder import Recorder
     from players.live.status import LiveStatus
@@ -39,7 +41,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     live = commands.add_parser("live", parents=[common, configured], help="map a robot while it moves")
     live.set_defaults(run=run)
     live.add_argument(
-        "uri", metavar="URI", help="zenoh://HOST[/NAMESPACE], mcap:PIPE, or - for an MCAP stream on standard input"
+        "uri",
+        metavar="URI",
+        help="zenoh://HOST[/NAMESPACE], foxglove://HOST, mcap:PIPE, or - for MCAP on standard input",
     )
     live.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
     live.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
@@ -54,6 +58,15 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     live.add_argument(
         "--record-limit", type=float, default=_RECORD_GB, metavar="GB", help="of the disk for that, at most (50)"
     )
+    live.add_argument(
+        "--publish",
+        action="store_true",
+        help="send costmap, objects, markers and map -> odom over the same link, and answer goals with paths",
+    )
+    live.add_argument(
+        "--publish-only", metavar="PARTS", help="only some of them, e.g. costmap,plan; with robots that localise"
+    )
+    live.add_argument("--publish-robot", metavar="NAME|FILE", help="for which one: jackal, b2, point, or a TOML file")
     add_run_options(live)
     add_source_options(live)
 
@@ -65,6 +78,8 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.sinks.metrics_sink import MetricsSink
     from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
     from players.live import open_live
+    from players.live.routes import route_of
+    from players.live.transport import ReturnLink
 
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
@@ -75,6 +90,10 @@ def run(options: argparse.Namespace) -> int:
         seconds(options.most_s, "--for", least=0.1)
     if not 0 < options.record_limit < float("inf"):
         raise InputError(f"found --record-limit {options.record_limit:g}, expected gigabytes, more than 0")
+    publishes = _publishes(options)
+    route = route_of(options.uri)
+    if publishes is not None and not isinstance(route, ReturnLink):
+        raise InputError(f"{options.uri} has no way back to a robot; --publish needs zenoh:// or foxglove://")
     out = options.out or Path(f"{default_name(options.uri)}.map")
     # What cannot be had is refused before a map that is there is replaced.
     beside = sinks_beside(options, settings, is_live=True)
@@ -89,6 +108,7 @@ def run(options: argparse.Namespace) -> int:
             patience_s=options.wait,
             most_s=options.most_s,
             recorder=recorder,
+            route=route,
             tell=lambda text: _say(text, as_json=options.json),
         )
         if not options.json:
@@ -97,6 +117,8 @@ def run(options: argparse.Namespace) -> int:
         for sink in beside:
             if isinstance(sink, MetricsSink):
                 sink.watch(partial(_topics, source))
+        published = _publisher(source, *publishes) if publishes is not None else None
+        beside += [published] if published is not None else []
         options.resumed_by = resume_command(out)
         with _StatusPrinter(source, options.status, as_json=options.json):
             played = play(
@@ -115,9 +137,46 @@ def run(options: argparse.Namespace) -> int:
             source.close()
         for sink in beside:
             sink.close()
+    if published is not None:
+        _tell_published(published, as_json=options.json)
     if recorder is not None and recorder.lost:
         played = replace(played, lost_outputs=(*played.lost_outputs, recorder.lost))
     return finish(options, out, played)
+
+
+def _publishes(options: argparse.Namespace) -> tuple[Robot, tuple[str, ...]] | None:
+    """Return the robot for which, and what is published; None for nothing.
+
+    Raises:
+        InputError: there is no such robot, or no such part.
+    """
+    from hickory_stream.sinks.publish_sink import PARTS
+
+    if not options.publish and options.publish_only is None:
+        return None
+    parts = tuple(options.publish_only.split(",")) if options.publish_only is not None else PARTS
+    for part in parts:
+        if part not in PARTS:
+            raise InputError(f"found --publish-only {options.publish_only}, expected some of {','.join(PARTS)}")
+    return robot_of_option(options.publish_robot, "--publish-robot"), parts
+
+
+def _publisher(source: LiveMapSource, robot: Robot, parts: tuple[str, ...]) -> PublishSink:
+    from hickory_stream.sinks.publish_sink import PublishSink
+
+    assert source.return_link is not None
+    return PublishSink(robot, source.return_link, odom_frame=source.odom_frame, parts=parts)
+
+
+def _tell_published(sink: PublishSink, *, as_json: bool) -> None:
+    counts = sink.counts()
+    if as_json:
+        sys.stderr.write(f"{output('live-published', {'event': 'published', **counts})}\n")
+        return
+    for name, fates in counts["topics"].items():
+        sys.stderr.write(f"published {name}: {', '.join(f'{n} {fate}' for fate, n in fates.items())}\n")
+    if any(counts["goals"].values()):
+        sys.stderr.write(f"goals: {', '.join(f'{n} {fate}' for fate, n in counts['goals'].items() if n)}\n")
 
 
 def _topics(source: LiveMapSource) -> list[dict[str, Any]]:

@@ -11,13 +11,12 @@ import errno
 import logging
 import os
 from contextlib import suppress
-from typing import IO, TYPE_CHECKING, Any, BinaryIO, cast
-
-import numpy as np
+from typing import IO, TYPE_CHECKING, BinaryIO, cast
 
 from hickory_stream.errors import InputError, OutputError
 from hickory_stream.navigation.costmap import Costmap, CostmapUpdate
 from hickory_stream.navigation.stand_ins import SeenSurface
+from hickory_stream.sinks.ros_messages import GRID, UPDATE, definition_of, grid_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,10 +27,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-MAP_TOPIC, UPDATES_TOPIC, FRAME_ID = "/map", "/map_updates", "map"
-_MAP_TYPE, _UPDATE_TYPE = "nav_msgs/msg/OccupancyGrid", "map_msgs/msg/OccupancyGridUpdate"
-_HEADER = "std_msgs/Header header\n"
-_UPDATE_DEFINITION = _HEADER + "int32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data\n"
+MAP_TOPIC, UPDATES_TOPIC = "/map", "/map_updates"
 
 
 class CostmapSink:
@@ -162,18 +158,15 @@ class _Messages:
 
     def __init__(self, stream: BinaryIO) -> None:
         from mcap.writer import CompressionType, Writer
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-        self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
-        self._store.register(get_types_from_msg(_UPDATE_DEFINITION, _UPDATE_TYPE))
         self._stream = _Counted(stream)
         self._writer = Writer(cast("IO[bytes]", self._stream), use_chunking=False, compression=CompressionType.NONE)
         self._writer.start(profile="ros2", library="hickory_stream")
         self._channels = {topic: self._channel(topic, name) for topic, name in _TOPICS}
 
     def write(self, update: CostmapUpdate) -> None:
-        topic, name = _TOPICS[0] if update.is_whole else _TOPICS[1]
-        data = bytes(self._store.serialize_cdr(self._message(update), name))
+        topic, _ = _TOPICS[0] if update.is_whole else _TOPICS[1]
+        _, data = grid_message(update)
         self._writer.add_message(self._channels[topic], update.stamp_ns, data, update.stamp_ns)
         self._stream.flush()
 
@@ -185,30 +178,8 @@ class _Messages:
         self._stream.close()
 
     def _channel(self, topic: str, name: str) -> int:
-        definition, _ = self._store.generate_msgdef(name, ros_version=2)
-        schema = self._writer.register_schema(name, "ros2msg", definition.encode())
+        schema = self._writer.register_schema(name, "ros2msg", definition_of(name).encode())
         return int(self._writer.register_channel(topic, "cdr", schema))
 
-    def _message(self, update: CostmapUpdate) -> Any:
-        types = self._store.types
-        seconds, nanoseconds = divmod(update.stamp_ns, 10**9)
-        stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-        header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=FRAME_ID)
-        data = np.ascontiguousarray(update.states).ravel()
-        height, width = update.states.shape
-        if not update.is_whole:
-            return types[_UPDATE_TYPE](
-                header=header, x=update.column, y=update.row, width=width, height=height, data=data
-            )
-        x, y = update.frame.origin_m.tolist()
-        origin = types["geometry_msgs/msg/Pose"](
-            position=types["geometry_msgs/msg/Point"](x=x, y=y, z=0.0),
-            orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-        )
-        info = types["nav_msgs/msg/MapMetaData"](
-            map_load_time=stamp, resolution=update.frame.cell_m, width=width, height=height, origin=origin
-        )
-        return types[_MAP_TYPE](header=header, info=info, data=data)
 
-
-_TOPICS = ((MAP_TOPIC, _MAP_TYPE), (UPDATES_TOPIC, _UPDATE_TYPE))
+_TOPICS = ((MAP_TOPIC, GRID), (UPDATES_TOPIC, UPDATE))

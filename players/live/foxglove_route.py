@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.json_text import dumps
+from players.live.foxglove_return import FoxgloveReturn
 from players.live.inbox import MAX_MESSAGE_BYTES, MAX_TOPICS
 from players.live.transport import Health
 from players.mcap_records import make_topic
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from players.containers import Topic
     from players.live.inbox import Inbox
@@ -69,6 +70,8 @@ class FoxgloveRoute:
         self._channels: dict[int, str] = {}
         self._wanted: set[str] = set()
         self._subscribed: dict[int, int] = {}
+        self._return = FoxgloveReturn()
+        self._heard: dict[str, Callable[[bytes], None]] = {}
 
     def start(self, inbox: Inbox) -> None:
         """Connect and receive in a thread of its own, again and again."""
@@ -87,7 +90,8 @@ class FoxgloveRoute:
             return Health(is_connected=False, problem=self._problem)
         with self._lock:
             notes = [f"{name} is published as {other}, too" for name, other in sorted(self._other_types.items())]
-        return Health(is_connected=True, problem="; ".join([*notes, *([self._note] if self._note else [])]))
+        notes += [note for note in (self._note, self._return.problem) if note]
+        return Health(is_connected=True, problem="; ".join(notes))
 
     def stop(self) -> None:
         """Close the connection."""
@@ -97,6 +101,24 @@ class FoxgloveRoute:
             connection.close()
         if self._thread is not None:
             self._thread.join(5.0)
+
+    # ---- the way back ------------------------------------------------------------------------------------------------
+
+    def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
+        """Announce a topic of ours."""
+        del type_hash
+        self._return.offer(name, type_name, definition=definition, is_latched=is_latched)
+
+    def send(self, name: str, data: bytes) -> bool:
+        """Publish a message of an offered topic; False while the server is away, or takes none."""
+        return self._return.send(name, data)
+
+    def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
+        """Have what the server publishes under a name handed over as it comes."""
+        with self._lock:
+            self._heard[name] = hear
+            self._wanted.add(name)
+            self._ask()
 
     # ---- connection --------------------------------------------------------------------------------------------------
 
@@ -115,6 +137,7 @@ class FoxgloveRoute:
                 self._problem = f"{self._peer} does not speak Foxglove's WebSocket protocol"
             except OSError as error:
                 self._problem = f"{self._peer} does not answer ({error.strerror or 'no answer in time'})"
+            self._return.detach()
             with self._lock:
                 self._connection = None
                 gone, self._channels = set(self._channels.values()), {}
@@ -160,6 +183,8 @@ class FoxgloveRoute:
                         self._ask()
                 case "unadvertise":
                     self._unadvertised(inbox, said["channelIds"])
+                case "serverInfo":
+                    self._return.attach(self._connection, said)
                 case "status" if said.get("level", 0) >= 1:
                     self._note = f"the server says: {said.get('message', '')}"[:_NOTE_LETTERS]
         except (ValueError, KeyError, TypeError, AttributeError, binascii.Error):
@@ -214,5 +239,7 @@ class FoxgloveRoute:
             return  # the time, or an answer to what was not asked
         _, subscription, _ = _MESSAGE_DATA.unpack_from(frame)
         name = self._channels.get(subscription)
-        if name is not None:
+        if name in self._heard:
+            self._heard[name](frame[_MESSAGE_DATA.size :])
+        elif name is not None:
             inbox.put(name, memoryview(frame)[_MESSAGE_DATA.size :])

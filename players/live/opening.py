@@ -19,6 +19,7 @@ from players.live.inbox import Inbox
 from players.live.live_log import LiveLog
 from players.live.routes import route_of
 from players.live.status import ROLES, LiveStatus, status_of
+from players.live.transport import ReturnLink
 from players.log_opening import choose_profile, open_log
 from players.messages import POSE_TYPES, TF
 from players.options import SourceOptions
@@ -81,6 +82,16 @@ class LiveMapSource(SourceAround):
     def status(self) -> LiveStatus:
         """Return how the route and its topics are now."""
         return status_of(self._route, self._log)
+
+    @property
+    def return_link(self) -> ReturnLink | None:
+        """The way back over the same route; None where it has none (a pipe)."""
+        return self._route if isinstance(self._route, ReturnLink) else None
+
+    @property
+    def odom_frame(self) -> str:
+        """The frame in which the robot's poses are, "" where a pose file took their place."""
+        return self._log_source.setup.plan.path.partition(" <- ")[0]
 
     @property
     def has_ended(self) -> bool:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
     from players.live.inbox import Inbox
 
@@ -53,4 +53,21 @@ class LiveSource(Protocol):
 
     def stop(self) -> None:
         """End it; nothing arrives afterwards."""
+        ...
+
+
+@runtime_checkable
+class ReturnLink(Protocol):
+    """An ability of a route: it can publish to the robot. `send` may take long, and never raises."""
+
+    def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
+        """Announce a topic (messages are CDR), now and whenever the link comes back; the last latched one is kept."""
+        ...
+
+    def send(self, name: str, data: bytes) -> bool:
+        """Publish a message of an offered topic; return False where nobody is there to take it."""
+        ...
+
+    def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
+        """Have what is published under a name handed over as it comes, on a thread of the link's."""
         ...

@@ -84,17 +84,39 @@ def publication_of_key(key: str) -> Publication | None:
     )
 
 
-def subscription_token(publication: Publication, zid: str, entity: int) -> str | None:
-    """Return the token by which a publisher of rmw_zenoh that sends on demand sees us; the bridge needs none."""
+def own_token(publication: Publication, zid: str, entity: int, kind: Literal["MS", "MP"]) -> str | None:
+    """Return the token by which nodes of rmw_zenoh see that we subscribe (MS) or publish (MP); a bridge needs none."""
     if publication.layout == "bridge":
         return None
-    package, _, name = publication.type_name.partition("/msg/")
     topic = publication.name.replace("/", "%")
     durability = _TRANSIENT_LOCAL if publication.is_latched else ""
     return (
-        f"@ros2_lv/{publication.domain}/{zid}/0/{entity}/MS/%/%/hickory_stream/{topic}/"
-        f"{package}::msg::dds_::{name}_/{publication.hash}/:{durability}:,10:,:,:,,"
+        f"@ros2_lv/{publication.domain}/{zid}/0/{entity}/{kind}/%/%/hickory_stream/{topic}/"
+        f"{_dds_type(publication.type_name)}/{publication.hash}/:{durability}:,10:,:,:,,"
     )
+
+
+def publication_like(
+    other: Publication, name: str, type_name: str, *, namespace: str, type_hash: str, is_latched: bool
+) -> Publication:
+    """Return a topic of ours as a robot that publishes `other` would see it: in its layout, domain and namespace."""
+    prefix = f"/{namespace.strip('/')}" if namespace else ""
+    return Publication(
+        name=prefix + _absolute(name),
+        type_name=type_name,
+        layout=other.layout,
+        is_latched=is_latched,
+        domain=other.domain,
+        hash=_NO_HASH if other.hash == _NO_HASH else type_hash,
+    )
+
+
+def publishing_key(publication: Publication) -> str:
+    """Return the key under which we publish: rmw_zenoh's says the type and its hash."""
+    if publication.layout == "bridge":
+        return publication.key
+    name, type_name = publication.name.lstrip("/"), _dds_type(publication.type_name)
+    return f"{publication.domain}/{name}/{type_name}/{publication.hash}"
 
 
 def within(publication: Publication, namespace: str) -> str | None:
@@ -121,6 +143,11 @@ def _ros_type(name: str) -> str:
     """Return a type as package/msg/Name; DDS writes package::msg::dds_::Name_."""
     parts = [part for part in name.split("::") if part != "dds_"]
     return "/".join([*parts[:-1], parts[-1].removesuffix("_")])
+
+
+def _dds_type(type_name: str) -> str:
+    package, _, name = type_name.partition("/msg/")
+    return f"{package}::msg::dds_::{name}_"
 
 
 def _is_hash(text: str) -> bool:

@@ -19,14 +19,15 @@ from players.live.zenoh_keys import (
     HASHED_KEYS,
     TOKENS,
     Publication,
+    own_token,
     publication_of_key,
     publication_of_token,
-    subscription_token,
     within,
 )
+from players.live.zenoh_return import ZenohReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
     from players.live.inbox import Inbox
 
@@ -71,6 +72,7 @@ class ZenohRoute:
         self._watching: list[Any] = []
         self._listening: list[Any] = []
         self._sequences: dict[tuple[str, bytes], int] = {}
+        self._return = ZenohReturn(self._namespace)
 
     def start(self, inbox: Inbox) -> None:
         """Connect in a thread of its own, again and again until it is answered; Zenoh itself reconnects later."""
@@ -106,7 +108,23 @@ class ZenohRoute:
         session, self._session = self._session, None
         if session is not None:
             self._problem = "closed"
+            self._return.detach()
             session.close()
+
+    # ---- the way back ------------------------------------------------------------------------------------------------
+
+    def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
+        """Announce a topic of ours; ROS 2 over Zenoh sends no definitions."""
+        del definition
+        self._return.offer(name, type_name, type_hash=type_hash, is_latched=is_latched)
+
+    def send(self, name: str, data: bytes) -> bool:
+        """Publish a message of an offered topic; False while the robot is away, or nobody listens."""
+        return self._return.send(name, data)
+
+    def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
+        """Have what the robot publishes under a name handed over as it comes."""
+        self._return.listen(name, hear)
 
     # ---- connection --------------------------------------------------------------------------------------------------
 
@@ -121,6 +139,8 @@ class ZenohRoute:
             ("listen/endpoints", []),
             ("scouting/multicast/enabled", False),
             ("scouting/gossip/enabled", False),
+            # What is latched of ours is kept under its time.
+            ("timestamping/enabled", True),
             ("transport/unicast/open_timeout", _OPEN_MS),
             ("connect/retry", {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5}),
         ):
@@ -152,6 +172,8 @@ class ZenohRoute:
         import zenoh
 
         token = str(sample.key_expr)
+        if self._session is not None and str(self._session.zid()) in token.split("/"):
+            return  # one of ours
         publication = publication_of_token(token)
         if publication is None:
             return
@@ -195,6 +217,9 @@ class ZenohRoute:
         )
         with self._lock:
             self._declare_wanted()
+            session = self._session
+        if session is not None:
+            self._return.attach(session, publication)
 
     # ---- messages ----------------------------------------------------------------------------------------------------
 
@@ -222,7 +247,7 @@ class ZenohRoute:
                 self._ask_cache(publication, name)
             else:
                 declared.append(self._session.declare_subscriber(publication.key, take))
-            token = subscription_token(publication, str(self._session.zid()), len(self._declared))
+            token = own_token(publication, str(self._session.zid()), len(self._declared), "MS")
             if token is not None:
                 declared.append(self._session.liveliness().declare_token(token))
 

@@ -1,9 +1,9 @@
 """Live: every route from a fake robot to the ledger and to the map, on the loopback address.
 
-Four parts. Transport: 1280x720 JPEG colour and raw 16-bit depth at 30 Hz over each route, read and paired but not
+Five parts. Transport: 1280x720 JPEG colour and raw 16-bit depth at 30 Hz over each route, read and paired but not
 mapped. Map: the embedded recording as a robot, mapped, recorded, and compared with the map of the recording; the robot
-goes away once. Storm: losses, jitter, disconnections and a restart at once, mapped. Safety: how soon a robot keeps off
-what it sees.
+goes away once. Storm: losses, jitter, disconnections and a restart at once, mapped. Publish: goals of the robot,
+answered with paths. Safety: how soon a robot keeps off what it sees.
 """
 
 from __future__ import annotations
@@ -78,6 +78,7 @@ def measure(options: Options) -> list[Figure]:
         folder = Path(name)
         figures = _transport(sample, options.seed, folder)
         figures += _map(sample, options.seed, folder)
+        figures += _publish(sample, folder)
         figures += _storm(sample, options.seed, folder)
         figures += _safety(sample, folder)
     return figures
@@ -155,6 +156,19 @@ def _map(sample: Sample, seed: int, folder: Path) -> list[Figure]:
         told = f"from the robot's return to the first frame; away {sample.away[-1]} (at:for)"
         figures.append(_figure("reconnect_s", first_s - away["returned_s"][0], "s", "lower", told))
     return figures
+
+
+def _publish(sample: Sample, folder: Path) -> list[Figure]:
+    """Measure from a robot's goal to its path, while the map is made; goals that have no path are answered, too."""
+    goals = [word for at in np.arange(2.0, sample.map_s, 0.25).tolist() for word in ("--goal", f"{at}:0.5,0.5")]
+    to = ("--out", folder / "told", "--publish", *sample.map_options)
+    sent, _ = _run("zenoh-bridge", [_DEMO], folder, "--seconds", str(sample.map_s), *goals, to=to)
+    trips_s, heard = sent["round_trips_s"], sent["heard"]
+    told = f"p95 of {len(trips_s)} of {len(goals) // 2} goals, while the map is made"
+    return [
+        *([_figure("plan_round_trip_ms", 1e3 * _p95(trips_s), "ms", "lower", told)] if trips_s else []),
+        _figure("published_messages", sum(heard.values()), "messages", "higher", ", ".join(sorted(heard))),
+    ]
 
 
 def _storm(sample: Sample, seed: int, folder: Path) -> list[Figure]:

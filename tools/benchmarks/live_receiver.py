@@ -23,6 +23,8 @@ from players.peek import peek_stamp_ns
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.ports import Sink
     from hickory_stream.records import RawFrame
     from players.containers import LogMessage, Topic
     from players.live import LiveMapSource
@@ -64,6 +66,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--record", type=Path)
     parser.add_argument("--no-shapes", action="store_true")
+    parser.add_argument("--publish", action="store_true")
     options = parser.parse_args()
     arrivals: dict[int, int] = {}
     recorder = Recorder(options.record, options.uri) if options.record is not None else None
@@ -86,7 +89,8 @@ def main() -> None:
         for _ in watched.frames():
             pass
     else:
-        asyncio.run(_map(watched, options.out, has_shapes=not options.no_shapes))
+        published = _publisher(source) if options.publish else None
+        asyncio.run(_map(watched, options.out, published, has_shapes=not options.no_shapes))
     account = source.account()
     status = source.status()
     source.close()
@@ -111,7 +115,15 @@ def main() -> None:
     )
 
 
-async def _map(source: Watched, out: Path, *, has_shapes: bool) -> None:
+def _publisher(source: LiveMapSource) -> Sink:
+    from hickory_stream.navigation.robot import load_robot
+    from hickory_stream.sinks.publish_sink import PublishSink
+
+    assert source.return_link is not None
+    return PublishSink(load_robot("point"), source.return_link, odom_frame=source.odom_frame)
+
+
+async def _map(source: Watched, out: Path, published: Sink | None, *, has_shapes: bool) -> None:
     # Imported here: whoever does not map is there sooner.
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.mapper import Mapper
@@ -122,8 +134,12 @@ async def _map(source: Watched, out: Path, *, has_shapes: bool) -> None:
         requests = replace(config.mapping.requests, max_failures=0)
         config = replace(config, mapping=replace(config.mapping, requests=requests))
     config = replace(config, run=replace(config.run, workers=1))
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        return [(DiskSink(folder), True), *([(published, False)] if published is not None else [])]
+
     async with Mapper(config, out=out, overwrite=True) as mapper:
-        async for _ in mapper.run(source, sinks=lambda folder: [(DiskSink(folder), True)], mode="live"):
+        async for _ in mapper.run(source, sinks=sinks, mode="live"):
             pass
 
 

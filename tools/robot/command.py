@@ -9,8 +9,11 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hickory_stream.errors import HickoryError, InputError
 from hickory_stream.json_text import dumps
+from hickory_stream.sinks.ros_messages import goal_message
 from tools.robot.drive import drive
 from tools.robot.link import Faults, plan
 from tools.robot.prepared import prepared
@@ -68,6 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--clock-offset", type=float, default=0.0, metavar="S", help="of the robot's clock")
     parser.add_argument("--restart", type=float, metavar="AT", help="from then on the clock begins at zero")
+    parser.add_argument(
+        "--goal", action="append", default=[], metavar="AT:X,Y", help="ask for a path then (--publish); repeatable"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     stopped = threading.Event()
@@ -78,7 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         made = plan(prepared(options.log, most_s=options.seconds, loops=options.loop), faults)
         publisher = publisher_of(options)
         print("ready", file=sys.stderr, flush=True)
-        report = drive(made, publisher, faults, rate=options.rate, waits=options.wait, stopped=stopped)
+        goals = [_goal(text) for text in options.goal]
+        report = drive(made, publisher, faults, rate=options.rate, waits=options.wait, stopped=stopped, goals=goals)
     except HickoryError as error:
         print(f"tools/fake_robot: {error}", file=sys.stderr)
         return error.exit_status
@@ -87,6 +94,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     print(dumps(report.as_dict()))
     return 0
+
+
+def _goal(text: str) -> tuple[float, bytes]:
+    try:
+        at, _, place = text.partition(":")
+        x, y = map(float, place.split(","))
+        return float(at), goal_message(0, np.array([x, y]))
+    except ValueError as error:
+        raise InputError(f"found --goal {text}, expected AT:X,Y in seconds and metres, e.g. 5:1.5,0") from error
 
 
 def _faults(options: argparse.Namespace) -> Faults:

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tools.robot.link import Faults, Plan
     from tools.robot.publishers import Publisher
 
@@ -22,6 +24,7 @@ _SENT_S = 0.1
 class Report:
     """What a robot says it did: messages by topic that were sent to somebody, and that nobody had asked for.
 
+    `heard` is what whoever maps the robot has told it, `round_trips_s` how long after each goal a path came.
     `returned_s` is when it began to be back after a disconnection, by the clock of this machine.
     """
 
@@ -30,6 +33,8 @@ class Report:
     lost: Counter[tuple[str, str]] = field(default_factory=Counter)
     num_bytes: int = 0
     returned_s: list[float] = field(default_factory=list)
+    heard: Counter[str] = field(default_factory=Counter)
+    round_trips_s: list[float] = field(default_factory=list)
     cpu_s: float = 0.0
     wall_s: float = 0.0
 
@@ -43,6 +48,8 @@ class Report:
             "unheard": dict(sorted(self.unheard.items())),
             "lost": lost,
             "bytes": self.num_bytes,
+            "heard": dict(sorted(self.heard.items())),
+            "round_trips_s": self.round_trips_s,
             "returned_s": self.returned_s,
             "cpu_s": round(self.cpu_s, 3),
             "wall_s": round(self.wall_s, 3),
@@ -57,11 +64,12 @@ def drive(
     rate: float = 1.0,
     waits: bool = False,
     stopped: threading.Event | None = None,
+    goals: Sequence[tuple[float, bytes]] = (),
 ) -> Report:
     """Publish what was planned, `rate` times as fast as it was recorded, and return what was sent.
 
     `waits`: until somebody has asked for topics, and asks for no more of them. Messages of a time at which the robot is
-    disconnected are not in the plan; here it is then gone for as long.
+    disconnected are not in the plan; here it is then gone for as long. `goals`: at so many seconds, what it asks.
     """
     stopped = stopped or threading.Event()
     topics = {sending.due.topic.name: sending.due.topic for sending in made.sendings}
@@ -75,7 +83,7 @@ def drive(
         if waits:
             _await_subscribers(publisher, [name for name in topics if not name.endswith("tf_static")], stopped)
         cpu_s, began_s = time.process_time(), time.monotonic()
-        gone = sorted(faults.disconnects)
+        gone, asked = sorted(faults.disconnects), sorted(goals)
         for sending in made.sendings:
             if sending.due.is_latched:
                 continue
@@ -89,11 +97,14 @@ def drive(
                 publisher.connect(topics.values())
                 for kept in latched:
                     _send(publisher, kept, report)
+            while asked and sending.at_ns / 1e9 >= asked[0][0]:
+                publisher.ask(asked.pop(0)[1])
             if not _wait(began_s + sending.at_ns / 1e9 / rate, stopped):
                 break
             _send(publisher, sending, report)
         report.cpu_s, report.wall_s = time.process_time() - cpu_s, time.monotonic() - began_s
         stopped.wait(_SETTLED_S)  # what was handed over last is on its way
+        report.heard, report.round_trips_s = publisher.heard.counts, publisher.heard.round_trips_s
     finally:
         publisher.disconnect()
     return report

@@ -11,24 +11,47 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.json_text import dumps
+from hickory_stream.sinks.publish_sink import GOAL_TOPIC
+from hickory_stream.sinks.ros_messages import GOAL, definition_of
+from players.containers import Topic
 from players.mcap_records import schema_of
+from tools.robot.heard import Heard
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from players.containers import Topic
     from tools.robot.link import Sending
 
 
+_CLIENT_DATA = struct.Struct("<BI")
+_GOAL = Topic(
+    name=GOAL_TOPIC,
+    type_name=GOAL,
+    num_messages=None,
+    wire="cdr",
+    definition_format="msg",
+    definition=definition_of(GOAL),
+)
+
+
 class FoxglovePublisher:
-    """Serves channels to any number of clients; `protocols` are those it speaks, the first that a client offers."""
+    """Serves channels to any number of clients; `protocols` are those it speaks, the first that a client offers.
+
+    `takes`: clients may publish.
+    """
 
     def __init__(
-        self, address: str, *, protocols: tuple[str, ...] = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+        self,
+        address: str,
+        *,
+        protocols: tuple[str, ...] = ("foxglove.sdk.v1", "foxglove.websocket.v1"),
+        takes: bool = True,
     ) -> None:
         host, _, port = address.rpartition(":")
         self._host, self._port = host, int(port)
         self._protocols = protocols
+        self._capabilities = ["clientPublish"] if takes else []
+        self.heard = Heard()
         self._lock = threading.Lock()
         self._channels: dict[str, int] = {}
         self._topics: dict[str, Topic] = {}
@@ -40,6 +63,7 @@ class FoxglovePublisher:
         """Begin to serve."""
         from websockets.sync.server import serve
 
+        topics = [*topics, _GOAL]
         self._channels = {topic.name: i for i, topic in enumerate(topics, start=1)}
         self._topics = {topic.name: topic for topic in topics}
         self._server = serve(
@@ -75,6 +99,17 @@ class FoxglovePublisher:
             with suppress(ConnectionClosed):
                 connection.send(struct.pack("<BIQ", 1, subscription, sending.at_ns) + sending.data)
 
+    def ask(self, data: bytes) -> None:
+        """Send a goal to whoever has asked for them."""
+        from websockets.exceptions import ConnectionClosed
+
+        with self._lock:
+            clients = list(self._heard[GOAL_TOPIC])
+        self.heard.ask()
+        for connection, subscription in clients:
+            with suppress(ConnectionClosed):
+                connection.send(struct.pack("<BIQ", 1, subscription, 0) + data)
+
     def advertisement(self) -> dict[str, Any]:
         """Return what tells a client of the channels."""
         return {
@@ -95,11 +130,19 @@ class FoxglovePublisher:
         }
 
     def _serve(self, connection: Any) -> None:
-        connection.send(dumps({"op": "serverInfo", "name": "fake robot", "capabilities": []}))
+        info = {"name": "fake robot", "capabilities": self._capabilities, "supportedEncodings": ["cdr"]}
+        connection.send(dumps({"op": "serverInfo", **info}))
         connection.send(dumps(self.advertisement()))
         names = {number: name for name, number in self._channels.items()}
+        theirs: dict[int, str] = {}
         for text in connection:
+            if isinstance(text, bytes):
+                _, number = _CLIENT_DATA.unpack_from(text)
+                self.heard.take(theirs[number], text[_CLIENT_DATA.size :])
+                continue
             said = json.loads(text)
+            if said["op"] == "advertise":
+                theirs |= {channel["id"]: channel["topic"] for channel in said["channels"]}
             if said["op"] != "subscribe":
                 continue
             for asked in said["subscriptions"]:

@@ -6,6 +6,7 @@ import os
 from typing import TYPE_CHECKING, Protocol
 
 from players.mcap_records import schema_of
+from tools.robot.heard import Heard
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -34,12 +35,22 @@ class Publisher(Protocol):
         """Publish a message."""
         ...
 
+    @property
+    def heard(self) -> Heard:
+        """What whoever maps the robot has told it."""
+        ...
+
+    def ask(self, data: bytes) -> None:
+        """Publish a goal (geometry_msgs/PoseStamped)."""
+        ...
+
 
 class McapPublisher:
     """Writes an MCAP stream into a pipe or a file, message by message."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self.heard = Heard()
 
     def connect(self, topics: Collection[Topic]) -> None:
         """Open the pipe (waits for a reader) and write the channels; a stream has no second beginning."""
@@ -68,6 +79,9 @@ class McapPublisher:
         """Write a message under the time at which it is due."""
         channel = self._channels[sending.due.topic.name]
         self._writer.add_message(channel, sending.at_ns, sending.data, sending.at_ns, sending.sequence)
+
+    def ask(self, data: bytes) -> None:
+        """Do nothing: a stream has no way back."""
 
     # What the writer needs of a stream.
 

@@ -6,12 +6,15 @@ import struct
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.json_text import dumps
+from hickory_stream.sinks.publish_sink import GOAL_TOPIC
+from hickory_stream.sinks.ros_messages import GOAL
+from players.containers import Topic
+from tools.robot.heard import TOPICS, Heard
 from tools.robot.stamps import humble
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
-    from players.containers import Topic
     from tools.robot.link import Sending
 
 _GID = bytes(range(16))
@@ -27,6 +30,8 @@ class _Router:
         self._latched: set[str] = set()
         self._tokens: list[Any] = []
         self._published: dict[str, int] = {}
+        self.heard = Heard()
+        self._hearing: list[Any] = []
 
     def connect(self, topics: Collection[Topic]) -> None:
         """Open the router and announce the topics."""
@@ -42,6 +47,15 @@ class _Router:
         ):
             config.insert_json5(key, dumps(value))
         self.session = zenoh.open(config)
+        history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+        elsewhere = zenoh.Locality.REMOTE
+        for name in TOPICS:
+            key, take = self.heard_key(name), _taking(self.heard, name)
+            self._hearing.append(
+                zenoh.ext.declare_advanced_subscriber(
+                    self.session, key, take, history=history, allowed_origin=elsewhere
+                )
+            )
         for i, topic in enumerate(topics):
             is_latched = topic.name.endswith("tf_static")
             self._tokens.append(self.session.liveliness().declare_token(self.token(topic, i, is_latched=is_latched)))
@@ -61,6 +75,7 @@ class _Router:
         """Close the router."""
         self._tokens.clear()
         self._publishers.clear()
+        self._hearing.clear()
         self.session.close()
 
     def is_heard(self, name: str) -> bool:
@@ -75,6 +90,15 @@ class _Router:
             publisher.put(sending.data)
         else:
             publisher.put(sending.data, attachment=attachment)
+
+    def ask(self, data: bytes) -> None:
+        """Publish a goal."""
+        self.heard.ask()
+        self.session.put(self.key(_GOAL), data)
+
+    def heard_key(self, name: str) -> str:
+        """Return the keys under which a topic of others comes."""
+        raise NotImplementedError
 
     has_advanced_publishers = True
 
@@ -112,6 +136,10 @@ class ZenohBridge(_Router):
         """Return the name without its first slash."""
         return self._prefix + topic.name.lstrip("/")
 
+    def heard_key(self, name: str) -> str:
+        """Return the name without its first slash, in the namespace."""
+        return self._prefix + name.lstrip("/")
+
     def token(self, topic: Topic, number: int, *, is_latched: bool) -> str:
         """Return key and type with § for slashes, and the QoS: keyless, reliable, durability, keep last."""
         escaped = (self.key(topic).replace("/", "§"), topic.type_name.replace("/", "§"))
@@ -142,6 +170,10 @@ class RmwZenoh(_Router):
         """Return domain, topic, DDS type and hash."""
         return f"{self._domain}/{(self._prefix + topic.name).lstrip('/')}/{_dds_type(topic)}/{_hash(topic)}"
 
+    def heard_key(self, name: str) -> str:
+        """Return the name in the domain, of any type."""
+        return f"{self._domain}/{(self._prefix + name).lstrip('/')}/*/*"
+
     def token(self, topic: Topic, number: int, *, is_latched: bool) -> str:
         """Return the token of a publisher of a node `robot`."""
         name = (self._prefix + topic.name).replace("/", "%")
@@ -153,6 +185,13 @@ class RmwZenoh(_Router):
         """Return sequence number, time stamp, and the publisher's id behind its length."""
         gid = sending.due.topic.name.encode()[-16:].rjust(16, b"\0")
         return struct.pack("<qqB16s", sending.sequence, sending.at_ns, len(_GID), gid)
+
+
+def _taking(heard: Heard, name: str) -> Callable[[Any], None]:
+    return lambda sample: heard.take(name, sample.payload.to_bytes())
+
+
+_GOAL = Topic(name=GOAL_TOPIC, type_name=GOAL, num_messages=None, wire="cdr", definition_format="none", definition="")
 
 
 def _dds_type(topic: Topic) -> str:

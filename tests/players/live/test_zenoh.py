@@ -14,7 +14,7 @@ import pytest
 from hickory_stream.errors import RecordingError
 from players.live import open_live
 from players.live.inbox import Inbox
-from players.live.zenoh_keys import publication_of_key, publication_of_token, subscription_token, within
+from players.live.zenoh_keys import own_token, publication_of_key, publication_of_token, within
 from players.live.zenoh_route import ZenohRoute
 from players.opening import open_source
 from tests.players.live.robot_fixtures import eventually, free_port, mapped, scene_log
@@ -105,7 +105,7 @@ def test_keys_of_rmw_zenoh_say_their_type_and_those_of_the_bridge_do_not() -> No
     assert publication_of_key("cam/image") is None
     assert within(found, "cam") == "/image"
     assert within(found, "ca") is None
-    token = subscription_token(found, "5a", 3)
+    token = own_token(found, "5a", 3, "MS")
     assert (
         token
         == f"@ros2_lv/0/5a/0/3/MS/%/%/hickory_stream/%cam%image/sensor_msgs::msg::dds_::Image_/{HASH}/::,10:,:,:,,"

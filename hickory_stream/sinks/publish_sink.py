@@ -1,0 +1,236 @@
+"""The sink that tells a robot what the map knows, over the link by which it is heard, and answers where it may go.
+
+Costmap, objects, markers and `map -> odom` are published as the map grows; a goal (`geometry_msgs/PoseStamped` on
+`/goal_pose`, as RViz sends it) is answered with a `nav_msgs/Path` on `/plan` from where the camera is. Names and QoS
+are those of Nav2 and RViz. Nothing here ever holds the map up: what cannot be sent in time is dropped and counted.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import HickoryError, InputError
+from hickory_stream.navigation.costmap import Costmap
+from hickory_stream.navigation.followed import Followed
+from hickory_stream.navigation.free_space import FreeSpace
+from hickory_stream.navigation.search import NoPath, plan
+from hickory_stream.navigation.stand_ins import SeenSurface
+from hickory_stream.sinks.outbox import Outbox
+from hickory_stream.sinks.ros_messages import (
+    DETECTIONS,
+    FRAME_ID,
+    GRID,
+    MARKERS,
+    PATH,
+    TRANSFORMS,
+    UPDATE,
+    definition_of,
+    detections_message,
+    goal_of,
+    grid_message,
+    hash_of,
+    markers_message,
+    path_message,
+    transform_message,
+    warm_up,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.navigation.robot import Robot
+    from hickory_stream.navigation.search import Path
+    from hickory_stream.records import FrameReport, MapSnapshot
+    from hickory_stream.sinks.outbox import ReturnLink
+
+logger = logging.getLogger(__name__)
+
+MAP_TOPIC, UPDATES_TOPIC, TF_TOPIC = "/map", "/map_updates", "/tf"
+OBJECTS_TOPIC, MARKERS_TOPIC = "/hickory_stream/objects", "/hickory_stream/markers"
+PLAN_TOPIC, GOAL_TOPIC = "/plan", "/goal_pose"
+PARTS = ("costmap", "objects", "markers", "tf", "plan")
+_TOPICS = {
+    "costmap": ((MAP_TOPIC, GRID, True), (UPDATES_TOPIC, UPDATE, False)),
+    "objects": ((OBJECTS_TOPIC, DETECTIONS, False),),
+    "markers": ((MARKERS_TOPIC, MARKERS, True),),
+    "tf": ((TF_TOPIC, TRANSFORMS, False),),
+    "plan": ((PLAN_TOPIC, PATH, False),),
+}
+_OBJECTS_EVERY_S = 0.5
+# Who comes late has the last whole grid, and no windows from before: it is never older than this.
+_WHOLE_EVERY_S = 5.0
+_GOALS = 4
+# As AMCL does it (transform_tolerance): whoever looks the transform up is a little later than the keyframe.
+_TF_AHEAD_NS = 1_000_000_000
+_CELL_M = 0.05
+
+
+class PublishSink:
+    """A `Sink` that publishes over a link; `parts` are some of `PARTS`.
+
+    `odom_frame` is the frame of the robot's poses. `counts` says what became of every message and goal.
+
+    Raises:
+        InputError: there is no such part.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        link: ReturnLink,
+        *,
+        odom_frame: str,
+        parts: Collection[str] = PARTS,
+        cell_m: float = _CELL_M,
+    ) -> None:
+        unknown = sorted(set(parts) - set(PARTS))
+        if unknown:
+            raise InputError(f"found {unknown[0]} to publish, expected some of {', '.join(PARTS)}")
+        self._parts = frozenset(parts)
+        self._odom_frame = odom_frame or "odom"
+        self._seen = SeenSurface()
+        self._costmap = Costmap(robot, cell_m=cell_m, seen=self._seen)
+        self._space = followed_space(robot, cell_m=cell_m, seen=self._seen)
+        self._lock = threading.Lock()
+        self._map_from_odom = np.eye(4)
+        self._robot_at: NDArray[np.float64] | None = None
+        self._stamp_ns = 0
+        self._told_s = self._whole_s = -np.inf
+        self._goals: queue.Queue[bytes | None] = queue.Queue(_GOALS)
+        self._goal_fates = {"answered": 0, "no_path": 0, "refused": 0, "dropped": 0}
+        warm_up()
+        self._outbox = Outbox(link, self._overtaken)
+        for part in PARTS:
+            for name, type_name, is_latched in _TOPICS[part] if part in self._parts else ():
+                definition, type_hash = definition_of(type_name), hash_of(type_name)
+                link.offer(name, type_name, definition=definition, type_hash=type_hash, is_latched=is_latched)
+        self._planner: threading.Thread | None = None
+        if "plan" in self._parts:
+            self._planner = threading.Thread(target=self._answer_goals, name="publish-plan", daemon=True)
+            self._planner.start()
+            link.listen(GOAL_TOPIC, self._hear)
+
+    def show(self, report: FrameReport) -> None:
+        """Publish what changed with the report's snapshot."""
+        snapshot = report.snapshot
+        if snapshot is None:
+            return
+        map_from_odom = snapshot.submaps[-1].world_from_submap if snapshot.submaps else np.eye(4)
+        with self._lock:
+            self._stamp_ns = report.stamp_ns
+            self._map_from_odom = map_from_odom
+            self._robot_at = (map_from_odom @ report.world_from_camera)[:2, 3]
+            self._space.drove(self._robot_at)
+            if report.space is not None:
+                self._seen.add(report.space, snapshot)
+            if "plan" in self._parts:
+                self._space.update(snapshot)
+        if "tf" in self._parts:
+            data = transform_message(report.stamp_ns + _TF_AHEAD_NS, self._odom_frame, map_from_odom)
+            self._outbox.put(TF_TOPIC, data)
+        if "costmap" in self._parts:
+            if time.monotonic() - self._whole_s >= _WHOLE_EVERY_S:
+                self._whole_s = time.monotonic()
+                self._costmap.begin_again()
+            update = self._costmap.update(snapshot)
+            if update is not None:
+                self._outbox.put(MAP_TOPIC if update.is_whole else UPDATES_TOPIC, grid_message(update)[1])
+        is_last = report.frame is None
+        if is_last or time.monotonic() - self._told_s >= _OBJECTS_EVERY_S:
+            self._told_s = time.monotonic()
+            self._tell_objects(snapshot)
+
+    def counts(self) -> dict[str, Any]:
+        """Return by topic how many messages had which fate, and what became of goals."""
+        return {"topics": self._outbox.fates(), "goals": dict(self._goal_fates)}
+
+    def close(self) -> None:
+        """Send what waits, for a moment, and end."""
+        if self._planner is not None:
+            self._goals_put(None)
+            self._planner.join(2.0)
+        self._outbox.close()
+
+    def _tell_objects(self, snapshot: MapSnapshot) -> None:
+        if "objects" in self._parts:
+            self._outbox.put(OBJECTS_TOPIC, detections_message(snapshot))
+        if "markers" in self._parts:
+            self._outbox.put(MARKERS_TOPIC, markers_message(snapshot))
+
+    def _overtaken(self, name: str) -> None:
+        # A window that is missing leaves old cells in the robot's grid.
+        if name in (MAP_TOPIC, UPDATES_TOPIC):
+            self._costmap.begin_again()
+
+    # ---- goals -------------------------------------------------------------------------------------------------------
+
+    def _hear(self, data: bytes) -> None:
+        self._goals_put(data)
+
+    def _goals_put(self, data: bytes | None) -> None:
+        """Have a goal answered; of too many the oldest are dropped: the robot wants to know of its last one."""
+        while True:
+            try:
+                self._goals.put_nowait(data)
+            except queue.Full:
+                try:
+                    self._goals.get_nowait()
+                    self._goal_fates["dropped"] += 1
+                except queue.Empty:
+                    continue
+            else:
+                return
+
+    def _answer_goals(self) -> None:
+        while (data := self._goals.get()) is not None:
+            answer = self._answer(data)
+            if isinstance(answer, str):
+                self._goal_fates["refused"] += 1
+                logger.warning("a goal was refused: %s", answer)
+                continue
+            self._goal_fates["answered" if answer is not None else "no_path"] += 1
+            self._outbox.put(PLAN_TOPIC, path_message(self._stamp_ns, answer), is_urgent=True)
+
+    def _answer(self, data: bytes) -> Path | str | None:
+        """Return the path to a goal, None where there is none, or why nothing can be said."""
+        goal = goal_of(data)
+        if goal is None:
+            return f"{GOAL_TOPIC} was sent {len(data)} bytes that are no PoseStamped with a finite place"
+        if goal.frame not in (FRAME_ID, self._odom_frame):
+            return f"found the frame {goal.frame!r}, expected {FRAME_ID} or {self._odom_frame}"
+        with self._lock:
+            space, start = self._space.grid, self._robot_at
+            if space is None or start is None:
+                return "nothing was mapped yet"
+            try:
+                place = goal.place
+                if goal.frame != FRAME_ID:
+                    place = (self._map_from_odom @ np.array([*place, 0.0, 1.0]))[:2]
+                found = plan(space, start, place)
+            except HickoryError as error:
+                return str(error)
+        if isinstance(found, NoPath):
+            logger.warning("no path to (%.2f, %.2f): %s", *goal.place, found.text)
+            return None
+        return found
+
+
+def followed_space(robot: Robot, *, cell_m: float, seen: SeenSurface) -> Followed[FreeSpace]:
+    """Return the free space of a robot that follows the snapshots of a live run."""
+    num_layers = len(robot.postures) * robot.num_headings
+    return Followed(
+        lambda frame, floor_m: FreeSpace(robot, frame, floor_m),
+        robot.heights_m,
+        cell_m=cell_m,
+        reach_m=robot.reach_m,
+        num_layers=num_layers,
+        seen=seen,
+    )

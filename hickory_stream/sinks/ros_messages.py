@@ -1,0 +1,267 @@
+"""Messages of ROS 2 as bytes (CDR), made of the map's records: what Nav2 and RViz read. No ROS is needed to make them.
+
+`vision_msgs` and `map_msgs` are no part of ROS's core: their definitions are those of Humble and later.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.navigation.costmap import CostmapUpdate
+from hickory_stream.navigation.occupancy import GridFrame
+from hickory_stream.navigation.stand_ins import early_obstacles
+from hickory_stream.records import MapSnapshot
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.navigation.search import Path
+
+FRAME_ID = "map"
+GRID, UPDATE = "nav_msgs/msg/OccupancyGrid", "map_msgs/msg/OccupancyGridUpdate"
+DETECTIONS, MARKERS = "vision_msgs/msg/Detection3DArray", "visualization_msgs/msg/MarkerArray"
+TRANSFORMS, PATH, GOAL = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
+
+_HEADER = "std_msgs/Header header\n"
+_DEFINITIONS = {
+    UPDATE: _HEADER + "int32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data\n",
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
+    "vision_msgs/msg/ObjectHypothesisWithPose": (
+        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
+    ),
+    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+    "vision_msgs/msg/Detection3D": _HEADER
+    + "vision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\nstring id\n",
+    DETECTIONS: _HEADER + "vision_msgs/Detection3D[] detections\n",
+}
+_CUBE, _TEXT, _ADD, _DELETE_ALL = 1, 9, 0, 3
+_SURE_RGBA, _OBSERVED_RGBA = (0.2, 0.6, 0.9, 0.5), (0.95, 0.6, 0.1, 0.5)
+OBSERVED_ONLY, SURE = "observed_only", "objects"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Goal:
+    """Where a robot is asked to go: `place` (2,), metres, in a frame."""
+
+    frame: str
+    place: NDArray[np.float64]
+
+
+@cache
+def store() -> Any:
+    """Return the types of ROS 2 Humble, `vision_msgs` and `map_msgs` among them."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    found = get_typestore(Stores.ROS2_HUMBLE)
+    types: dict[str, Any] = {}
+    for name, text in _DEFINITIONS.items():
+        types.update(get_types_from_msg(text, name))
+    found.register(types)
+    return found
+
+
+def definition_of(type_name: str) -> str:
+    """Return the definition of a type and of those in it, as `ros2msg`."""
+    text, _ = store().generate_msgdef(type_name, ros_version=2)
+    return str(text)
+
+
+def hash_of(type_name: str) -> str:
+    """Return the RIHS01 hash of a type, by which rmw_zenoh names it."""
+    return str(store().hash_rihs01(type_name))
+
+
+def encoded(type_name: str, message: Any) -> bytes:
+    """Return a message of that type as CDR."""
+    return bytes(store().serialize_cdr(message, type_name))
+
+
+def warm_up() -> None:
+    """Have the encoders made beforehand: each takes up to a second, once, and a robot waits for what they encode."""
+    nothing = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
+    frame = GridFrame(origin_m=np.zeros(2), cell_m=1.0, rows=1, columns=1)
+    for is_whole in (True, False):
+        states = np.zeros((1, 1), np.int8)
+        grid_message(CostmapUpdate(stamp_ns=0, frame=frame, row=0, column=0, states=states, is_whole=is_whole))
+    detections_message(nothing)
+    markers_message(nothing)
+    transform_message(0, "odom", np.eye(4))
+    path_message(0, None)
+    goal_of(goal_message(0, np.zeros(2)))
+
+
+def grid_message(update: CostmapUpdate) -> tuple[str, bytes]:
+    """Return type and bytes of an update: a whole grid, or a window of it."""
+    data = np.ascontiguousarray(update.states).ravel()
+    height, width = update.states.shape
+    header = _header(update.stamp_ns)
+    if not update.is_whole:
+        window = _new(UPDATE, header=header, x=update.column, y=update.row, width=width, height=height, data=data)
+        return UPDATE, encoded(UPDATE, window)
+    x, y = update.frame.origin_m.tolist()
+    info = _new(
+        "nav_msgs/msg/MapMetaData",
+        map_load_time=header.stamp,
+        resolution=update.frame.cell_m,
+        width=width,
+        height=height,
+        origin=_pose(np.array([x, y, 0.0])),
+    )
+    return GRID, encoded(GRID, _new(GRID, header=header, info=info, data=data))
+
+
+def detections_message(snapshot: MapSnapshot) -> bytes:
+    """Return the objects: id, upright box and its pose; the class says whether a layer 4 was made yet.
+
+    The score is 1: what the map holds it is sure of, or it says `observed_only`.
+    """
+    header = _header(snapshot.stamp_ns)
+    found = []
+    for tracked, obstacle in zip(snapshot.objects, early_obstacles(snapshot.objects), strict=True):
+        pose = _box_pose(tracked.box)
+        kind = OBSERVED_ONLY if obstacle.is_observed_only else "object"
+        hypothesis = _new("vision_msgs/msg/ObjectHypothesis", class_id=kind, score=1.0)
+        with_covariance = _new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+        result = _new("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=with_covariance)
+        box = _new("vision_msgs/msg/BoundingBox3D", center=pose, size=_vector(2 * tracked.box.half_extents_m))
+        found.append(_new("vision_msgs/msg/Detection3D", header=header, results=[result], bbox=box, id=str(tracked.id)))
+    return encoded(DETECTIONS, _new(DETECTIONS, header=header, detections=found))
+
+
+def markers_message(snapshot: MapSnapshot) -> bytes:
+    """Return the boxes and ids of the objects for RViz: all of them, and before that the order to forget the others."""
+    header = _header(snapshot.stamp_ns)
+    markers = [_marker(header, SURE, 0, _CUBE, _DELETE_ALL)]
+    for tracked, obstacle in zip(snapshot.objects, early_obstacles(snapshot.objects), strict=True):
+        space, rgba = (OBSERVED_ONLY, _OBSERVED_RGBA) if obstacle.is_observed_only else (SURE, _SURE_RGBA)
+        size = 2 * tracked.box.half_extents_m
+        cube = _marker(header, space, tracked.id, _CUBE, pose=_box_pose(tracked.box), scale=size, rgba=rgba)
+        above = tracked.box.center + np.array([0.0, 0.0, tracked.box.half_extents_m[2] + 0.1])
+        label = _marker(header, f"{space}/ids", tracked.id, _TEXT, pose=_pose(above), scale=np.full(3, 0.12))
+        label.text = str(tracked.id)
+        markers += [cube, label]
+    return encoded(MARKERS, _new(MARKERS, markers=markers))
+
+
+def transform_message(stamp_ns: int, odom_frame: str, map_from_odom: NDArray[np.float64]) -> bytes:
+    """Return where the frame of the odometry is in the map."""
+    translation, rotation = _vector(map_from_odom[:3, 3]), _quaternion(map_from_odom[:3, :3])
+    placed = _new("geometry_msgs/msg/Transform", translation=translation, rotation=rotation)
+    stamped = _new(
+        "geometry_msgs/msg/TransformStamped", header=_header(stamp_ns), child_frame_id=odom_frame, transform=placed
+    )
+    return encoded(TRANSFORMS, _new(TRANSFORMS, transforms=[stamped]))
+
+
+def path_message(stamp_ns: int, path: Path | None) -> bytes:
+    """Return a path, each pose looking along its leg; without poses where there is none, as Nav2 has it."""
+    header = _header(stamp_ns)
+    poses = []
+    if path is not None:
+        ahead = np.diff(path.points, axis=0, append=path.points[-1:] + np.diff(path.points, axis=0)[-1:])
+        for (x, y), (dx, dy) in zip(path.points.tolist(), ahead.tolist(), strict=True):
+            turned = _yaw(math.atan2(dy, dx))
+            poses.append(_new(GOAL, header=header, pose=_pose(np.array([x, y, 0.0]), turned)))
+    return encoded(PATH, _new(PATH, header=header, poses=poses))
+
+
+def goal_of(data: bytes) -> Goal | None:
+    """Return what a PoseStamped asks for; None for bytes that are none, or a place that is not finite."""
+    try:
+        message = store().deserialize_cdr(data, GOAL)
+    except Exception:  # noqa: BLE001 - a stranger's bytes break the decoder in whatever way
+        return None
+    place = np.array([message.pose.position.x, message.pose.position.y])
+    if not np.isfinite(place).all():
+        return None
+    return Goal(frame=str(message.header.frame_id).lstrip("/"), place=place)
+
+
+def goal_message(stamp_ns: int, place: NDArray[np.float64], frame: str = FRAME_ID) -> bytes:
+    """Return a PoseStamped: what `goal_of` reads."""
+    return encoded(GOAL, _new(GOAL, header=_header(stamp_ns, frame), pose=_pose(np.array([*place, 0.0]))))
+
+
+def _marker(
+    header: Any,
+    namespace: str,
+    number: int,
+    kind: int,
+    action: int = _ADD,
+    *,
+    pose: Any = None,
+    scale: NDArray[np.float64] | None = None,
+    rgba: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0),
+) -> Any:
+    def color(r: float, g: float, b: float, a: float) -> Any:
+        return _new("std_msgs/msg/ColorRGBA", r=r, g=g, b=b, a=a)
+
+    nothing = _new("sensor_msgs/msg/CompressedImage", header=header, format="", data=np.zeros(0, np.uint8))
+    none = _new("visualization_msgs/msg/MeshFile", filename="", data=np.zeros(0, np.uint8))
+    return _new(
+        "visualization_msgs/msg/Marker",
+        header=header,
+        ns=namespace,
+        id=number,
+        type=kind,
+        action=action,
+        pose=pose if pose is not None else _pose(np.zeros(3)),
+        scale=_vector(scale if scale is not None else np.ones(3)),
+        color=color(*rgba),
+        lifetime=_new("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+        frame_locked=False,
+        points=[],
+        colors=[],
+        texture_resource="",
+        texture=nothing,
+        uv_coordinates=[],
+        text="",
+        mesh_resource="",
+        mesh_file=none,
+        mesh_use_embedded_materials=False,
+    )
+
+
+def _new(type_name: str, **fields: Any) -> Any:
+    return store().types[type_name](**fields)
+
+
+def _header(stamp_ns: int, frame: str = FRAME_ID) -> Any:
+    seconds, nanoseconds = divmod(stamp_ns, 10**9)
+    stamp = _new("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    return _new("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+
+def _vector(values: NDArray[np.float64]) -> Any:
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return _new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _pose(position: NDArray[np.float64], rotation: Any = None) -> Any:
+    x, y, z = np.asarray(position, dtype=np.float64).tolist()
+    return _new(
+        "geometry_msgs/msg/Pose",
+        position=_new("geometry_msgs/msg/Point", x=x, y=y, z=z),
+        orientation=rotation if rotation is not None else _yaw(0.0),
+    )
+
+
+def _box_pose(box: OrientedBox) -> Any:
+    return _pose(box.center, _quaternion(box.world_from_box[:3, :3]))
+
+
+def _yaw(angle_rad: float) -> Any:
+    return _new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(angle_rad / 2), w=math.cos(angle_rad / 2))
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> Any:
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    return _new("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)

@@ -1,0 +1,263 @@
+"""What a robot is told: messages that decode to what the map knows, bounded, every one counted; goals are answered."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from hickory_stream.errors import InputError
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.navigation.robot import load_robot
+from hickory_stream.records import FrameReport, MapSnapshot, Phase, SpaceObservation
+from hickory_stream.sinks.outbox import Outbox
+from hickory_stream.sinks.publish_sink import (
+    GOAL_TOPIC,
+    MAP_TOPIC,
+    MARKERS_TOPIC,
+    OBJECTS_TOPIC,
+    PLAN_TOPIC,
+    TF_TOPIC,
+    UPDATES_TOPIC,
+    PublishSink,
+)
+from hickory_stream.sinks.ros_messages import goal_message, store
+from tests.navigation.rooms import boxes, snapshot, table, tracked
+from tests.players.live.robot_fixtures import eventually
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ROBOT = load_robot("point")
+START = (0.5, 0.5)
+NOTHING = np.empty(0, np.int64)
+
+
+@dataclass
+class Link:
+    """A link that keeps what it is sent; `gate` holds it up while it is not set."""
+
+    offers: dict[str, tuple[str, bool]] = field(default_factory=dict)
+    sent: list[tuple[str, bytes]] = field(default_factory=list)
+    ears: dict[str, Callable[[bytes], None]] = field(default_factory=dict)
+    gate: threading.Event = field(default_factory=threading.Event)
+    is_there: bool = True
+
+    def __post_init__(self) -> None:
+        self.gate.set()
+
+    def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
+        assert definition
+        assert type_hash.startswith("RIHS01_")
+        self.offers[name] = (type_name, is_latched)
+
+    def send(self, name: str, data: bytes) -> bool:
+        self.gate.wait(10.0)
+        self.sent.append((name, data))
+        return self.is_there
+
+    def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
+        self.ears[name] = hear
+
+    def last(self, name: str) -> Any:
+        data = next(data for sent, data in reversed(self.sent) if sent == name)
+        return store().deserialize_cdr(data, self.offers[name][0])
+
+
+def report(of: MapSnapshot, at: tuple[float, float] = START) -> FrameReport:
+    pose = np.eye(4)
+    pose[:2, 3] = at
+    return FrameReport(
+        index=0,
+        stamp_ns=1_700_000_000_500_000_000,
+        keyframe_index=0,
+        camera=Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0),
+        world_from_camera=pose,
+        color_bytes=None,
+        snapshot=of,
+        space=SpaceObservation(free_keys=NOTHING, structure_keys=NOTHING, floor_z_m=0.0),
+    )
+
+
+def room(**options: Any) -> MapSnapshot:
+    crate = replace(tracked(2, boxes(((4.5, 1.0, 0.3), (0.3, 0.3, 0.3))), with_shape=False), phase=Phase.TENTATIVE)
+    return snapshot(tracked(1, table()), crate, **options)
+
+
+def told(*snapshots: MapSnapshot, link: Link | None = None) -> Link:
+    """What a link has been sent once everything was."""
+    link = link or Link()
+    sink = PublishSink(ROBOT, link, odom_frame="odom")
+    for of in snapshots:
+        sink.show(report(of))
+    sink.close()
+    return link
+
+
+def test_topics_have_the_types_and_the_durability_that_nav2_and_rviz_expect() -> None:
+    assert told().offers == {
+        MAP_TOPIC: ("nav_msgs/msg/OccupancyGrid", True),
+        UPDATES_TOPIC: ("map_msgs/msg/OccupancyGridUpdate", False),
+        OBJECTS_TOPIC: ("vision_msgs/msg/Detection3DArray", False),
+        MARKERS_TOPIC: ("visualization_msgs/msg/MarkerArray", True),
+        TF_TOPIC: ("tf2_msgs/msg/TFMessage", False),
+        PLAN_TOPIC: ("nav_msgs/msg/Path", False),
+    }
+
+
+def test_the_objects_have_their_ids_boxes_and_poses_and_say_what_was_only_observed() -> None:
+    of = room()
+    detections = told(of).last(OBJECTS_TOPIC).detections
+    assert [found.id for found in detections] == ["1", "2"]
+    assert [found.results[0].hypothesis.class_id for found in detections] == ["object", "observed_only"]
+    for found, item in zip(detections, of.objects, strict=True):
+        center, size = found.bbox.center.position, found.bbox.size
+        assert [center.x, center.y, center.z] == pytest.approx(item.box.center)
+        assert [size.x, size.y, size.z] == pytest.approx(2 * item.box.half_extents_m)
+
+
+def test_the_markers_begin_with_the_order_to_forget_the_others() -> None:
+    markers = told(room()).last(MARKERS_TOPIC).markers
+    assert markers[0].action == 3
+    assert [(m.ns, m.id, m.type) for m in markers[1:]] == [
+        ("objects", 1, 1),
+        ("objects/ids", 1, 9),
+        ("observed_only", 2, 1),
+        ("observed_only/ids", 2, 9),
+    ]
+
+
+def test_the_costmap_holds_what_was_observed_only_and_then_its_changes() -> None:
+    link = told(snapshot(), room())
+    assert [name for name, _ in link.sent if name in (MAP_TOPIC, UPDATES_TOPIC)] == [MAP_TOPIC, UPDATES_TOPIC]
+    grid, update = link.last(MAP_TOPIC), link.last(UPDATES_TOPIC)
+    states = np.array(grid.data).reshape(grid.info.height, grid.info.width)
+    window = states[update.y : update.y + update.height, update.x : update.x + update.width]
+    window[:] = np.array(update.data).reshape(update.height, update.width)
+    column = int((4.5 - grid.info.origin.position.x) / grid.info.resolution)
+    row = int((1.0 - grid.info.origin.position.y) / grid.info.resolution)
+    assert states[row, column] == 100
+    assert grid.header.frame_id == "map"
+
+
+def test_map_from_odom_is_the_identity_until_the_submap_is_placed_anew() -> None:
+    moved = np.eye(4)
+    moved[:2, 3] = 1.0, -2.0
+    for pose in (np.eye(4), moved):
+        (found,) = told(snapshot(world_from_submap=pose)).last(TF_TOPIC).transforms
+        assert (found.header.frame_id, found.child_frame_id) == ("map", "odom")
+        assert [found.transform.translation.x, found.transform.translation.y] == pose[:2, 3].tolist()
+        assert found.transform.rotation.w == 1.0
+
+
+def asked(goal: bytes, of: MapSnapshot | None = None) -> tuple[Link, dict[str, int]]:
+    link = Link()
+    sink = PublishSink(ROBOT, link, odom_frame="odom")
+    if of is not None:
+        sink.show(report(of))
+    link.ears[GOAL_TOPIC](goal)
+    eventually(lambda: sum(sink.counts()["goals"].values()) == 1)
+    sink.close()
+    return link, sink.counts()["goals"]
+
+
+def test_a_goal_is_answered_with_a_path_around_what_was_observed_only() -> None:
+    link, fates = asked(goal_message(0, np.array([5.5, 1.0])), room())
+    assert fates == {"answered": 1, "no_path": 0, "refused": 0, "dropped": 0}
+    poses = link.last(PLAN_TOPIC).poses
+    points = np.array([[p.pose.position.x, p.pose.position.y] for p in poses])
+    assert points[0].tolist() == list(START)
+    assert points[-1].tolist() == [5.5, 1.0]
+    ways = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(points)])
+    assert (np.abs(ways - [4.5, 1.0]).max(axis=1) > 0.3).all()
+
+
+def test_a_goal_that_cannot_be_reached_is_answered_with_an_empty_path() -> None:
+    link, fates = asked(goal_message(0, np.array([4.5, 1.0])), room())
+    assert fates["no_path"] == 1
+    assert link.last(PLAN_TOPIC).poses == []
+
+
+def test_a_goal_in_the_frame_of_the_odometry_is_moved_into_the_map() -> None:
+    moved = np.eye(4)
+    moved[0, 3] = 0.5
+    link, fates = asked(goal_message(0, np.array([1.0, 3.0]), "odom"), snapshot(world_from_submap=moved))
+    assert fates["answered"] == 1
+    last = link.last(PLAN_TOPIC).poses[-1].pose.position
+    assert (last.x, last.y) == (1.5, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("goal", "of", "text"),
+    [
+        (b"\0\1\0\0\x05", room(), "no PoseStamped"),
+        (goal_message(0, np.array([np.nan, 0.0])), room(), "no PoseStamped"),
+        (goal_message(0, np.zeros(2), "laser"), room(), "found the frame 'laser', expected map or odom"),
+        (goal_message(0, np.zeros(2)), None, "nothing was mapped yet"),
+        (goal_message(0, np.array([99.0, 0.0])), room(), "goal"),
+    ],
+)
+def test_a_bad_goal_is_refused_in_a_line(
+    goal: bytes, of: MapSnapshot | None, text: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    link, fates = asked(goal, of)
+    assert fates["refused"] == 1
+    assert text in caplog.text
+    assert PLAN_TOPIC not in [name for name, _ in link.sent]
+
+
+def test_of_too_many_goals_the_last_ones_are_answered_and_the_others_counted() -> None:
+    link = Link()
+    sink = PublishSink(ROBOT, link, odom_frame="odom")
+    sink.show(report(room()))
+    with sink._lock:
+        for _ in range(20):
+            link.ears[GOAL_TOPIC](goal_message(0, np.array([5.5, 1.0])))
+    eventually(lambda: sum(sink.counts()["goals"].values()) == 20)
+    sink.close()
+    fates = sink.counts()["goals"]
+    assert fates["dropped"] >= 15
+    assert fates["answered"] + fates["dropped"] == 20
+
+
+def test_a_link_that_stands_still_holds_nobody_up_and_what_it_misses_is_counted_and_made_good() -> None:
+    link = Link()
+    link.gate.clear()
+    overtaken: list[str] = []
+    outbox = Outbox(link, overtaken.append, most_bytes=1000)
+    for i in range(10):
+        outbox.put("/map", bytes([i]) * 300)
+    link.gate.set()
+    outbox.close()
+    fates = outbox.fates()["/map"]
+    assert fates["sent"] + fates["dropped"] == 10
+    assert len(overtaken) == fates["dropped"] > 0
+    assert link.sent[-1][1][0] == 9
+
+
+def test_after_a_window_was_dropped_the_next_costmap_is_a_whole_one() -> None:
+    link = Link()
+    sink = PublishSink(ROBOT, link, odom_frame="odom", parts=("costmap",))
+    sink.show(report(snapshot()))
+    sink._overtaken(UPDATES_TOPIC)
+    sink.show(report(room()))
+    sink.close()
+    assert [name for name, _ in link.sent] == [MAP_TOPIC, MAP_TOPIC]
+
+
+def test_where_nobody_is_there_messages_are_counted_as_unheard() -> None:
+    link = Link(is_there=False)
+    sink = PublishSink(ROBOT, link, odom_frame="", parts=("tf",))
+    sink.show(report(snapshot()))
+    sink.close()
+    assert sink.counts()["topics"] == {TF_TOPIC: {"unheard": 1}}
+    assert link.last(TF_TOPIC).transforms[0].child_frame_id == "odom"
+
+
+def test_an_unknown_part_is_refused() -> None:
+    with pytest.raises(InputError, match="found lidar to publish, expected some of costmap"):
+        PublishSink(ROBOT, Link(), odom_frame="odom", parts=("lidar",))
