@@ -83,7 +83,7 @@ class Interruptible(Protocol):
 
 @runtime_checkable
 class Seekable(Protocol):
-    """An ability of a source: somebody may go to and fro in it, and the map then cannot be made again from the log.
+    """An ability of a source: somebody may seek in it, and the map then cannot be made again from the log.
 
     A source whose frames ever say `goes_back` has it.
     """
@@ -106,7 +106,7 @@ def interrupt(source: Source) -> None:
 
 
 def num_seeks(source: Source) -> int:
-    """Return how often somebody went to and fro in a source."""
+    """Return how often somebody sought in a source."""
     return source.num_seeks if isinstance(source, Seekable) else 0
 
 
@@ -139,7 +139,7 @@ class SourceAround:
 
     @property
     def num_seeks(self) -> int:
-        """How often somebody went to and fro in the other source."""
+        """How often somebody sought in the other source."""
         return num_seeks(self._source)
 
     def close(self) -> None:

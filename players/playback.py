@@ -220,7 +220,7 @@ class PlayedSource(SourceAround):
 
     @property
     def num_seeks(self) -> int:
-        """How often somebody went to and fro."""
+        """How often somebody sought in it."""
         return self._num_seeks + super().num_seeks
 
     def interrupt(self) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.saved_map import open_map
-from tests.test_cli import COMMAND, EAGER, Playing, run
+from tests.test_cli import COMMAND, EAGER, Playing, look, run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +33,7 @@ def test_a_killed_or_stopped_run_is_resumed_to_the_map_of_an_undisturbed_one(
     children = playing.wait_for_children()
     # Time stands still for it, else it might be over first.
     playing.me.suspend()
-    refused = run("resume", tmp_path / "map", "--json")
+    refused = look("resume", tmp_path / "map", "--json")
     assert refused.status == 2
     assert f"is being written by process {playing.me.pid}" in refused.json()["message"]
     playing.me.send_signal(number)
@@ -41,7 +41,7 @@ def test_a_killed_or_stopped_run_is_resumed_to_the_map_of_an_undisturbed_one(
     playing.end()
     _, alive = psutil.wait_procs(children, timeout=5)
     assert alive == []
-    looked = run("inspect", tmp_path / "map")
+    looked = look("inspect", tmp_path / "map")
     assert looked.status == 0
     assert f"go on with: hickory-stream resume {tmp_path / 'map'}" in looked.stderr
     if number is signal.SIGKILL:
@@ -50,8 +50,8 @@ def test_a_killed_or_stopped_run_is_resumed_to_the_map_of_an_undisturbed_one(
     resumed = run("resume", tmp_path / "map", "--json")
     assert resumed.status == 0, resumed.stderr
     assert resumed.json()["finished_cleanly"] is True
-    assert run("inspect", tmp_path / "map").stderr == ""
-    digests = {run("inspect", path, "--json").json()["digest"] for path in (calm, tmp_path / "map")}
+    assert look("inspect", tmp_path / "map").stderr == ""
+    digests = {look("inspect", path, "--json").json()["digest"] for path in (calm, tmp_path / "map")}
     assert digests == {resumed.json()["digest"]}
 
 
@@ -66,7 +66,7 @@ def test_a_log_that_was_moved_can_be_named_and_one_that_is_gone_is_missed(
     playing.end()
     (tmp_path / "elsewhere").mkdir()
     log.rename(tmp_path / "elsewhere" / log.name)
-    missed = run("resume", tmp_path / "map", "--json")
+    missed = look("resume", tmp_path / "map", "--json")
     assert missed.status == 2
     assert "here.mcap" in missed.json()["message"]
     resumed = run("resume", tmp_path / "map", "--source", tmp_path / "elsewhere" / log.name, "--json")
@@ -75,33 +75,33 @@ def test_a_log_that_was_moved_can_be_named_and_one_that_is_gone_is_missed(
 
 
 def test_replay_makes_the_same_map_and_a_recording_from_the_folder_alone(calm: Path, tmp_path: Path) -> None:
-    replayed = run("replay", calm, "--rrd", tmp_path / "again.rrd", "--json")
+    replayed = look("replay", calm, "--rrd", tmp_path / "again.rrd", "--json")
     assert replayed.status == 0
     assert replayed.json()["is_same"] is True
     assert (tmp_path / "again.rrd").stat().st_size > 100_000
 
 
 def test_inspect_and_render_show_the_map_of_a_moment(calm: Path, tmp_path: Path) -> None:
-    early, late = (run("inspect", calm, "--at", at, "--json").json() for at in ("1.0", "2.5"))
+    early, late = (look("inspect", calm, "--at", at, "--json").json() for at in ("1.0", "2.5"))
     assert len(early["objects"]) > 0
     assert early["digest"] != late["digest"]
-    assert run("render", calm, "--at", "1.0", "-o", tmp_path / "early.png").status == 0
+    assert look("render", calm, "--at", "1.0", "-o", tmp_path / "early.png").status == 0
     assert (tmp_path / "early.png").stat().st_size > 1000
-    wrong = run("inspect", calm, "--at", "tomorrow", "--json")
+    wrong = look("inspect", calm, "--at", "tomorrow", "--json")
     assert wrong.status == 2
     assert "expected seconds from 0 to" in wrong.json()["message"]
 
 
 def test_diff_tells_what_happened_between_two_moments(calm: Path) -> None:
-    changes = run("diff", calm, "0", "2.5", "--json").json()["changes"]
+    changes = look("diff", calm, "0", "2.5", "--json").json()["changes"]
     assert {change["kind"] for change in changes} >= {"appeared", "better view"}
-    assert "appeared" in run("diff", calm, "0", "2.5").stdout
-    assert run("diff", calm, "1", "1").stdout == "nothing has changed\n"
+    assert "appeared" in look("diff", calm, "0", "2.5").stdout
+    assert look("diff", calm, "1", "1").stdout == "nothing has changed\n"
 
 
 @pytest.mark.parametrize(("kind", "first"), [("json", b"{"), ("ply", b"ply\n"), ("glb", b"glTF")])
 def test_export_writes_what_other_programs_read(calm: Path, tmp_path: Path, kind: str, first: bytes) -> None:
-    ended = run("export", calm, "--format", kind, "-o", tmp_path / f"map.{kind}", "--json")
+    ended = look("export", calm, "--format", kind, "-o", tmp_path / f"map.{kind}", "--json")
     assert ended.status == 0, ended.stderr
     assert (tmp_path / f"map.{kind}").read_bytes().startswith(first)
     snapshot = open_map(calm).snapshot
@@ -110,6 +110,6 @@ def test_export_writes_what_other_programs_read(calm: Path, tmp_path: Path, kind
         assert [entry["id"] for entry in json.loads((tmp_path / "map.json").read_text())["objects"]] == [
             tracked.id for tracked in snapshot.objects
         ]
-    assert run("export", calm, "--format", kind, "-o", tmp_path / "no" / "map").status == 2
+    assert look("export", calm, "--format", kind, "-o", tmp_path / "no" / "map").status == 2
     assert map_digest(snapshot) == open_map(calm).manifest.digest
     assert COMMAND

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
-from hickory_stream.box_scene import SceneSource
+from hickory_stream.box_scene import SCENE_BOXES, SceneSource
 from hickory_stream.config import MapperConfig, read_config
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.keyframe_images import crop_of
@@ -23,9 +23,10 @@ from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.conftest import COARSE_SHAPES
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Awaitable, Callable, Sequence
     from pathlib import Path
 
+    from hickory_stream.box_scene import SceneBox
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.run_progress import Progress
@@ -34,14 +35,16 @@ if TYPE_CHECKING:
 
 NUM_FRAMES = 8
 SOON = ("mapping.requests.first_sightings=2", "mapping.requests.latency_s=0.5")
+# A worker takes two seconds to start, and there are three shapes.
+FEW = ("run.workers=1",)
 NO_SHAPES = ("mapping.requests.max_failures=0",)
 
 
 def scene_config(path: Path, *overrides: str) -> MapperConfig:
-    """Return a configuration with coarse shapes that are asked for soon."""
+    """Return a configuration with coarse shapes that are asked for soon, and built by one worker."""
     path.mkdir(parents=True, exist_ok=True)
     (path / "coarse.toml").write_text(COARSE_SHAPES.replace("[mapper.", "["))
-    return read_config(MapperConfig, path / "coarse.toml", (*SOON, *overrides))
+    return read_config(MapperConfig, path / "coarse.toml", (*SOON, *FEW, *overrides))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +63,7 @@ def map_scene(
     tmp_path: Path,
     *overrides: str,
     name: str = "map",
+    boxes: Sequence[SceneBox] = SCENE_BOXES,
     source: Source | None = None,
     sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None = None,
     loops: int = 1,
@@ -69,18 +73,19 @@ def map_scene(
     on_progress: Callable[[Mapper, Progress], None] = lambda _, __: None,
     on_snapshot: Callable[[Mapper, MapSnapshot], Awaitable[None]] | None = None,
 ) -> SceneRun:
-    """Map the scene, or a source that wraps it, into `tmp_path/name`."""
+    """Map the scene, of all or of some `boxes`, or a source that wraps it, into `tmp_path/name`."""
+    scene = SceneSource(NUM_FRAMES, boxes)
 
     async def run() -> SceneRun:
         async with Mapper(
             scene_config(tmp_path / f"{name}-config", *overrides),
             out=tmp_path / name,
-            segmenter=segmenter or InstanceSegmenter(SceneSource(NUM_FRAMES).instances),
+            segmenter=segmenter or InstanceSegmenter(scene.instances),
             extractor=MeanColorExtractor(),
         ) as mapper:
             snapshots = []
             played = mapper.run(
-                source or SceneSource(NUM_FRAMES),
+                source or scene,
                 sinks=sinks,
                 loops=loops,
                 rate=rate,

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from tests.engine.run_fixtures import SceneRun
+
 pytest.importorskip("distributed")
 pytestmark = [pytest.mark.timeout(180), pytest.mark.filterwarnings("ignore")]
 
@@ -92,13 +94,12 @@ def hashes(folders: list[Path], tmp_path: Path) -> set[str]:
     return {shape.mesh_sha256 for shape in shapes if shape is not None}
 
 
-def test_a_cluster_makes_the_same_map_as_child_processes(tmp_path: Path) -> None:
+def test_a_cluster_makes_the_same_map_as_child_processes(tmp_path: Path, undisturbed_run: SceneRun) -> None:
     from distributed import LocalCluster
 
-    local = map_scene(tmp_path, name="local")
     with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as made:
         away = map_scene(tmp_path, f"run.cluster={made.scheduler_address}", name="away")
-    assert away.digest == local.digest
+    assert away.digest == undisturbed_run.digest
     assert away.folder.manifest.is_reproducible
 
 

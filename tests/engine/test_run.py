@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hickory_stream.box_scene import SceneSource
+from hickory_stream.box_scene import SCENE_BOXES, SceneSource
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
@@ -22,16 +22,17 @@ if TYPE_CHECKING:
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.run_progress import Progress
     from hickory_stream.ports import Sink
+    from tests.engine.run_fixtures import SceneRun
 
 pytestmark = pytest.mark.timeout(120)
 
 
-@pytest.fixture(scope="module")
-def calm_digest(tmp_path_factory: pytest.TempPathFactory) -> str:
+@pytest.fixture
+def calm_digest(undisturbed_run: SceneRun) -> str:
     """The digest of the map that one worker makes undisturbed."""
-    digest = map_scene(tmp_path_factory.mktemp("calm")).digest
-    assert digest is not None
-    return digest
+    assert undisturbed_run.folder.manifest.config["run"]["workers"] == 1
+    assert undisturbed_run.digest is not None
+    return undisturbed_run.digest
 
 
 def saved_with(*others: tuple[Sink, bool]) -> Callable[[MapFolder], list[tuple[Sink, bool]]]:
@@ -46,8 +47,8 @@ def test_two_workers_make_the_same_map_as_one(tmp_path: Path, calm_digest: str) 
     assert map_scene(tmp_path, "run.workers=2").digest == calm_digest
 
 
-def test_the_map_is_the_scene_with_all_four_layers(tmp_path: Path) -> None:
-    run = map_scene(tmp_path)
+def test_the_map_is_the_scene_with_all_four_layers(undisturbed_run: SceneRun) -> None:
+    run = undisturbed_run
     saved = open_map(run.folder.path)
     assert saved.manifest.finished_cleanly
     assert len(saved.snapshot.objects) == 3
@@ -77,10 +78,10 @@ def test_a_worker_that_is_killed_is_replaced_and_the_map_is_the_same(tmp_path: P
 
 
 def test_jobs_that_time_out_leave_objects_without_shape_and_a_run_that_ends(tmp_path: Path) -> None:
-    run = map_scene(tmp_path, "run.job_timeout_s=1e-9", "mapping.requests.max_failures=1")
-    assert [tracked.shape for tracked in run.snapshots[-1].objects] == [None] * 3
+    run = map_scene(tmp_path, "run.job_timeout_s=1e-9", "mapping.requests.max_failures=1", boxes=SCENE_BOXES[:1])
+    assert [tracked.shape for tracked in run.snapshots[-1].objects] == [None]
     ledger = json.loads((run.folder.path / "ledger.json").read_text())
-    assert ledger["shapes"] == {"requested": 3, "failed": 3, "limits": 3}
+    assert ledger["shapes"] == {"requested": 1, "failed": 1, "limits": 1}
     assert not run.folder.manifest.is_reproducible
     assert shape_workers() == []
 

@@ -14,18 +14,19 @@ from hickory_stream.engine.journal import JOURNAL
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.engine.verify import State, Verdict, verify
 from hickory_stream.errors import MapFolderError
-from tests.engine.run_fixtures import SceneRun, map_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from tests.engine.run_fixtures import SceneRun
+
 pytestmark = pytest.mark.timeout(120)
 
 
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
-    return map_scene(tmp_path_factory.mktemp("sound"))
+@pytest.fixture
+def sound(undisturbed_run: SceneRun) -> SceneRun:
+    return undisturbed_run
 
 
 @pytest.fixture

@@ -63,7 +63,7 @@ def reopen(
         )
     if was_sought(path):
         raise MapFolderError(
-            f"{path}: somebody went to and fro in the log, so that nobody knows which frames are left; "
+            f"{path}: somebody sought in the log, so that it is not known which frames are left; "
             "`hickory-stream resume` saves what it had, or play the log again"
         )
     folder = reopen_map_folder(path)

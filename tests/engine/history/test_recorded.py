@@ -15,20 +15,21 @@ from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.engine.step import StepKind
 from hickory_stream.events import FrameObserved
-from tests.engine.run_fixtures import NUM_FRAMES, map_scene
+from tests.engine.run_fixtures import NUM_FRAMES
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.engine.history.recorded import RecordedStep
     from hickory_stream.engine.step import JournalEntry
+    from tests.engine.run_fixtures import SceneRun
 
 pytestmark = pytest.mark.timeout(120)
 
 
-@pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return map_scene(tmp_path_factory.mktemp("recorded")).folder.path
+@pytest.fixture
+def path(undisturbed_run: SceneRun) -> Path:
+    return undisturbed_run.folder.path
 
 
 def as_older(entry: JournalEntry) -> JournalEntry:

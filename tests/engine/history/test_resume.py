@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.timeout(120)
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
-    return map_scene(tmp_path_factory.mktemp("undisturbed"))
+@pytest.fixture
+def undisturbed(undisturbed_run: SceneRun) -> SceneRun:
+    return undisturbed_run
 
 
 def resume(path: Path, source: SceneSource | None = None) -> str | None:

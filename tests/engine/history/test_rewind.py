@@ -127,12 +127,13 @@ def test_going_back_again_and_to_the_very_beginning(tmp_path: Path, undisturbed:
     assert min(ids) > max(item.id for item in open_map(undisturbed.folder.path).snapshot.objects)
 
 
-def test_shapes_that_were_open_then_are_committed_again_when_they_are_due(tmp_path: Path) -> None:
-    plain = map_scene(tmp_path, name="plain")
+def test_shapes_that_were_open_then_are_committed_again_when_they_are_due(
+    tmp_path: Path, undisturbed_run: SceneRun
+) -> None:
     run = sought(tmp_path, there_and_back())
     saved = open_map(run.folder.path)
     assert [o.shape is not None for o in saved.snapshot.objects] == [
-        o.shape is not None for o in open_map(plain.folder.path).snapshot.objects
+        o.shape is not None for o in open_map(undisturbed_run.folder.path).snapshot.objects
     ]
     assert map_digest(replay(run.folder.path)) == run.digest
     for item in saved.snapshot.objects:
@@ -166,7 +167,7 @@ def test_a_run_that_was_sought_in_and_stopped_cannot_be_resumed_but_saved(tmp_pa
             async for _ in mapper.run(SceneSource(NUM_FRAMES)):
                 pass
 
-    with pytest.raises(MapFolderError, match="somebody went to and fro in the log"):
+    with pytest.raises(MapFolderError, match="somebody sought in the log"):
         asyncio.run(resume())
     assert save_live(path) == map_digest(open_map(path).snapshot)
     assert len(open_map(path).snapshot.objects) > 0
