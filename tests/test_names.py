@@ -56,7 +56,6 @@ OLD_NAMES = {
     "Parts": "Regions, SplitCandidates",
     "Measures": "RegionGraph",
     "size_features": "absolute_features",
-    "bodies_of": "extents_of",
     "PartConfig": "TrackSplitConfig",
     "moved_to": "reassigned",
     "FloatConfig": "UnsupportedConfig",
