@@ -54,6 +54,11 @@ def choose_images(
         or max(depths, key=lambda topic: _depth_rank(topic, color), default=None)
     )
     if color is None or depth is None:
+        if any(topic.name == "svo_header" for topic in topics):
+            raise RecordingError(
+                f"{path} is a recording of a ZED camera (SVO2): depth and poses are not in it, the ZED SDK makes them; "
+                f"with the SDK installed: hickory-stream live zed:{path}"
+            )
         if not images:
             raise RecordingError(f"{path} has no images, neither colour nor depth; {_listed('topics', topics)}")
         role, option = ("colour", "--color-topic") if color is None else ("depth", "--depth-topic")

@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.sinks.metrics_sink import MetricsSink
     from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
     from players.live import open_live
-    from players.live.routes import route_of
+    from players.live.routes import is_recording, route_of
     from players.live.transport import ReturnLink
 
     settings = read_settings(options)
@@ -127,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
                 out=out,
                 overwrite=options.overwrite,
                 sinks=all_sinks(options, settings, viewer, beside),
-                mode="live",
+                mode="playback" if is_recording(options.uri) else "live",
                 source_note={"live": options.uri},
                 progress=printer,
             )

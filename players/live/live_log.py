@@ -29,12 +29,17 @@ _POLL_S = 0.2
 
 
 class LiveLog:
-    """A `Log` of what arrives in an inbox; ends when the route does, after `end`, or after `most_s` of mapping."""
+    """A `Log` of what arrives in an inbox; ends when the route does, after `end`, or after `most_s` of mapping.
+
+    `loses_nothing`: the route waits (a recording), and so nothing is forgotten while the log is being opened.
+    """
 
     files: tuple[Path, ...] = ()
     checksum = ""
 
-    def __init__(self, source: LiveSource, inbox: Inbox, *, most_s: float | None = None) -> None:
+    def __init__(
+        self, source: LiveSource, inbox: Inbox, *, most_s: float | None = None, loses_nothing: bool = False
+    ) -> None:
         self.path = source.uri
         self.kind = source.kind
         self.flaws = Flaws()
@@ -45,6 +50,7 @@ class LiveLog:
         self.hidden: frozenset[str] = frozenset()
         """Topics of other robots, which whoever reads the log does not see."""
         self._most_s = most_s
+        self._loses_nothing = loses_nothing
         self._wanted: frozenset[str] | None = None
         self._kept: deque[LogMessage] = deque()
         self._kept_bytes = {True: 0, False: 0}
@@ -81,7 +87,7 @@ class LiveLog:
         """Let messages come for a while, and keep them."""
         ends_s = time.monotonic() + seconds
         while not self._is_ended and not self.inbox.is_over and (left_s := ends_s - time.monotonic()) > 0:
-            self._keep(self.inbox.take(min(left_s, _POLL_S)))
+            self._keep(self._taken(min(left_s, _POLL_S)))
 
     def begin(self) -> None:
         """End the opening: what is read from now on is passed on once."""
@@ -107,7 +113,7 @@ class LiveLog:
             if message.topic in wanted:
                 yield message
         while not self._is_ended and not self.inbox.is_over and time.monotonic() < self._pass_ends_s:
-            kept = self._keep(self.inbox.take(_POLL_S))
+            kept = self._keep(self._taken(_POLL_S))
             if kept is not None and kept.topic in wanted:
                 yield kept
 
@@ -130,6 +136,13 @@ class LiveLog:
     def _is_long_enough(self) -> bool:
         assert self._began_s is not None
         return self._most_s is not None and time.monotonic() - self._began_s >= self._most_s
+
+    def _taken(self, timeout_s: float) -> LogMessage | None:
+        """Return the next message while the log is being opened; from a route that waits, no more than can be kept."""
+        if self._loses_nothing and self._kept_bytes[True] > _KEPT_IMAGE_BYTES // 2:
+            time.sleep(timeout_s)
+            return None
+        return self.inbox.take(timeout_s)
 
     def _keep(self, message: LogMessage | None) -> LogMessage | None:
         """Keep a message while the log is being opened; None where it is of no use."""

@@ -17,7 +17,7 @@ from players.account import TopicAccount
 from players.discover import camera_infos, choose_images, pose_topics, tf_topics
 from players.live.inbox import Inbox
 from players.live.live_log import LiveLog
-from players.live.routes import route_of
+from players.live.routes import is_recording, route_of
 from players.live.status import ROLES, LiveStatus, status_of
 from players.live.transport import ReturnLink
 from players.log_opening import choose_profile, open_log
@@ -149,7 +149,7 @@ def open_live(
     options = options or SourceOptions()
     route = route or route_of(uri)
     inbox = inbox or Inbox(tap=recorder.take if recorder is not None else None)
-    log = LiveLog(route, inbox, most_s=most_s)
+    log = LiveLog(route, inbox, most_s=most_s, loses_nothing=is_recording(uri))
     try:
         route.start(log.inbox)
         source = _opened(route, log, options, _Patience(patience_s, attempt_s), tell)

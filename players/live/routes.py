@@ -10,12 +10,20 @@ from hickory_stream.errors import RecordingError
 if TYPE_CHECKING:
     from players.live.transport import LiveSource
 
-KNOWN = "zenoh://HOST[:7447][/NAMESPACE], foxglove://HOST[:8765], mcap:PIPE, or - for an MCAP stream on standard input"
+KNOWN = (
+    "zenoh://HOST[:7447][/NAMESPACE], foxglove://HOST[:8765], zed://[SERIAL], zed://IP:PORT, zed:FILE.svo2, "
+    "mcap:PIPE, or - for an MCAP stream on standard input"
+)
 
 
 def is_live(uri: str) -> bool:
     """Return whether an address names a live route rather than a log: it has a scheme, and no file has its name."""
-    return uri == "-" or (uri.startswith("mcap:") and not Path(uri).exists()) or "://" in uri
+    return uri == "-" or (uri.startswith(("mcap:", "zed:")) and not Path(uri).exists()) or "://" in uri
+
+
+def is_recording(uri: str) -> bool:
+    """Return whether an address names what waits for its reader: nothing of it need be left out."""
+    return uri.startswith("zed:") and not uri.startswith("zed://")
 
 
 def route_of(uri: str) -> LiveSource:
@@ -42,4 +50,8 @@ def route_of(uri: str) -> LiveSource:
         from players.live.foxglove_route import FoxgloveRoute
 
         return FoxgloveRoute(uri)
+    if uri.startswith("zed:"):
+        from players.live.zed_route import ZedRoute
+
+        return ZedRoute(uri)
     raise RecordingError(f"found {uri}, expected one of {KNOWN}")

@@ -120,6 +120,7 @@ _FATES = {
     "before_opening": "dropped: they came before all that is needed was there",
     "too_large": "refused: longer than 64 MB",
     "other_type": "refused: somebody publishes another type under this name",
+    "corrupted": "corrupted, as the camera's driver says",
     "lost": "lost on the way",
 }
 

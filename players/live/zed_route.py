@@ -1,0 +1,215 @@
+"""A ZED camera by Stereolabs' SDK: on USB or GMSL, streamed over the network, or an SVO file.
+
+`pyzed.sl` is handed in at one seam (`zed_sdk.load_sdk`). Frames become the messages that the ROS 2 wrapper publishes,
+so that pairing, poses, recording and the ledger are those of every other route. An SVO file waits for its reader.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hickory_stream.errors import RecordingError
+from hickory_stream.geometry.camera import Camera
+from players.live.transport import Health
+from players.live.zed_messages import (
+    COLOR,
+    COLOR_INFO,
+    DEPTH,
+    DEPTH_INFO,
+    ODOM,
+    TOPICS,
+    color_message,
+    depth_message,
+    info_message,
+    pose_message,
+    world_from_camera,
+)
+from players.live.zed_sdk import check_sdk, load_sdk
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from players.live.inbox import Inbox
+
+_PORT = 30000
+_AGAIN_S = 1.0
+_MOST_FAILURES = 30
+_NETWORK = re.compile(r"zed://(?P<host>\[[^]]+\]|[A-Za-z][^:/]*|[^:/]*\.[^:/]*)(?::(?P<port>\d+))?/?")
+_CAMERA = re.compile(r"zed://(?P<serial>\d*)/?")
+KNOWN = f"zed://[SERIAL], zed://IP[:{_PORT}], zed:FILE.svo2"
+
+
+class _Address(NamedTuple):
+    """One of the three, or none of them: the first camera that there is."""
+
+    serial: int | None = None
+    host: str = ""
+    port: int = _PORT
+    svo: Path | None = None
+
+
+class ZedRoute:
+    """The `LiveSource` of `zed:`; `sl` stands in for the SDK's module."""
+
+    kind = "ZED SDK"
+
+    def __init__(self, uri: str, sl: Any = None) -> None:
+        """Parse the address.
+
+        Raises:
+            RecordingError: it is none, the file is missing, or the SDK is.
+        """
+        self.uri = uri
+        self._address = _address(uri)
+        if sl is not None:
+            check_sdk(sl)
+        self._sl = sl if sl is not None else load_sdk()
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._health = Health(is_connected=False, problem=f"{uri} was not opened yet")
+        self._dropped = 0
+
+    def start(self, inbox: Inbox) -> None:
+        """Open the camera and grab in a thread of its own; one that is not there is tried again and again."""
+        for topic in TOPICS:
+            inbox.announce(topic)
+        self._thread = threading.Thread(target=self._run, args=(inbox,), name="zed", daemon=True)
+        self._thread.start()
+
+    def subscribe(self, names: Collection[str]) -> None:
+        """Do nothing: all of a frame is sent."""
+
+    def health(self) -> Health:
+        """Return whether the camera is open, and what the SDK says where it is not, or does not track."""
+        return self._health
+
+    def stop(self) -> None:
+        """Close the camera."""
+        self._stopped.set()
+        if self._thread is not None:
+            self._thread.join(10.0)
+
+    # ---- the camera --------------------------------------------------------------------------------------------------
+
+    def _run(self, inbox: Inbox) -> None:
+        while not self._stopped.is_set():
+            camera = self._sl.Camera()
+            problem = self._opened(camera)
+            if problem is None:
+                try:
+                    problem = self._grab(camera, inbox)
+                finally:
+                    camera.close()
+            is_over = not problem
+            self._health = Health(is_connected=False, problem=problem or "the recording has ended")
+            if is_over or self._address.svo is not None:
+                inbox.close(f"{self.uri}: {problem}" if problem else "")
+                return
+            self._stopped.wait(_AGAIN_S)
+
+    def _opened(self, camera: Any) -> str | None:
+        """Open a camera and its tracking; return why that failed, None where it did not."""
+        sl, address = self._sl, self._address
+        settings = sl.InitParameters()
+        settings.coordinate_units = sl.UNIT.METER
+        settings.coordinate_system = sl.COORDINATE_SYSTEM.IMAGE
+        if address.svo is not None:
+            settings.set_from_svo_file(str(address.svo))
+            settings.svo_real_time_mode = False  # every frame
+        elif address.host:
+            settings.set_from_stream(address.host, address.port)
+        elif address.serial is not None:
+            settings.set_from_serial_number(address.serial)
+        error = camera.open(settings)
+        if error != sl.ERROR_CODE.SUCCESS:
+            return f"the ZED SDK cannot open it ({_name(error)})"
+        tracking = sl.PositionalTrackingParameters()
+        # Without area memory poses do not jump when a loop is closed.
+        tracking.enable_area_memory = False
+        error = camera.enable_positional_tracking(tracking)
+        if error != sl.ERROR_CODE.SUCCESS:
+            camera.close()
+            return f"the ZED SDK cannot track the camera ({_name(error)})"
+        return None
+
+    def _grab(self, camera: Any, inbox: Inbox) -> str:
+        """Pass frames on until the end; return why the camera is lost, "" where a file or we have ended."""
+        sl = self._sl
+        runtime, color, depth, pose = sl.RuntimeParameters(), sl.Mat(), sl.Mat(), sl.Pose()
+        pinhole = _pinhole(camera)
+        failures, self._dropped = 0, 0
+        while not self._stopped.is_set() and not inbox.is_closed:
+            error = camera.grab(runtime)
+            if error == sl.ERROR_CODE.END_OF_SVOFILE_REACHED:
+                return ""
+            if error == sl.ERROR_CODE.CORRUPTED_FRAME:
+                inbox.refuse(COLOR, "corrupted")
+                continue
+            if error != sl.ERROR_CODE.SUCCESS:
+                failures += 1
+                self._health = Health(is_connected=False, problem=f"no frame comes ({_name(error)})")
+                if failures > _MOST_FAILURES or self._address.svo is not None:
+                    return f"no frame comes ({_name(error)})"
+                self._stopped.wait(0.1 if error == sl.ERROR_CODE.CAMERA_REBOOTING else 0.02)
+                continue
+            failures = 0
+            stamp_ns = int(camera.get_timestamp(sl.TIME_REFERENCE.IMAGE).get_nanoseconds())
+            state = camera.get_position(pose, sl.REFERENCE_FRAME.WORLD)
+            is_tracked = state == sl.POSITIONAL_TRACKING_STATE.OK
+            told = "" if is_tracked else f"the camera is not tracked ({_name(state)}): nothing is mapped"
+            self._health = Health(is_connected=True, problem=told)
+            waits = self._address.svo is not None
+            if is_tracked:
+                tracked = np.array(pose.pose_data(sl.Transform()).m, dtype=np.float64)
+                inbox.put(ODOM, pose_message(stamp_ns, world_from_camera(tracked)), waits=waits)
+            for name in (COLOR_INFO, DEPTH_INFO):
+                inbox.put(name, info_message(stamp_ns, pinhole), waits=waits)
+            camera.retrieve_image(color, sl.VIEW.LEFT)
+            camera.retrieve_measure(depth, sl.MEASURE.DEPTH)
+            inbox.put(COLOR, color_message(stamp_ns, color.get_data()), waits=waits)
+            inbox.put(DEPTH, depth_message(stamp_ns, depth.get_data()), waits=waits)
+            self._count_dropped(camera, inbox)
+        return ""
+
+    def _count_dropped(self, camera: Any, inbox: Inbox) -> None:
+        """Note the frames that the SDK says it has dropped since the last one."""
+        number = int(camera.get_frame_dropped_count())
+        if number > self._dropped:
+            inbox.lost(COLOR, number - self._dropped)
+        self._dropped = number
+
+
+def _address(uri: str) -> _Address:
+    """Return what an address names; raises `RecordingError` where that is nothing."""
+    if (found := _CAMERA.fullmatch(uri)) is not None:
+        return _Address(serial=int(found["serial"]) if found["serial"] else None)
+    if (found := _NETWORK.fullmatch(uri)) is not None and 0 < int(found["port"] or _PORT) < 65536:
+        return _Address(host=found["host"], port=int(found["port"] or _PORT))
+    path = Path(uri.removeprefix("zed:"))
+    if uri.startswith("zed://") or path.suffix.lower() not in (".svo", ".svo2"):
+        raise RecordingError(f"found {uri}, expected {KNOWN}")
+    if not path.is_file():
+        raise RecordingError(f"{uri}: found no such file, expected a recording of a ZED camera (.svo2)")
+    return _Address(svo=path)
+
+
+def _pinhole(camera: Any) -> Camera:
+    """Return the intrinsics of the rectified left images."""
+    lens = camera.get_camera_information().camera_configuration.calibration_parameters.left_cam
+    return Camera(
+        width=int(lens.image_size.width),
+        height=int(lens.image_size.height),
+        fx=float(lens.fx),
+        fy=float(lens.fy),
+        cx=float(lens.cx),
+        cy=float(lens.cy),
+    )
+
+
+def _name(value: Any) -> str:
+    return str(getattr(value, "name", value))

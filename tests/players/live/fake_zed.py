@@ -1,0 +1,186 @@
+"""A stand-in for `pyzed.sl` that plays the small scene of the players' tests; no name in it that the SDK lacks.
+
+`PUBLISHED` is what of the SDK's Python interface (5.x, from its published stubs) may be used: names, and for methods
+their parameters.
+"""
+
+from __future__ import annotations
+
+import enum
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from tests.player_scenes import CAMERA, OPTICAL_FROM_FLU, SceneFrame, make_scene
+
+PUBLISHED: dict[str, dict[str, tuple[str, ...] | None]] = {
+    "Camera": {
+        "open": ("py_init",),
+        "close": (),
+        "grab": ("py_runtime",),
+        "retrieve_image": ("py_mat", "view", "mem_type", "resolution"),
+        "retrieve_measure": ("py_mat", "measure", "mem_type", "resolution"),
+        "get_position": ("py_pose", "reference_frame"),
+        "get_timestamp": ("time_reference",),
+        "get_frame_dropped_count": (),
+        "get_camera_information": ("resizer",),
+        "enable_positional_tracking": ("py_tracking",),
+        "get_sdk_version": (),
+    },
+    "InitParameters": {
+        "set_from_serial_number": ("serial_number", "bus_type"),
+        "set_from_stream": ("sender_ip", "port"),
+        "set_from_svo_file": ("svo_input_filename",),
+        "coordinate_units": None,
+        "coordinate_system": None,
+        "svo_real_time_mode": None,
+    },
+    "PositionalTrackingParameters": {"enable_area_memory": None},
+    "RuntimeParameters": {},
+    "Mat": {"get_data": ("memory_type", "deep_copy")},
+    "Pose": {"pose_data": ("pose_data",)},
+    "Transform": {"m": None},
+    "Timestamp": {"get_nanoseconds": ()},
+    "UNIT": dict.fromkeys(("MILLIMETER", "CENTIMETER", "METER", "INCH", "FOOT")),
+    "COORDINATE_SYSTEM": dict.fromkeys(("IMAGE", "RIGHT_HANDED_Z_UP_X_FWD")),
+    "VIEW": dict.fromkeys(("LEFT", "RIGHT")),
+    "MEASURE": dict.fromkeys(("DISPARITY", "DEPTH")),
+    "REFERENCE_FRAME": dict.fromkeys(("WORLD", "CAMERA")),
+    "TIME_REFERENCE": dict.fromkeys(("IMAGE", "CURRENT")),
+    "POSITIONAL_TRACKING_STATE": dict.fromkeys(("SEARCHING", "OK", "OFF", "FPS_TOO_LOW", "UNAVAILABLE")),
+    "ERROR_CODE": dict.fromkeys(
+        ("CORRUPTED_FRAME", "CAMERA_REBOOTING", "SUCCESS", "FAILURE", "CAMERA_NOT_DETECTED", "END_OF_SVOFILE_REACHED")
+    ),
+}
+
+
+def _enum(name: str) -> Any:
+    return enum.Enum(name, list(PUBLISHED[name]))
+
+
+def fake_sl(*, open_fails: int = 0, lost_at: tuple[int, ...] = (), corrupted_at: int = -1, num_frames: int = 6) -> Any:
+    """Return the module: cameras of it fail to open so many times, do not track some frames, and have a torn one."""
+    sl = SimpleNamespace(**{name: _enum(name) for name in PUBLISHED if name.isupper()})
+    scene = make_scene(num_frames=num_frames)
+    sl.opened = []
+    fails = iter(range(open_fails))
+
+    class Transform:
+        m = np.eye(4)
+
+    class Timestamp:
+        def __init__(self, stamp_ns: int) -> None:
+            self._stamp_ns = stamp_ns
+
+        def get_nanoseconds(self) -> int:
+            return self._stamp_ns
+
+    class Mat:
+        def __init__(self) -> None:
+            self._pixels = np.zeros((0, 0))
+
+        def get_data(self, memory_type: Any = None, deep_copy: bool = False) -> Any:
+            return self._pixels
+
+    class Pose:
+        def __init__(self) -> None:
+            self._world_from_camera = np.eye(4)
+
+        def pose_data(self, pose_data: Any) -> Any:
+            pose_data.m = self._world_from_camera.astype(np.float32)
+            return pose_data
+
+    class InitParameters:
+        coordinate_units = sl.UNIT.MILLIMETER
+        coordinate_system = sl.COORDINATE_SYSTEM.IMAGE
+        svo_real_time_mode = True
+
+        def __init__(self) -> None:
+            self._input: tuple[Any, ...] = ()
+
+        def set_from_serial_number(self, serial_number: int, bus_type: Any = None) -> None:
+            self._input = ("serial", serial_number)
+
+        def set_from_stream(self, sender_ip: str, port: int = 30000) -> None:
+            self._input = ("stream", sender_ip, port)
+
+        def set_from_svo_file(self, svo_input_filename: str) -> None:
+            self._input = ("svo", svo_input_filename)
+
+    class PositionalTrackingParameters:
+        enable_area_memory = True
+
+    class RuntimeParameters:
+        pass
+
+    class Camera:
+        def __init__(self) -> None:
+            self._at = -1
+            self._settings: Any = None
+
+        def open(self, py_init: Any = None) -> Any:
+            if next(fails, None) is not None:
+                return sl.ERROR_CODE.CAMERA_NOT_DETECTED
+            self._settings = py_init
+            sl.opened.append(py_init)
+            return sl.ERROR_CODE.SUCCESS
+
+        def close(self) -> None:
+            self._settings = None
+
+        def enable_positional_tracking(self, py_tracking: Any = None) -> Any:
+            assert py_tracking.enable_area_memory is False
+            return sl.ERROR_CODE.SUCCESS
+
+        def grab(self, py_runtime: Any = None) -> Any:
+            if self._at + 1 >= len(scene):
+                return sl.ERROR_CODE.END_OF_SVOFILE_REACHED
+            self._at += 1
+            return sl.ERROR_CODE.CORRUPTED_FRAME if self._at == corrupted_at else sl.ERROR_CODE.SUCCESS
+
+        def retrieve_image(self, py_mat: Any, view: Any, mem_type: Any = None, resolution: Any = None) -> Any:
+            # Rows of the SDK are longer than their pixels.
+            rows = np.zeros((CAMERA.height, CAMERA.width + 16, 4), np.uint8)
+            rows[:, : CAMERA.width, :3] = self._frame.rgb[..., ::-1]
+            py_mat._pixels = rows[:, : CAMERA.width]
+            return sl.ERROR_CODE.SUCCESS
+
+        def retrieve_measure(self, py_mat: Any, measure: Any, mem_type: Any = None, resolution: Any = None) -> Any:
+            metres = 1.0 if self._settings.coordinate_units is sl.UNIT.METER else 1000.0
+            py_mat._pixels = self._frame.depth_m * np.float32(metres)
+            return sl.ERROR_CODE.SUCCESS
+
+        def get_position(self, py_pose: Any, reference_frame: Any) -> Any:
+            if self._at in lost_at:
+                return sl.POSITIONAL_TRACKING_STATE.UNAVAILABLE
+            # The SDK's world: x right, y down, z ahead, from where the z-up world has its origin.
+            turned = np.eye(4)
+            turned[:3, :3] = OPTICAL_FROM_FLU
+            py_pose._world_from_camera = turned @ self._frame.world_from_camera
+            return sl.POSITIONAL_TRACKING_STATE.OK
+
+        def get_timestamp(self, time_reference: Any) -> Any:
+            return Timestamp(self._frame.stamp_ns)
+
+        def get_frame_dropped_count(self) -> int:
+            return 3 if self._at > 2 else 0
+
+        def get_camera_information(self, resizer: Any = None) -> Any:
+            size = SimpleNamespace(width=CAMERA.width, height=CAMERA.height)
+            lens = SimpleNamespace(fx=CAMERA.fx, fy=CAMERA.fy, cx=CAMERA.cx, cy=CAMERA.cy, image_size=size)
+            calibration = SimpleNamespace(left_cam=lens)
+            return SimpleNamespace(camera_configuration=SimpleNamespace(calibration_parameters=calibration))
+
+        @staticmethod
+        def get_sdk_version() -> str:
+            return "5.0.5"
+
+        @property
+        def _frame(self) -> SceneFrame:
+            return scene[self._at]
+
+    for made in (Transform, Timestamp, Mat, Pose, InitParameters, PositionalTrackingParameters, RuntimeParameters):
+        setattr(sl, made.__name__, made)
+    sl.Camera = Camera
+    return sl

@@ -1,0 +1,167 @@
+"""ZED cameras by the SDK: the same frames as the scene that the fake SDK plays; what is missing is said in a line."""
+
+from __future__ import annotations
+
+import inspect
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from hickory_stream.errors import RecordingError
+from players.doctor import examine
+from players.live import open_live
+from players.live.routes import is_live, is_recording, route_of
+from players.live.zed_messages import COLOR, ODOM
+from players.live.zed_route import ZedRoute
+from players.live.zed_sdk import USED, check_sdk, load_sdk
+from players.options import SourceOptions
+from tests.player_scenes import make_scene
+from tests.players.live.fake_zed import PUBLISHED, fake_sl
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def svo(tmp_path: Path) -> str:
+    path = tmp_path / "desk.svo2"
+    path.write_bytes(b"svo")
+    return f"zed:{path}"
+
+
+def test_the_fake_module_has_no_name_and_no_parameter_that_the_sdk_lacks() -> None:
+    sl = fake_sl()
+    for owner, made in vars(sl).items():
+        if owner == "opened":
+            continue
+        published = PUBLISHED[owner]
+        members = made.__members__ if owner.isupper() else {n: v for n, v in vars(made).items() if n[0] != "_"}
+        assert set(members) <= set(published), owner
+        for name, member in members.items():
+            wanted = published[name]
+            if wanted is not None:
+                found = [p for p in inspect.signature(member).parameters if p != "self"]
+                assert tuple(found) == wanted, f"{owner}.{name}"
+
+
+def test_all_that_is_used_of_the_sdk_is_published_by_it() -> None:
+    assert {owner: set(names) - set(PUBLISHED[owner]) for owner, names in USED.items() if owner in PUBLISHED} == {
+        owner: set() for owner in USED
+    }
+
+
+def test_every_frame_of_a_recording_is_that_of_the_scene_with_z_up(svo: str) -> None:
+    sl, scene = fake_sl(), make_scene(num_frames=6)
+    source = open_live(svo, route=ZedRoute(svo, sl), attempt_s=0.3, patience_s=20.0)
+    frames = list(source.frames())
+    assert [frame.stamp_ns for frame in frames] == [item.stamp_ns for item in scene]
+    for raw, item in zip(frames, scene, strict=True):
+        frame = raw.decode()
+        assert np.array_equal(frame.rgb, item.rgb)
+        assert np.array_equal(frame.depth_m, item.depth_m, equal_nan=True)
+        assert np.allclose(frame.world_from_camera, item.world_from_camera, atol=1e-6)
+    assert dict(source.info.streams)["profile"].startswith("zed")
+    assert source.account().as_dict()["difference"] == 0
+    (opened,) = sl.opened
+    assert opened._input == ("svo", svo.removeprefix("zed:"))
+    assert opened.svo_real_time_mode is False
+    assert opened.coordinate_units is sl.UNIT.METER
+    assert next(entry.lost for entry in source.status().topics if entry.topic == COLOR) == 3
+    source.close()
+
+
+def test_only_frames_that_are_tracked_are_mapped_and_a_torn_one_is_counted(svo: str) -> None:
+    sl = fake_sl(lost_at=(9, 10, 11, 12, 13, 14, 15), corrupted_at=2, num_frames=16)
+    source = open_live(svo, route=ZedRoute(svo, sl), attempt_s=0.3, patience_s=20.0)
+    stamps = [frame.stamp_ns for frame in source.frames()]
+    scene = [item.stamp_ns for item in make_scene(num_frames=16)]
+    assert stamps == scene[:2] + scene[3:9]
+    account = {entry.topic: entry for entry in source.account().topics}
+    assert account[COLOR].rejected["corrupted"] == 1
+    assert account[ODOM].total == 8
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("uri", "asked"),
+    [
+        ("zed://", ()),
+        ("zed://31234567", ("serial", 31234567)),
+        ("zed://192.168.1.20:30010", ("stream", "192.168.1.20", 30010)),
+        ("zed://jetson", ("stream", "jetson", 30000)),
+    ],
+)
+def test_a_camera_is_opened_as_it_was_named_and_tried_again_until_it_is_there(
+    uri: str, asked: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("players.live.zed_route._AGAIN_S", 0.01)
+    sl = fake_sl(open_fails=2)
+    told: list[str] = []
+    source = open_live(uri, route=ZedRoute(uri, sl), attempt_s=0.3, patience_s=20.0, tell=told.append)
+    assert sl.opened[0]._input == asked
+    source.close()
+
+
+def test_a_camera_that_is_not_there_is_named_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    sl = fake_sl(open_fails=1000)
+    with pytest.raises(RecordingError, match=r"the ZED SDK cannot open it \(CAMERA_NOT_DETECTED\)"):
+        open_live("zed://", route=ZedRoute("zed://", sl), attempt_s=0.1, patience_s=0.3)
+
+
+def test_a_missing_sdk_is_one_line_that_says_how_to_get_it(svo: str) -> None:
+    with pytest.raises(RecordingError, match="the ZED SDK is missing") as caught:
+        route_of(svo)
+    assert "stereolabs.com/developers" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(RecordingError, match="the package `pyzed` of the package index is something else"):
+        load_sdk()
+
+
+def test_an_sdk_of_another_version_is_told_by_what_it_lacks() -> None:
+    sl = fake_sl()
+    del sl.Transform
+    with pytest.raises(RecordingError, match="lacks Transform, expected version 5"):
+        check_sdk(sl)
+    sl = fake_sl()
+    sl.Mat = SimpleNamespace()
+    with pytest.raises(RecordingError, match=r"lacks Mat\.get_data"):
+        check_sdk(sl)
+
+
+@pytest.mark.parametrize(
+    ("uri", "text"),
+    [
+        ("zed:desk.mp4", r"found zed:desk.mp4, expected zed://\[SERIAL\]"),
+        ("zed:none.svo2", "found no such file"),
+        ("zed://1.2.3.4:99999", "expected zed://"),
+        ("zed://host/path", "expected zed://"),
+    ],
+)
+def test_an_address_that_names_no_camera_is_refused(uri: str, text: str) -> None:
+    with pytest.raises(RecordingError, match=text):
+        ZedRoute(uri, fake_sl())
+
+
+def test_only_a_file_is_a_recording(svo: str) -> None:
+    assert is_live("zed://")
+    assert is_live("zed://31234567")
+    assert not is_recording("zed://")
+    assert is_recording(svo)
+
+
+def test_a_recording_that_is_read_without_the_sdk_is_named(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    path = tmp_path / "desk.svo2"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for topic in ("svo_header", "Camera_SN31234567/side_by_side"):
+            writer.add_message(writer.register_channel(topic, "", 0), 1, b"\0" * 8, 1)
+        writer.finish()
+    diagnosis = examine([path], SourceOptions())
+    assert diagnosis.refusal is not None
+    assert "is a recording of a ZED camera (SVO2)" in diagnosis.refusal
+    assert f"hickory-stream live zed:{path}" in diagnosis.refusal
