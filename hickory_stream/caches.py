@@ -1,4 +1,4 @@
-"""What is kept to save time: compiled kernels, shapes, recordings; it may be removed at any moment.
+"""The caches: compiled kernels, shapes, recordings; they may be removed at any moment.
 
 All of it lies in one folder, `$HICKORY_CACHE` or `hickory-stream` in the user's caches. Where that cannot be written (a
 service without a home, a read-only disk) a temporary folder stands in for it, and the user is told once. It is capped

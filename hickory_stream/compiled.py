@@ -1,4 +1,4 @@
-"""numba, as every module with kernels imports it: what it compiles is kept in our caches, by what it was compiled from.
+"""numba, as every module with kernels imports it: compiled kernels are cached by a hash of all their sources.
 
 numba itself looks at the file of a function only, and would go on with a kernel whose callees have changed; and it
 writes beside the modules, which an installation may not allow. Here the name of a kernel's folder is a hash of its

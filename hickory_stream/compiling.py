@@ -1,4 +1,4 @@
-"""Who is told that a kernel is being compiled: it takes seconds, and happens once after an installation or an update.
+"""Notification that a kernel is being compiled, which takes seconds, once after an installation or an update.
 
 Apart from `compiled`, so that one can ask to be told without loading the compiler.
 """
@@ -23,6 +23,6 @@ def tell_when_compiling(listener: Callable[[str], None]) -> Callable[[], None]:
 
 
 def compile_begins(kernel: str) -> None:
-    """Tell everybody."""
+    """Notify the listeners."""
     for listener in tuple(_told):
         listener(kernel)

@@ -1,4 +1,4 @@
-"""Names, numbers and paths that others wrote: what a map, a log, a job or a truth folder may name, and what not.
+"""Checks of untrusted names, numbers and paths: what a map, a log, a job or a truth folder may refer to.
 
 A folder that came from somebody else may name only plain files within itself. Whatever is read or written under a name
 that a file gives goes through here; the rest of the code then never joins a foreign text to a path.

@@ -1,4 +1,4 @@
-"""Events and effects: the whole vocabulary of the core.
+"""Events and effects: everything that the core is told, and everything that it asks for.
 
 `MapperCore.handle(event) -> list[Effect]`: events say what happened outside, effects say what the core wants done. Both
 are plain records, so that a run can be written down, replayed and compared.

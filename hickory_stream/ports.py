@@ -1,6 +1,6 @@
 """The extension points: plain, blocking Python objects that know nothing of asyncio.
 
-`hickory_stream.testing` has an in-memory twin of each.
+`hickory_stream.testing` has an in-memory fake of each.
 """
 
 from __future__ import annotations

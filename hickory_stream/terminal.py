@@ -1,4 +1,4 @@
-r"""Text on a terminal: what a log or a map says of itself is shown, and commands nothing.
+r"""Safe text on a terminal: control sequences in names from a log or a map are shown, not executed.
 
 Names of topics and frames, messages and paths come from strangers. A terminal obeys control characters in them, and
 turns the order of a line where they change the direction of writing. `visible` replaces those by what a programmer

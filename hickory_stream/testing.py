@@ -1,4 +1,4 @@
-"""The in-memory twin of every port, for tests of your own parts and of ours: no file, no network, no weights.
+"""In-memory fakes of every port, for tests of your own components and of ours: no file, no network, no weights.
 
 The source is that of the three boxes in `box_scene`; `players.faults` makes any source fail.
 """

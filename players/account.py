@@ -1,4 +1,4 @@
-"""The whole ledger of a log: every message in exactly one bucket, held against what the container declares.
+"""The ledger of a log: every message in exactly one bucket, checked against the counts that the container declares.
 
 Used: it is in a frame, or it is a pose, a transform or a calibration that the frames rest on. Not needed: of a topic
 that nobody asked for. Rejected, by reason. Unreadable: in damaged bytes, or bytes that do not fit their type. Not

@@ -1,4 +1,4 @@
-"""Whether colour lies on depth: where depth ends, a well calibrated colour image has an edge, too.
+"""Registration of colour and depth: with a good calibration, edges of depth coincide with edges of colour.
 
 The colour camera is moved about in steps of 5 mm. Where more light changes along the borders of depth than where the
 log says that it is, the calibration between the cameras is off by that much. A shift of a millimetre moves near borders

@@ -1,4 +1,4 @@
-"""Which stamps of a log count: those of the headers, unless they are of no use.
+"""The choice of a log's time base: header stamps, unless they are unusable, else the recorder's.
 
 Headers say when an image was taken; the log time, when a recorder got it. A header time that was never set (all zero,
 or one value) or that puts colour and depth far apart is of no use, and then all streams take the log time.

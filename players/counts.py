@@ -1,4 +1,4 @@
-"""The ledger of one pass over a source: how many messages or files had which fate."""
+"""The ledger of one pass over a source: how many messages or files were used, rejected or unreadable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Damage to order: what disks, networks and killed recorders do to the bytes of a log, from a seed.
+"""Seeded damage to logs, as disks, networks and killed recorders cause it.
 
 For tests and `tools/bench damage`: `damaged(...)` says which bytes it touched, so that what must still be readable is
 known from the sound log, not from the reader under test.

@@ -1,4 +1,4 @@
-"""What a log says of its depth camera: the noise on what is flat, and whether depth is off by a constant.
+"""Estimates of a log's depth camera: its noise on flat surfaces, and a constant bias.
 
 Rooms are full of planes. A plane is linear in inverse depth; what is left beside it over a patch is noise, which a
 triangulating camera has alike everywhere in inverse depth. Patches are larger than the windows over which stereo

@@ -1,4 +1,4 @@
-"""Which topic plays which role, by type and name; whoever knows better names them in `SourceOptions`."""
+"""Discovery of the topics' roles by type and name; `SourceOptions` overrides it."""
 
 from __future__ import annotations
 

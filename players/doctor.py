@@ -1,4 +1,4 @@
-"""An examination of a log before it is mapped: what is in it, what is wrong with it, and what would come of it.
+"""Diagnosis of a log before it is mapped: its contents, its flaws, and how many frames could be mapped.
 
 Two passes: one over every message, for stamps and damage, and one as `play` would make it, with a few frames decoded.
 """

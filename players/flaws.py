@@ -1,4 +1,4 @@
-"""What is wrong with the bytes of a log: every flaw once, with its place and what was lost by it.
+"""Flaws in the bytes of a log: each is listed once, with its place and what was lost by it.
 
 A log may be read several times; the same flaw is found each time, hence the set of places.
 """

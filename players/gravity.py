@@ -1,4 +1,4 @@
-"""What `doctor` says of gravity: whether the floor is level in the world of the poses, and in view at all."""
+"""The checks of gravity by `doctor`: whether the floor is level in the world of the poses, and seen at all."""
 
 from __future__ import annotations
 

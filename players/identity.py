@@ -1,4 +1,4 @@
-"""What tells two logs apart: cheap to compute, and the same wherever the log lies."""
+"""The identity of a log: cheap to compute, and independent of where the log lies."""
 
 from __future__ import annotations
 

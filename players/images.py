@@ -1,4 +1,4 @@
-"""Images as messages: what their headers say without decoding, and their decoding when it is asked for."""
+"""Image messages: their headers without decoding, and lazy decoding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a log's colour has to say: whether there is light in it, and whether there is colour."""
+"""The checks of a log's colour images by `doctor`: brightness, and whether they have colour at all."""
 
 from __future__ import annotations
 

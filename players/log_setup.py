@@ -1,4 +1,4 @@
-"""What opening a log has settled."""
+"""The record of what was determined when a log was opened."""
 
 from __future__ import annotations
 

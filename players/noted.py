@@ -1,4 +1,4 @@
-"""How a source was opened, noted down so that it can be opened in the same way again.
+"""A note of how a source was opened, from which it can be opened again in the same way.
 
 A note is kept in a map, which may come from anybody: its paths are only read, and only where they are files or folders
 of this machine. That it is the right log is known by its identity, before anything of it gets into the map.

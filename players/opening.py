@@ -1,4 +1,4 @@
-"""What lies behind a path: told by its first bytes or by the files of a folder, never by its extension alone."""
+"""Recognition of what a path holds: by its first bytes or by the files of a folder, never by its extension alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may be said about a log that it does not say itself; by default everything is discovered."""
+"""Options for what a log does not say itself; by default everything is discovered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the camera is: from the pose messages and the frames of a log to poses of the colour camera's optical frame.
+"""Camera poses of a log: from pose messages and TF frames to poses of the colour camera's optical frame.
 
 By default the pose is that of an odometry topic whose body carries the camera by static links of TF; else it is a chain
 of TF from a fixed frame; where the log has no TF, the links are those of its profile. A link that nobody knows is an

@@ -1,4 +1,4 @@
-"""From which lessons each forest of the package is grown, and with which inputs.
+"""The recipe of each forest of the package: its training examples and its inputs.
 
 `mixed`: two forests whose log-odds are averaged, one on our apartments and table-tops, with all inputs, and one on
 random rooms as well, which count as much as these, with inputs that know no sizes. `odds`: also what the network of

@@ -1,4 +1,4 @@
-"""How likely two objects are one, and how well two such pairs agree: a sparse graph over candidate pairs.
+"""The affinity of candidate pairs: how similar the two objects are, and which pairs of pairs are consistent.
 
 Unary scores are ranked among all N M pairs of the two maps: the share of pairs that are at least as good. What a cosine
 of 0.9 is worth depends on the network that made it and on the maps; what share of all pairs reaches it does not. The

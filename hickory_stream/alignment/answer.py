@@ -1,4 +1,4 @@
-"""What `align` says: an `Alignment`, or a `NoAlignment` with its reason. Never the identity for "I do not know"."""
+"""The results of `align`: an `Alignment`, or a `NoAlignment` with its reason; never the identity for a failure."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Alignment:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class NoAlignment:
-    """Why there is none: the reason, in a word and in a sentence, and the best hypotheses, the likeliest first."""
+    """A refusal: its reason, in a word and in a sentence, and the best hypotheses, the likeliest first."""
 
     refusal: Refusal
     reason: str

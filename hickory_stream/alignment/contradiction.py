@@ -1,4 +1,4 @@
-"""Evidence against a transform: what one map holds and the other, which saw the place, does not.
+"""Evidence against a transform: objects of one map where the other observed free space.
 
 A point of an object is missed where the other map saw free space and nothing solid near by. An object most of whose
 points were looked at is expected to be there; it is missing when most of those points are missed.

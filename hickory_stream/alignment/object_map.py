@@ -1,4 +1,4 @@
-"""A map as alignment sees it: the arrays of its objects, in one frame.
+"""The input of alignment: the objects of a map as arrays, in one frame.
 
 What a map lacks (layer 3, features, observed space) is absent here and never filled in: each score says nothing of what
 it does not know.

@@ -1,4 +1,4 @@
-"""A transform made finer: the surfaces of matched objects laid on one another.
+"""Refinement of an alignment: the surfaces of matched objects are registered (point to plane).
 
 Points of each object are paired with the nearest of its partner alone, and their distances along its normals made
 small, those that are far counting for little: each map saw other sides of an object. The centroids stay in as a prior,

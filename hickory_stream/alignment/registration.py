@@ -1,4 +1,4 @@
-"""The transform that carries the objects of one map onto those of the other, and how well they fix it.
+"""The least-squares transform between matched objects of two maps, and its covariance.
 
 Level: both maps know gravity, and only a turn about the vertical is between them (4 unknowns). Tilted: any rotation
 (6 unknowns). The rotation is solved in closed form about the weighted centroids (Horn, 1987; Umeyama, 1991).

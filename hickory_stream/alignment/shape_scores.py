@@ -1,4 +1,4 @@
-"""How alike two objects are in shape: one (N, M) matrix of scores in 0..1 for each way to compare them.
+"""Similarity of shapes: an (N, M) matrix of scores in 0..1 for each way to compare the objects of two maps.
 
 `superquadric_scores` is ours; `literal_scores` is Eq. (sgeo) of the paper as it stands; `box_scores` is Mesh-BBox;
 `point_scores` are ROMAN's attributes of the cloud. A pair of which one object lacks what is compared scores NaN.

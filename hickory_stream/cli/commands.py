@@ -1,4 +1,4 @@
-"""What a command adds itself to."""
+"""The type of the collection of subcommands that each command adds its parser to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a command says while kernels are compiled: nothing of a few, a line now and then of more."""
+"""The notice while kernels are compiled: nothing for a few, a line now and then for more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a command says of a run that has ended: what it made, what failed, and what of it is missing."""
+"""The summary of a run that has ended: what it made, which shapes failed, and which outputs are incomplete."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small pictures of one thing: cast and lit on the CPU, all from the same side so that they can be compared."""
+"""Small pictures of single objects: ray cast on the CPU, all from the same side so that they can be compared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The surface of an object as one sees it from outside.
+"""The exposed surface of an object: what can be seen of it from outside.
 
 The parts of a true object may overlap: what of one part lies inside another (where a leg meets its table) is no surface
 of their union, and is left out.

@@ -1,4 +1,4 @@
-"""Where an object of a map comes from that is no true object: one origin of a closed list, and how it came about."""
+"""The origin of a false object: one of a closed list, with the masks and merges that led to it."""
 
 from __future__ import annotations
 

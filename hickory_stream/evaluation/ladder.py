@@ -1,4 +1,4 @@
-"""The ladder of ceilings: the same pipeline with more and more of it replaced by the truth, to see where the loss is.
+"""Oracle experiments: the same pipeline with more and more of it replaced by truth, to locate the loss.
 
 Each rung keeps what the one below has: `ours` is the product; `joins` says of each of our fragments which thing it is
 of; `masks` cuts the true masks out of the image; `structure` says what is structure, to the segmenter and to the map;
@@ -162,7 +162,7 @@ def core_of(rung: Rung, images: TrueImages, config: MapperConfig) -> MapperCore:
 
 
 def mapping_of(rung: Rung, config: MappingConfig) -> MappingConfig:
-    """Return the configuration of the map: where structure is known for true, no rule takes a thing for some."""
+    """Return the configuration of the map: with true structure, the rules that take objects for structure are off."""
     if rung not in ("structure", "association"):
         return config
     lifecycle = replace(

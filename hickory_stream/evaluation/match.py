@@ -1,4 +1,4 @@
-"""Which object of a map is which true object, and how many were found.
+"""Matching of mapped objects with true ones, and recall and precision from it.
 
 The box of an object is the gravity-aligned box of its layer 2 (of layer 1 where there is none), that of a true object
 the one of its mesh. Truth counts when at least 30 % of its surface was seen; truth that was seen less is ignored on

@@ -1,4 +1,4 @@
-"""Why a true object that counts is not in the map: one reason of a closed list, and the numbers that speak for it.
+"""The reason why a true object is missed: one of a closed list, with the counts that support it.
 
 The first of these that holds: what the map has on it (in pieces, or one object whose box is off), whether it was large
 enough on any keyframe, what swallowed it, and else what most keyframes took it for, or what became of its own tracks.

@@ -1,4 +1,4 @@
-"""The shortest way over a grid, exactly: what the length of a path is held against.
+"""The exact shortest path over a grid (a visibility graph): the reference for the length of planned paths.
 
 The shortest way around blocked squares bends at their corners only (a visibility graph), and only around them: at a
 corner it leaves the blocked square on the inside. It may touch squares, which the planners' paths may not, so it is a

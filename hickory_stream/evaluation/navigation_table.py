@@ -1,4 +1,4 @@
-"""How well a robot gets along on a scene's boxes, meshes and layer 4: the paper's table, and what it leaves out.
+"""Planning among a scene's boxes, meshes and layer 4: the paper's table of success and efficiency, and more.
 
 All methods are given one robot, one margin and one seeded list of starts and goals, which the true scene connects and
 which stand a little off its obstacles, as robots do. Truth is every triangle of the true scene, walls included.

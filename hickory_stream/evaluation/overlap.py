@@ -1,4 +1,4 @@
-"""Where the objects of a map lie on the true surfaces, and how much of each true thing they cover."""
+"""Overlap of mapped objects with true surfaces: which true object each lies on, and how much of it they cover."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where in the map a pixel of a frame is: by the mask at it, by recorded depth or structure, or by the log's depth."""
+"""The 3D place that a pixel of a frame shows: from its mask, from recorded depth or structure, or from the log."""
 
 from __future__ import annotations
 

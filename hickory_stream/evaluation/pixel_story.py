@@ -1,4 +1,4 @@
-"""What became of what one pixel of a frame shows: the fate of its place.
+"""The history of what one pixel of a frame shows.
 
 The place comes from the mask at the pixel, from the depth that the journal keeps, or, for frames and journals that have
 none, from the log.

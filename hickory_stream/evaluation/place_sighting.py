@@ -1,4 +1,4 @@
-"""What one keyframe took a place of the map for: a mask, structure, or nothing, or something that is in its way."""
+"""The classification of a place of the map in one keyframe: mask, rejected mask, structure, occluded, or no depth."""
 
 from __future__ import annotations
 

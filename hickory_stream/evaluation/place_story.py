@@ -1,4 +1,4 @@
-"""What became of one place: what every keyframe that looks at it took it for, and what is there in the map."""
+"""The history of one place: its classification in every keyframe that sees it, and what the map has there."""
 
 from __future__ import annotations
 

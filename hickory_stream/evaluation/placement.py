@@ -1,4 +1,4 @@
-"""Where the world of a truth lies in a map: the same world as a rule, else a rigid transform that the poses tell.
+"""The transform from the truth's world to the map's: identity as a rule, else the rigid one between their poses.
 
 A log whose odometry begins where the camera was switched on has its own world: at equal stamps the cameras of map and
 truth then differ by one rigid transform, and by nothing else. Drift is not one: it is left as it is.

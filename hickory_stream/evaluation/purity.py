@@ -1,4 +1,4 @@
-"""Whether the masks of kept views show one thing each."""
+"""Mask purity: the share of a kept view's mask that shows one true object."""
 
 from __future__ import annotations
 

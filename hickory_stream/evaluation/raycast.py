@@ -1,4 +1,4 @@
-"""Coloured surfaces and what rays meet of them, without a screen: for pictures and measurements."""
+"""Ray casting of coloured surfaces, without a screen: for pictures and measurements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each pixel of a recorded keyframe was taken for: a mask, a rejected mask, structure, or nothing, and why.
+"""The label of each pixel of a recorded keyframe: mask, rejected mask (and why), structure, or none.
 
 Masks are in the journal pixel by pixel; depth and structure at a fraction of the size. Of an older journal, which has
 no depth, structure is told by the voxels of the keyframe's structure, at 5 cm.

@@ -1,4 +1,4 @@
-"""How well one mesh agrees with another: F1 of surface samples, ADD-S, diameter."""
+"""Agreement of two meshes: F1 of surface samples, ADD-S, diameter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What became of a track in words, and what is said of frames in a row."""
+"""The history of a track in words, and the text for runs of consecutive frames."""
 
 from __future__ import annotations
 

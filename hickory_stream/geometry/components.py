@@ -1,4 +1,4 @@
-"""Features as colour: their three main components as red, green and blue."""
+"""Features as colours: the first three principal components as red, green and blue."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The depth camera as everybody sees it who has to say what noise is: one record, set by the log's profile.
+"""The noise model of the depth camera: one record for all modules that need it, set by the log's profile.
 
     sigma(z) = max(floor_m, noise_m + noise_per_m z^2), with the camera's quantisation in the second term
 

@@ -1,4 +1,4 @@
-"""Where an eye stands that has everything in its frame, and is as near as that allows."""
+"""The nearest camera position from which all points are within the image."""
 
 from __future__ import annotations
 

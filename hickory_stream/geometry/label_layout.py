@@ -1,4 +1,4 @@
-"""Labels that would cover one another, set apart: the lowest stays, the others move up past it."""
+"""Layout of labels without overlap: of those that would cover one another the lowest stays, the others move up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two lattices of voxels that a map is made on: those who look and those who keep share them."""
+"""The two voxel lattices of a map, of objects and of the observed space; perception and mapping share them."""
 
 from __future__ import annotations
 

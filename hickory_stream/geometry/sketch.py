@@ -1,4 +1,4 @@
-"""A superquadric from points alone: what is known of an object's shape before it has a mesh.
+"""A superquadric fitted to points alone: an object's provisional shape before it has a mesh.
 
 The points lie on a surface of which a part was seen. Where a superquadric ends along its axes is read off the points;
 left are the frame, which axis is the third, and the two exponents. These are few enough to try them all: upright or

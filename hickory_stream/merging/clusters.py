@@ -1,4 +1,4 @@
-"""Which objects of several maps are one: what alignments paired, and what lies in one place once all is laid out."""
+"""Clusters of objects of several maps that are one object: paired by alignments, or in one place after placing."""
 
 from __future__ import annotations
 

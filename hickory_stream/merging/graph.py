@@ -1,4 +1,4 @@
-"""Where several maps lie, by all their alignments at once: a pose graph over submaps, and which alignments are wrong.
+"""Joint placement of several maps: a pose graph over submaps from all alignments, with rejection of wrong ones.
 
 Between the submaps of one map odometry holds; it is never doubted. Alignments are: GTSAM's graduated non-convexity with
 truncated least squares finds which of them the others contradict (Yang et al., 2020).
@@ -87,7 +87,7 @@ def solve(num_nodes: int, odometries: Sequence[Relation], alignments: Sequence[R
     solution = optimizer.optimize()
     weights = np.asarray(optimizer.getWeights())
     believed = {i for place, i in enumerate(used) if weights[first + place] > _MIN_WEIGHT}
-    # What hung on a relation that is no longer believed hangs in the air.
+    # Nodes that only a rejected relation connected are no longer connected.
     reached = _spanned(num_nodes, odometries, [alignments[i] for i in sorted(believed)])
     return Solved(
         world_from_node=tuple(

@@ -1,4 +1,4 @@
-"""Several maps made into one: all pairs aligned, one pose graph, one object of many. Inputs are never changed."""
+"""Merging of maps: all pairs aligned, one pose graph, corresponding objects fused. Inputs are never changed."""
 
 from __future__ import annotations
 

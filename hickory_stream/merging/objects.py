@@ -1,4 +1,4 @@
-"""One object made of what several maps know of it: points, views, features; its shape where that still holds."""
+"""Fusion of one object from several maps: points, views, features; and its shape where that still contains it."""
 
 from __future__ import annotations
 

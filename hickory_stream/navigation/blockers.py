@@ -1,4 +1,4 @@
-"""What a robot would stand in: the objects and the structure that make a cell of its grid occupied, and how near."""
+"""Which objects and structure make a cell of a robot's grid occupied, and how near they are."""
 
 from __future__ import annotations
 

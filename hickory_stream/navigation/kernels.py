@@ -1,4 +1,4 @@
-"""Collision kernels over a flat scene: one row of numbers per primitive, and two grids of lists of who is near.
+"""Collision kernels over flat arrays: one row of numbers per primitive, and a two-level grid of nearby primitives.
 
 A block lists the primitives near it and, where there are any, has a brick of cells that list theirs. A cell knows of
 each primitive whether it fills the cell: then every point of it is inside, and no formula is evaluated. The distance to

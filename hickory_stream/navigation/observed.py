@@ -1,4 +1,4 @@
-"""What the observed space says to a planner: walls, and columns of cells that nobody looked into.
+"""The observed space for a planner: walls, and columns of cells that were not observed.
 
 A column is known where most of the body's height there was seen, free or wall. A camera never sees all of it: behind
 every edge there is a little shade.

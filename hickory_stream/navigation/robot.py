@@ -1,4 +1,4 @@
-"""Robots: what of their body counts, posture by posture, read from TOML files.
+"""Robot models: footprint, spheres and heights for each posture, read from TOML files.
 
 A body is a few convex parts that stand upright: corners in the robot's own frame (x forward), a disc around each of
 them, a ball around that, from a low to a high height above the floor. A cylinder is one corner with a disc, a footprint

@@ -1,4 +1,4 @@
-"""Planning: from start to goal through free space, or why there is no way.
+"""Path planning: a path from start to goal through free space, or the reason why there is none.
 
 `rrt` is the paper's, `rrt-connect` (default) grows from both ends, `rrt-star` goes on from there to shorter paths. A
 first path is shortened by shortcuts and by pulling it tight, both over free cells alone; then every leg and every turn

@@ -1,4 +1,4 @@
-"""Moved balls and boxes against superquadrics: both are convex, so that one plane keeps them apart, or nothing does.
+"""Swept balls and boxes against superquadrics: both are convex, so that they are disjoint if a plane separates them.
 
 What is swept is the sum of a segment, a box and a ball; without the ball it is the core. The distance between the core
 and a primitive is that of the origin to their difference, which is searched as Gilbert, Johnson and Keerthi (1988) do:

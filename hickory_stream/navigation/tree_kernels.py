@@ -1,4 +1,4 @@
-"""Kernels of the planners: ways over free cells, turns on the spot, trees that grow, paths that shorten.
+"""Kernels of the planners: edges over free cells, turns on the spot, growth of trees, shortening of paths.
 
 Places are in cells, from the low corner of the grid. A state is posture * headings + heading; -1 is none yet. A robot
 turns on the spot and drives straight, forwards or backwards; all cells that a way touches are free, so is every heading

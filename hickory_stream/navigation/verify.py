@@ -1,4 +1,4 @@
-"""A path against the obstacles themselves: every leg and every turn, along the whole length, without any grid.
+"""Verification of a path against the obstacles themselves, without a grid: every leg and every turn.
 
 A body that moves straight along meets a convex obstacle where the way of its middle crosses the outline of the obstacle
 for that body: an intersection of half planes, so the way is clipped by each of them. Free is proven.

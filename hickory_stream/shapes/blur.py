@@ -1,4 +1,4 @@
-"""A Gaussian blur of a block of voxels with weights of one's own: SciPy takes them from NumPy's processor's `exp`."""
+"""A Gaussian blur of a voxel block with portable weights: SciPy's are from `exp`, whose last bit is the processor's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From partial evidence to a solid: which of the voxels that nobody saw belong to the object.
+"""Shape completion: which of the unobserved voxels belong to the object.
 
 An unknown voxel is taken as solid when looking around from it mostly meets the object and hardly ever free space: the
 inside of a box whose back was never seen fills up, the shadow behind a leg does not. Where a wide thing was seen to end

@@ -1,4 +1,4 @@
-"""Semi-axes that contain balls: the kernels of inflation.
+"""The kernels of inflation: the smallest semi-axes with which a superquadric contains given balls.
 
 A superquadric with exponents up to 2 is convex, and symmetric in its local planes: it contains the ball of radius r
 around p if it contains |p| + c r d for a net of directions d in the first octant, where c >= 1 makes the net's facets

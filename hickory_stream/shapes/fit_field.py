@@ -1,4 +1,4 @@
-"""The object as the fit sees it: distances in cells, and how much of every cell is explained already."""
+"""The field that primitives are fitted to: signed distances in cells, and how much of each cell is explained."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The frame in which an object is fitted: given by the object itself, so that turning it does not change its fit.
+"""The canonical frame in which an object is fitted: the fit of a turned object is the turned fit.
 
 Along it the faces of what people make are parallel to the grid, where seeds and distances are exact. It is the
 Manhattan frame, which maximises the sum of fourth powers of the normals' coordinates, weighted by area; each step of

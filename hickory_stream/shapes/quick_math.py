@@ -1,4 +1,4 @@
-"""Logarithm and exponential that a compiler can do for many numbers at once.
+"""Logarithm and exponential that the compiler can vectorise.
 
 Those of the system are calls, one number at a time, and their last bits differ from one library to the next. These are
 good to 12 digits, have no branches, and are the same wherever numbers are IEEE doubles.

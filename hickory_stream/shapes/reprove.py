@@ -1,4 +1,4 @@
-"""The certificate of a layer 4 that was made before, proven anew from the mesh and what is said of it."""
+"""Checks the certificate of a stored layer 4 anew, from the mesh and the primitives."""
 
 from __future__ import annotations
 

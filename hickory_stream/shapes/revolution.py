@@ -1,4 +1,4 @@
-"""The vertical axis about which the front of an object is round: its back, where nobody looked, is round as well.
+"""The vertical axis of an object whose seen side is round: its unseen side is completed as a solid of revolution.
 
 Seen from above, the front of what is round is an arc as wide as the object: half as deep as wide. The front of a box is
 a line, or a corner. A front that an arc explains better than a line is turned by half a turn, unless the views saw free

@@ -1,4 +1,4 @@
-"""Where a primitive may begin: boxes grown inside what is not explained yet, and the bounds of whole components.
+"""Initial primitives of the fit: boxes grown inside what is not explained yet, and bounds of whole components.
 
 A box that grows from a deep cell until its faces leave the object finds a table's top and a chair's leg at once, where
 the bounds of their common component say nothing.

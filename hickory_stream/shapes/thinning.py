@@ -1,4 +1,4 @@
-"""Every n-th of many samples, without falling into step with the rows of the grid that they come from."""
+"""Thinning of many samples to a stride, without aliasing with the rows of the grid that they come from."""
 
 from __future__ import annotations
 

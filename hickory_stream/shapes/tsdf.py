@@ -1,4 +1,4 @@
-"""What depth images say of a block of voxels: near a surface, free, or nothing.
+"""Fusion of depth images into a truncated signed distance field: near a surface, free, or unobserved.
 
 Two kinds of evidence are kept apart until the end: signed distances near a surface, and free space. What lies behind a
 surface by more than a short band stays unknown, so that the far side of a thin plate is never overruled by its front.

@@ -1,4 +1,4 @@
-"""What of a mesh is surface: where meshes enter, whoever made them.
+"""Validation and clean-up of meshes from any reconstructor: which of their triangles are surface.
 
 A vertex that no triangle uses, and a triangle that is one point, are no part of the object: left in, one of them a
 hundred metres away would make a certified object of a hundred metres. A triangle that is a line has an extent and

@@ -1,4 +1,4 @@
-"""The sink that tells a robot's own planner where it may drive, while the map is made.
+"""The costmap sink: an occupancy grid for a robot's own planner, updated while the map is made.
 
 Messages are those that Nav2's static layer subscribes to: nav_msgs/OccupancyGrid on `/map`, then
 map_msgs/OccupancyGridUpdate on `/map_updates`. They go into an MCAP file of ROS 2 messages, which may be a named pipe,
@@ -98,7 +98,7 @@ class CostmapSink:
         stream = _opened_pipe(pipe)
         if stream is not None:
             self._file = _Messages(stream)
-            # This reader knows nothing: the next update is a whole grid.
+            # A new reader has received nothing yet: the next update is a whole grid.
             self._costmap = Costmap(self._robot, cell_m=self._cell_m, seen=self._seen)
 
     def _write(self, file: _Messages, update: CostmapUpdate) -> None:

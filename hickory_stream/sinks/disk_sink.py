@@ -1,4 +1,4 @@
-"""The sink that keeps the map: it saves snapshots into the map folder, seldom enough not to matter.
+"""The disk sink: saves snapshots into the map folder, at intervals that cost little.
 
 Only the newest snapshot is held. What a save costs is the objects that changed since the last one; the rest of the
 folder (views, meshes, journal) is written where it is made.

@@ -1,4 +1,4 @@
-"""A file that another library writes, through a pipe: so that what the disk refuses is known, and told by us.
+"""A file that another library writes through a pipe of ours, so that errors of the disk are ours to report.
 
 Rerun's writer goes on when a disk is full, says so in its own words, and leaves a file that no reader takes.
 """

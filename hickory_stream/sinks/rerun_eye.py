@@ -1,4 +1,4 @@
-"""Where the viewer's eye stands at first: so near that the map fills its view, from a corner of the room above it."""
+"""The initial viewpoint of the viewer: above a corner of the room, so near that the map fills the view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The numbers of the objects: above each one, on a thread, set apart from one another as the first view shows them.
+"""The labels of the objects: above each one, joined to it by a line, without overlap in the initial view.
 
 A label in a 3D view hangs below its point, over everything else that is drawn: the points have to be apart.
 """

@@ -1,4 +1,4 @@
-"""How well maps are aligned: simulated pairs with known truth, unrelated maps, apartments, and the time.
+"""Benchmark of alignment: simulated pairs with known truth, unrelated maps, apartments, and processor time.
 
 Simulated trials run in two processes; times are the least of three repetitions of CPU time, on the hard set. The
 apartments are played once for each state of the mapper's code, into out/maps/.

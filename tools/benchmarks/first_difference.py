@@ -1,4 +1,4 @@
-"""Where two runs of one log part: the first step whose events differ, and what in them differs.
+"""Where two runs of one log diverge: the first step whose events differ, and what in them differs.
 
 `python -m tools.benchmarks.first_difference MAP MAP` prints it, for whoever looks for the cause of two digests.
 """

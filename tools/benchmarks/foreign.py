@@ -1,4 +1,4 @@
-"""The honest gate: rooms that others made, real frames and fresh seeds of ours, with the ladder of ceilings.
+"""The generalisation gate: rooms that others made, real frames and fresh seeds of ours, with oracle experiments.
 
 For tuning there are `home`, `bookstore`, own worlds and the clouds of `mosd`. `office`, `warehouse`, the kitchen and
 the clouds of `mosd_report` are for reporting alone: nothing is chosen by them. Exact odometry, 5 Hz, 60 s. What was

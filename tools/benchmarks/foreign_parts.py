@@ -1,4 +1,4 @@
-"""What the gate is made of: one part is one thing to measure, kept by the hash of the code that makes maps.
+"""The parts of the gate: each is one measurement, kept by the hash of the code that makes maps.
 
 A part is named by its world, walk, camera and rung (`home:A:hand:ours`), or by what else it measures (`kitchen`).
 """

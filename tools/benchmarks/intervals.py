@@ -1,4 +1,4 @@
-"""How far a figure may be off: 95 % intervals, from the counts of a share or from the objects of a mean."""
+"""95 % confidence intervals: Wilson's of a share, the bootstrap of a mean over objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a live route brings, in a process of its own: read without mapping, or mapped; ends with its standard input."""
+"""The receiver of a live route in a process of its own: reads or maps until its standard input ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Changes to a map folder, from a seed: what disks do to its files, and what somebody would who means harm.
+"""Seeded changes to a map folder: faults of disks, and malicious edits.
 
 `change_map` edits a copy in place; files are replaced, never written into, so that the copy may be of hard links. Where
 a file is guarded (a name with a hash, a CRC, a digest), half of the changes keep the guard right: it is the code behind

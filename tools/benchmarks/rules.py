@@ -1,4 +1,4 @@
-"""What each special rule is worth, how many numbers were set by hand, and which of these are knife-edges.
+"""Ablation of each special rule, the count of hand-set numbers, and their sensitivity.
 
 On `home` and `bookstore`, walk A by hand, which are for tuning, and on own apartments for the ablation: layer 1 with
 one rule switched, or one number changed by a fifth. Perception is done again with the map as it becomes; numbers of

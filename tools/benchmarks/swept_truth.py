@@ -1,4 +1,4 @@
-"""How far a moved body stays from a superquadric, by slow search: what the kernels of sweeps are held against."""
+"""The clearance of a swept body from a superquadric by slow search: the reference of the sweep kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways to come from fragments to masks, compared on the same frames: by trees with the network's odds and without.
+"""Comparison of ways to join fragments into masks, on the same frames: by trees with the network's odds and without.
 
 Frames are those of labelled clouds, of the worlds that may be tuned on, each keyframe with the map as the trees leave
 it, and synthetic rooms that nothing was trained on. Masks are scored as `tools/bench perception` does; `joins` is what

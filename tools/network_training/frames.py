@@ -1,4 +1,4 @@
-"""Frames to learn from, rendered without defects and kept: each lesson puts its own defects on them.
+"""Training frames, rendered without sensor defects and cached; defects are drawn anew for each lesson.
 
 Cameras stand where one can walk, but look from any height between a small robot's and a tall person's, at any pitch,
 with a little roll and a field of view of their own.

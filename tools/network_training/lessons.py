@@ -1,4 +1,4 @@
-"""A frame as a lesson: with defects of depth and colour drawn anew each time, what it shows and what is to be said.
+"""A training example: a frame with defects of depth and colour drawn anew each time, and its target affinities.
 
 Depth gets the noise, holes and shadows of stereo cameras good and bad; colour is changed as light and cameras change
 it, and is left out altogether a quarter of the time, so that the network is led by depth. Height and scale are left out

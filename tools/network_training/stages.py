@@ -1,4 +1,4 @@
-"""How long, how fast and from how many lessons at a time the network is trained."""
+"""The schedule of the training: steps, learning rate and batch size of each stage."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""A robot that is not there: a log, published as a robot publishes, over a link that behaves badly to order."""
+"""A simulated robot: a log published as a robot would, over a link with configurable faults."""

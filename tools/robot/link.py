@@ -1,4 +1,4 @@
-"""A link that behaves badly to order: what becomes of each message, and when it is sent, drawn beforehand."""
+"""A simulated link with faults: loss, delay and order of each message, drawn from a seed before the run."""
 
 from __future__ import annotations
 

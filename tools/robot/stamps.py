@@ -1,4 +1,4 @@
-"""Messages under other header stamps, as they lie on the wire (CDR)."""
+"""Replaces the header stamps of serialised (CDR) messages."""
 
 from __future__ import annotations
 

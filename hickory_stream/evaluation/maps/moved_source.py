@@ -1,4 +1,4 @@
-"""A log as a robot would have recorded it that started elsewhere: all poses in another frame, all else as it was."""
+"""A source whose poses are expressed in another frame, as if the robot had started elsewhere."""
 
 from __future__ import annotations
 

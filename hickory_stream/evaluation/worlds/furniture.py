@@ -1,4 +1,4 @@
-"""What stands on the floor: one function per kind, each drawing its sizes and materials from the seed.
+"""Furniture that stands on the floor: one function per kind, each drawing its sizes and materials from the seed.
 
 Fronts look along +x, and sizes are those of ordinary furniture.
 """

@@ -1,4 +1,4 @@
-"""Where somebody who walks through a world looks.
+"""The viewing direction of a camera that is carried through a world.
 
 The gaze is planned a few looks ahead: it turns to what has been looked at least, and to new sides of it, never faster
 than a head turns. What is in another room is not looked at.

@@ -1,4 +1,4 @@
-"""Logs exactly as the data sets lay them out, quirks included, so that the first real one is not the first.
+"""Synthetic logs in the exact layouts of public data sets, quirks included, to test the players with.
 
 Topics, frames and quirks are those of `players/profiles/kimera_multi.toml` and `nus_clb.toml`; the numbers of the rig
 are written down here a second time on purpose: a mistake in a profile must not cancel itself out.

@@ -1,4 +1,4 @@
-"""What a recording is written to, whatever its layout."""
+"""The interface of writers of synthetic logs, one for each layout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands on furniture, on shelves or on one another: one function per kind."""
+"""Small objects that stand on furniture, on shelves or on one another: one function per kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Floor, walls, ceiling, door ways and pictures: what is no object."""
+"""The structure of a room: floor, walls, ceiling, doorways, and the pictures on its walls."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What else stands on the floor, of random make: one function per recipe; fronts look along +x."""
+"""Other large objects on the floor, of random make: one function per recipe; fronts look along +x."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Short names for what every recipe draws."""
+"""Short functions for the random draws that recipes share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands flush in rows: one function per recipe, its back at -x."""
+"""Units that stand flush in rows, such as cupboards: one function per recipe, its back at -x."""
 
 from __future__ import annotations
 

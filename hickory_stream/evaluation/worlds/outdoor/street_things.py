@@ -1,4 +1,4 @@
-"""What stands about outdoors: composed models, fronts look along +x, the origin is where they stand on the ground.
+"""Outdoor objects as composed models: fronts look along +x, the origin is where they stand on the ground.
 
 What is set into the ground (trunks, posts) goes on below it by `SUNK_M`, so that it meets ground that slopes.
 """
