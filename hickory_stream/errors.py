@@ -5,6 +5,7 @@
     |   |-- ConfigError             a key, a value or a file of the configuration
     |   |   `-- RangeError          a number outside of its range
     |   |-- RecordingError          a log that cannot be read or lacks what mapping needs
+    |   |   `-- NoPosesError        a log that has no poses at all: odometry can estimate them
     |   |-- CalibrationError        intrinsics or extrinsics that are missing or contradict the images
     |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
     |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
@@ -41,6 +42,10 @@ class RangeError(ConfigError, ValueError):
 
 class RecordingError(InputError):
     """A log that cannot be read, or that lacks what mapping needs."""
+
+
+class NoPosesError(RecordingError):
+    """A log that has no poses at all: odometry can estimate them."""
 
 
 class CalibrationError(InputError):

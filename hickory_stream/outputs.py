@@ -516,7 +516,30 @@ class ConfigChecked(TypedDict):
     ok: Literal[True]
 
 
+class PosesError(TypedDict):
+    """RMSE as evo has it: after alignment, and from pose to pose."""
+
+    ate_m: float
+    rpe_m: float
+    rpe_deg: float
+    way_m: float
+    num_poses: int
+
+
+class Estimated(TypedDict):
+    """What `odometry` found: frames with a pose and `lost` ones, scans, those `degenerate`, and processor time."""
+
+    poses: int
+    pose: str
+    lost: int
+    degenerate: int
+    scans: int
+    seconds: float
+    error: PosesError | None
+
+
 OUTPUTS: dict[str, Any] = {
+    "odometry": Estimated,
     "demo": Demonstrated,
     "error": Error,
     "progress": Progress,

@@ -94,6 +94,20 @@ class Seekable(Protocol):
         ...
 
 
+@runtime_checkable
+class Estimating(Protocol):
+    """An ability of a source: it estimates its poses itself, and goes on from those of an earlier, interrupted run."""
+
+    @property
+    def poses_by(self) -> str:
+        """What estimates them, "" where nothing does."""
+        ...
+
+    def continue_from(self, stamp_ns: int, world_from_camera: NDArray[np.float64]) -> None:
+        """Place what follows the frame of this stamp by the pose (4, 4) that the journal has of it."""
+        ...
+
+
 def account_of(source: Source) -> MessageAccount | None:
     """Return where the messages of a source went; None where it keeps no account."""
     return source.account() if isinstance(source, Accounting) else None
@@ -103,6 +117,17 @@ def interrupt(source: Source) -> None:
     """Wake a source that may be waiting for a frame; one that never waits need not be able to."""
     if isinstance(source, Interruptible):
         source.interrupt()
+
+
+def poses_by(source: Source) -> str:
+    """Return what estimates the poses of a source, "" where they are in its log."""
+    return source.poses_by if isinstance(source, Estimating) else ""
+
+
+def continue_from(source: Source, stamp_ns: int, world_from_camera: NDArray[np.float64]) -> None:
+    """Tell a source which pose its last frame had; one whose poses are in the log need not be told."""
+    if isinstance(source, Estimating):
+        source.continue_from(stamp_ns, world_from_camera)
 
 
 def num_seeks(source: Source) -> int:
@@ -136,6 +161,15 @@ class SourceAround:
     def interrupt(self) -> None:
         """Wake the other source, where it may be waiting."""
         interrupt(self._source)
+
+    @property
+    def poses_by(self) -> str:
+        """What estimates the poses of the other source."""
+        return poses_by(self._source)
+
+    def continue_from(self, stamp_ns: int, world_from_camera: NDArray[np.float64]) -> None:
+        """Tell the other source which pose its last frame had."""
+        continue_from(self._source, stamp_ns, world_from_camera)
 
     @property
     def num_seeks(self) -> int:

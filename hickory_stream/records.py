@@ -61,7 +61,8 @@ class RawFrame:
     compressed colour (JPEG or PNG), for the viewer; None when the log had none. `after_from_before` (4, 4) where the
     odometry jumped since the frame before: it takes the old world into the new one. The pose itself does not jump: a
     source that knows of a jump takes it out, so that all its poses are in the first world. `goes_back`: somebody went
-    back in the log to this frame, and wants the map as it was known before it.
+    back in the log to this frame, and wants the map as it was known before it. `is_posed`: False where the pose is none
+    and odometry has yet to put one in, before anybody is handed the source (`players/odometry_source.py`).
     """
 
     index: int
@@ -72,6 +73,7 @@ class RawFrame:
     color_bytes: bytes | None = None
     after_from_before: NDArray[np.float64] | None = None
     goes_back: bool = False
+    is_posed: bool = True
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_camera", np.float64, (4, 4))

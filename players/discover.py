@@ -6,8 +6,9 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.errors import RecordingError
+from hickory_stream.errors import NoPosesError, RecordingError
 from players.messages import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
+from players.options import NO_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -72,12 +73,16 @@ def pose_topics(
     """Return the topics that may hold the camera's pose: the one that was named or listed, or all of them, TF apart.
 
     Raises:
-        RecordingError: there is neither pose nor TF, or the topic that was named is not there.
+        NoPosesError: there is neither pose nor TF.
+        RecordingError: the topic that was named is not there.
     """
+    if options.pose_topic == NO_TOPIC:
+        raise NoPosesError(f"{path} is to be played without its poses (--pose-topic {NO_TOPIC})")
     posed = [topic for topic in topics if topic.type_name in (*POSE_TYPES, *TF) and topic.num_messages != 0]
     if not posed:
-        raise RecordingError(
-            f"{path} has no poses: no topic of {', '.join((*POSE_TYPES, TF[0]))}; {_listed('topics', topics)}"
+        raise NoPosesError(
+            f"{path} has no poses: no topic of {', '.join((*POSE_TYPES, TF[0]))}; {_listed('topics', topics)}. "
+            "--odometry depth estimates them"
         )
     named = _named(path, posed, options.pose_topic, "--pose-topic") or _first_of(posed, listed)
     return [named] if named else [topic for topic in posed if topic.type_name in POSE_TYPES]

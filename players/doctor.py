@@ -6,14 +6,14 @@ Two passes: one over every message, for stamps and damage, and one as `play` wou
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.errors import InputError, RecordingError
+from hickory_stream.errors import InputError, NoPosesError, RecordingError
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe, motion
 from players.agreement import BorderScores, border_scores, color_agreement
@@ -23,6 +23,7 @@ from players.gravity import SeenFloor, floor_in, gravity_notes
 from players.light import Light, light_of, light_of_all
 from players.log_opening import open_log, read_opening
 from players.log_source import LogSource
+from players.odometry_source import OdometrySource, with_odometry
 from players.opening import open_container, open_source
 from players.stream_stats import StreamStats, nearest_ms
 
@@ -120,9 +121,8 @@ def examine_log(
     found.topics = {name: stats[name].as_dict() for name in sorted(stats)}
     _tell_stamps(found, is_heard=is_heard)
     try:
-        _examine_opening(found, log, options)
+        source = _as_play_opens(found, log, options)
         progress("reading as play does")
-        source = open_log(log, options)
         examine_frames(found, source, stats)
     except InputError as error:
         found.refusal = str(error)
@@ -151,6 +151,21 @@ def _examine_folder(
     except InputError as error:
         found.refusal = str(error)
     return found
+
+
+def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions) -> Source:
+    """Return what is played; of a log without poses, with those that odometry estimates."""
+    try:
+        _examine_opening(found, log, options)
+        source = open_log(log, options)
+    except NoPosesError as error:
+        if options.odometry != "auto":
+            raise
+        found.notes.append(f"{error}, as play will do (--odometry)")
+        estimating = replace(options, odometry="depth")
+        _examine_opening(found, log, estimating)
+        return with_odometry(open_log(log, estimating), "auto")
+    return with_odometry(source, options.odometry) if options.estimates_poses else source
 
 
 def _examine_opening(found: Diagnosis, log: Log, options: SourceOptions) -> None:
@@ -221,6 +236,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
                 num_torn += 1
                 found.notes.append(str(error))
     source.close()
+    ledger, played = dict(source.ledger()), source.played if isinstance(source, OdometrySource) else source
     camera = source.info.camera
     agreement = color_agreement(borders)
     noise, bias, light = depth_noise(patches), depth_bias(patches), light_of_all(lights)
@@ -243,15 +259,15 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         "read_s": round(time.perf_counter() - started_s, 2),
     }
     _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
-    found.ledger = source.account().as_dict() if isinstance(source, LogSource | FolderSource) else {}
-    _tell_frames(found, dict(source.ledger()))
+    found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
+    _tell_frames(found, ledger)
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
     judge_color(found, agreement)
     judge_depth(found, noise, bias, sensor)
     judge_light(found, light)
     found.notes += gravity_notes(floors)
-    if isinstance(source, LogSource):
-        setup = source.setup
+    if isinstance(played, LogSource):
+        setup = played.setup
         color, depth = (
             stats[t.name].stamps(uses_log_time=setup.uses_log_time) for t in (setup.topics.color, setup.topics.depth)
         )
@@ -356,12 +372,17 @@ def _tell_frames(found: Diagnosis, fates: dict[str, int]) -> None:
     )
     for name in sorted(fates):
         number = fates[name]
-        if name == "frames" or not number:
+        if name in ("frames", "odometry_scans") or not number:
             continue
         if name in ("color_without_depth", "depth_without_color"):
             found.notes.append(f"{number} {name.replace('_', ' ')} within the tolerance")
         elif name == "no_pose" and number <= max(3.0, 0.02 * total):
             found.notes.append(f"{number} of {total} frames have no pose (the ends of the poses)")
+        elif name == "odometry_degenerate":
+            found.notes.append(
+                f"{number} of {fates['odometry_scans']} scans do not determine the motion along some direction (a bare "
+                "wall, a corridor): there it is taken to go on as before"
+            )
         elif name in ("depth_without_returns", "pose_jumps", "duplicate_pose"):
             found.notes.append(f"{number} {name.replace('_', ' ')}")
         else:

@@ -32,12 +32,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FolderFrame:
-    """A pair of image files with its stamp and the pose of the colour camera."""
+    """A pair of image files with its stamp and the pose of the colour camera, None where odometry has to find it."""
 
     stamp_ns: int
     color: Path
     depth: Path
-    world_from_camera: NDArray[np.float64]
+    world_from_camera: NDArray[np.float64] | None
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """The pose (4, 4); without one, the frame is in its own camera's frame."""
+        return self.world_from_camera if self.world_from_camera is not None else np.eye(4)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -110,9 +115,10 @@ class FolderSource:
                 index=index,
                 stamp_ns=files.stamp_ns,
                 camera=camera,
-                world_from_camera=files.world_from_camera,
+                world_from_camera=files.pose,
                 decode=partial(_decode, self._content, files, index, color_bytes, ledger),
                 color_bytes=color_bytes or None,
+                is_posed=files.world_from_camera is not None,
             )
             index += 1
         if index == 0:
@@ -175,7 +181,7 @@ def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes:
         rgb=rgb,
         depth_m=register_depth(depth_m, content.registration),
         camera=content.registration.color_camera,
-        world_from_camera=files.world_from_camera,
+        world_from_camera=files.pose,
         sensor=content.sensor,
     )
 

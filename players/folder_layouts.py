@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
 from players.decode import compressed_size
 from players.folder import FolderContent, FolderFrame, FolderSource
@@ -27,7 +27,7 @@ from players.folder_text import (
     read_tum_track,
     read_world_from_log,
 )
-from players.options import DEFAULT_MAX_POSE_GAP_NS
+from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC
 from players.profile import Intrinsics, Profile, load_profile
 from players.register import Registration
 from players.sync import Leftover, Stamped, default_tolerance_ns, pair_nearest
@@ -59,7 +59,7 @@ def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     poses = _by_number(folder.glob("frame-*.pose.txt"))
     colors = _by_number(file for file in folder.glob("frame-*.color.*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number(folder.glob("frame-*.depth.png"))
-    found = _Collector(folder, profile)
+    found = _Collector(folder, profile, options)
     for number in sorted(colors.keys() | depths.keys()):
         found.add(
             number * 1_000_000_000 // profile.frame_rate_hz,
@@ -92,7 +92,12 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     profile_name = options.profile or "tum"
     profile = load_profile(profile_name)
     files = {name: folder / f"{name}.txt" for name in ("rgb", "depth", "groundtruth")}
-    missing = [file.name for file in files.values() if not file.is_file()]
+    missing = [files[name].name for name in ("rgb", "depth") if not files[name].is_file()]
+    has_poses = files["groundtruth"].is_file() and options.pose_topic != NO_TOPIC
+    if not has_poses and not missing and not options.estimates_poses:
+        raise NoPosesError(
+            f"{folder} looks like TUM RGB-D but has no groundtruth.txt; --odometry depth estimates poses"
+        )
     if missing:
         raise RecordingError(f"{folder} looks like TUM RGB-D but has no {', '.join(missing)}")
     has_intrinsics = (folder / INTRINSICS).is_file()
@@ -105,15 +110,18 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     tolerance_ns = options.sync_tolerance_ns
     if tolerance_ns is None:
         tolerance_ns = default_tolerance_ns(*([stamp_ns for stamp_ns, _ in rows] for rows in images.values()))
-    track = read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
-    found = _Collector(folder, profile)
+    track = None
+    if has_poses:
+        track = read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
+    found = _Collector(folder, profile, options)
     stamped = [Stamped("color", *row) for row in images["rgb"]] + [Stamped("depth", *row) for row in images["depth"]]
     for match in pair_nearest(sorted(stamped, key=lambda image: image.stamp_ns), tolerance_ns):
         if isinstance(match, Leftover):
             is_color = match.stream == "color"
             found.add(match.stamp_ns, match.item if is_color else None, None if is_color else match.item, None)
         else:
-            found.add(match.stamp_ns, match.color, match.depth, track.at(match.stamp_ns))
+            pose = track.at(match.stamp_ns) if track is not None else None
+            found.add(match.stamp_ns, match.color, match.depth, pose)
     return found.source(
         kind="TUM RGB-D folder",
         depth_intrinsics=intrinsics,
@@ -123,11 +131,11 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
             "color": "rgb.txt",
             "depth": "depth.txt",
             "camera_info": INTRINSICS if has_intrinsics else f"profile {profile_name}",
-            "pose": "groundtruth.txt",
+            "pose": "groundtruth.txt" if has_poses else "none",
             "sync_tolerance": f"{tolerance_ns / 1e6:.1f} ms",
         },
-        text_files=[*files.values()],
-        pose_span_ns=track.span_ns,
+        text_files=[file for file in files.values() if file.is_file()],
+        pose_span_ns=track.span_ns if track is not None else None,
     )
 
 
@@ -151,7 +159,7 @@ def open_posed_folder(folder: Path, options: SourceOptions) -> FolderSource:
         raise RecordingError(
             f"{folder}: {len(poses)} poses in {CAMERA_POSES} for {len(numbers)} images; expected as many"
         )
-    found = _Collector(folder, profile)
+    found = _Collector(folder, profile, options)
     for i, (number, pose) in enumerate(zip(numbers, poses, strict=True)):
         found.add(i * 1_000_000_000 // profile.frame_rate_hz, colors.get(number), depths.get(number), pose)
     return found.source(
@@ -185,7 +193,7 @@ def open_replica(folder: Path, options: SourceOptions) -> FolderSource:
     poses = read_pose_rows(folder / TRAJECTORY)
     colors = _by_number(file for file in (folder / "results").glob("frame*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number((folder / "results").glob("depth*.png"))
-    found = _Collector(folder, profile)
+    found = _Collector(folder, profile, options)
     for number in sorted(colors.keys() | depths.keys()):
         pose = poses[number] if number < len(poses) else None
         stamp_ns = number * 1_000_000_000 // profile.frame_rate_hz
@@ -215,7 +223,7 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
     colors = _by_number(file for file in folder.glob("*_rgb.*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number(folder.glob("*_depth.png"))
     jsons = _by_number(folder.glob("*.json"))
-    found = _Collector(folder, profile)
+    found = _Collector(folder, profile, options)
     intrinsics: Intrinsics | None = None
     for number in sorted(colors.keys() | depths.keys()):
         pose = None
@@ -245,8 +253,10 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
 class _Collector:
     """Sorts what a layout found into frames and fates, and moves the poses to the colour camera in an upright world."""
 
-    def __init__(self, folder: Path, profile: Profile) -> None:
+    def __init__(self, folder: Path, profile: Profile, options: SourceOptions) -> None:
         self._folder = folder
+        self._estimates_poses = options.estimates_poses
+        self._ignores_poses = options.pose_topic == NO_TOPIC
         self._world_from_log = read_world_from_log(folder)
         self._up = GRAVITY if (folder / GRAVITY).is_file() else "z of the log"
         self._color_from_depth = from_rotation_translation(np.eye(3), np.array(profile.color_from_depth_m))
@@ -264,11 +274,13 @@ class _Collector:
             self._fates["depth_without_color"] += 1
         elif depth is None or not depth.is_file():
             self._fates["color_without_depth"] += 1
-        elif log_from_depth is None:
+        elif (log_from_depth is None or self._ignores_poses) and not self._estimates_poses:
             self._fates["no_pose"] += 1
             self._unposed_ns.append(stamp_ns)
         else:
-            world_from_camera = compose(self._world_from_log, log_from_depth, self._depth_from_color)
+            world_from_camera = None
+            if log_from_depth is not None and not self._ignores_poses:
+                world_from_camera = compose(self._world_from_log, log_from_depth, self._depth_from_color)
             self._frames.append(
                 FolderFrame(stamp_ns=stamp_ns, color=color, depth=depth, world_from_camera=world_from_camera)
             )
@@ -286,7 +298,8 @@ class _Collector:
     ) -> FolderSource:
         """Return the source; the sizes of the images are those of the first frame."""
         if not self._frames:
-            raise RecordingError(self._why_empty(pose_span_ns))
+            error = NoPosesError if self._unposed_ns and pose_span_ns is None else RecordingError
+            raise error(self._why_empty(pose_span_ns))
         first = self._frames[0]
         registration = Registration(
             depth_camera=depth_intrinsics.camera(_size_of(first.depth)),

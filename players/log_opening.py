@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import from_rotation_translation
 from players.calibration import Lens, lens_of
 from players.clock import choose_clock
@@ -29,12 +29,12 @@ from players.images import LogImage, check_color_encoding, check_depth_encoding,
 from players.log_setup import LogSetup
 from players.log_source import LogSource
 from players.messages import TF
-from players.options import DEFAULT_MAX_POSE_GAP_NS
+from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC
 from players.pose_file import read_pose_file
 from players.probe import Probe
 from players.profile import Profile, guess_profile, load_profile, profiles_with_robots, robots_in
 from players.register import Registration
-from players.rig import PosePlan, PoseStream, RigReader, plan_poses
+from players.rig import UNPOSED, PosePlan, PoseStream, RigReader, plan_poses
 from players.sync import default_tolerance_ns
 from players.tf import FrameTree
 
@@ -129,7 +129,8 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
     color_lens = _lens(opening.reader, color_info, opening.topics.color, color_image)
     depth_info, depth_lens = _depth_lens(opening, color_info, color_lens)
     color_from_depth, extrinsics = _color_from_depth(opening, color_image.frame, depth_image.frame)
-    plan = opening.plan or _plan(opening, color_image.frame)
+    estimates = options.estimates_poses
+    plan = opening.plan or (UNPOSED if estimates else _plan(opening, color_image.frame))
     clock, clock_reason = choose_clock(options.clock, opening.color, opening.depth, opening.reader, plan)
     stamps = [probe.stamps_ns if clock == "header" else probe.log_ns for probe in (opening.color, opening.depth)]
     tolerance_ns = options.sync_tolerance_ns
@@ -161,6 +162,10 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
         depth_units_per_m=profile.depth_units_per_m,
         sensor=profile.sensor,
         is_live=is_live,
+        estimates_poses=estimates,
+        tree=opening.reader.tree(),
+        rig=profile.rig,
+        color_frame=color_image.frame,
         streams=(
             *([("profile", f"{profile.name}{guess}")] if profile.name else []),
             ("color", opening.topics.color.name),
@@ -188,8 +193,8 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
         raise RecordingError(f"{log.path} ({log.kind}) holds no messages{_damage_of(log)}")
     profile, is_guessed = choose_profile(log.topics, options)
     topics = choose_images(log.path, log.topics, options, profile.topics)
-    poses = [] if options.pose_file else pose_topics(log.path, log.topics, options, profile.topics.get("pose", ()))
-    is_named = options.pose_topic is not None or (
+    poses = [] if options.pose_file else _pose_topics(log, options, profile)
+    is_named = options.pose_topic not in (None, NO_TOPIC) or (
         bool(profile.topics.get("pose")) and any(topic.name in profile.topics["pose"] for topic in poses)
     )
     is_named = is_named and not all(topic.type_name in TF for topic in poses)
@@ -221,6 +226,16 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
     return _filled(opening, {topic.name for topic in wanted if topic.num_messages != 0})
 
 
+def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Topic]:
+    """Return the topics that may hold poses; none where odometry does without."""
+    try:
+        return pose_topics(log.path, log.topics, options, profile.topics.get("pose", ()))
+    except NoPosesError:
+        if not options.estimates_poses:
+            raise
+        return []
+
+
 def _filled(opening: Opening, wanted: set[str]) -> Opening:
     """Read until everything that is needed is there."""
     from dataclasses import replace
@@ -245,7 +260,8 @@ def _filled(opening: Opening, wanted: set[str]) -> Opening:
             break
         if opening.color.is_full and opening.depth.is_full and (wanted <= reader.seen or passed_ns > _PATIENCE_NS):
             opening = replace(opening, infos=_infos(opening), plan=_try_plan(opening))
-            if opening.infos[0] is not None and opening.plan is not None and _has_depth_info(opening):
+            is_placed = opening.plan is not None or opening.options.estimates_poses
+            if opening.infos[0] is not None and is_placed and _has_depth_info(opening):
                 return opening
     reader.end()
     return replace(opening, infos=_infos(opening), plan=_try_plan(opening))
@@ -293,7 +309,7 @@ def _has_depth_info(opening: Opening) -> bool:
 
 
 def _try_plan(opening: Opening) -> PosePlan | None:
-    if opening.color.first is None:
+    if opening.color.first is None or opening.options.pose_topic == NO_TOPIC:
         return None
     try:
         return _plan(opening, opening.color.first.frame)

@@ -10,14 +10,19 @@ if TYPE_CHECKING:
     from players.calibration import Lens
     from players.containers import Topic
     from players.discover import ImageTopics
+    from players.profile import RigLinks
     from players.register import Registration
     from players.rig import PosePlan
+    from players.tf import FrameTree
     from players.tracks import JumpLimits
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogSetup:
-    """The topics, lenses, poses and tolerances by which a log is played."""
+    """The topics, lenses, poses and tolerances by which a log is played.
+
+    `tree` and `rig` are the frames of TF and of the profile, by which a LiDAR is connected to the `color_frame`.
+    """
 
     topics: ImageTopics
     small_topics: tuple[Topic, ...]
@@ -35,3 +40,7 @@ class LogSetup:
     sensor: DepthSensor
     streams: tuple[tuple[str, str], ...]
     is_live: bool = False
+    estimates_poses: bool = False
+    tree: FrameTree | None = None
+    rig: RigLinks | None = None
+    color_frame: str = ""

@@ -25,7 +25,7 @@ from players.messages import POINT_CLOUD
 from players.peek import peek_stamp_ns
 from players.point_clouds import scan_of
 from players.register import Registration, register_depth, with_motion
-from players.rig import RigReader
+from players.rig import UNPOSED, RigReader
 from players.sync import Leftover, Pair, Stamped, pair_epochs
 from players.timeline import Order, Timeline
 
@@ -83,6 +83,11 @@ class LogSource:
     def info(self) -> SourceInfo:
         """What was found when the log was opened; `num_frames` is the most there can be: images may lack partners."""
         return self._info
+
+    def clouds(self) -> tuple[str, ...]:
+        """Return the topics of point clouds, those with the most messages first."""
+        clouds = [topic for topic in self._log.topics if topic.type_name == POINT_CLOUD and topic.num_messages != 0]
+        return tuple(topic.name for topic in sorted(clouds, key=lambda t: (-(t.num_messages or 0), t.name)))
 
     @property
     def setup(self) -> LogSetup:
@@ -251,9 +256,12 @@ class LogSource:
             return None
         plan = self._setup.plan
         world_from_camera = plan.at(pair.stamp_ns, epoch, reader)
+        is_posed = world_from_camera is not None and plan is not UNPOSED
         if world_from_camera is None:
-            self._refuse(pair, "no_pose", ledger)
-            return None
+            if not self._setup.estimates_poses:
+                self._refuse(pair, "no_pose", ledger)
+                return None
+            world_from_camera = np.eye(4)
         ledger.count("frames")
         jump = plan.jump_between(last_ns, pair.stamp_ns, epoch, reader) if last_ns is not None else None
         if jump is not None:
@@ -275,6 +283,7 @@ class LogSource:
             ),
             color_bytes=(pair.color.data() or None) if is_passed_on else None,
             after_from_before=jump.after_from_before if jump is not None else None,
+            is_posed=is_posed,
         )
 
     def _refuse(self, pair: Pair, fate: str, ledger: Ledger) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.errors import RecordingError
+from hickory_stream.errors import NoPosesError, RecordingError
 from players.options import SourceOptions
 
 if TYPE_CHECKING:
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
 
     from hickory_stream.ports import Source
     from players.containers import Log
+
+logger = logging.getLogger(__name__)
 
 _MCAP = b"\x89MCAP"
 _ROS1 = b"#ROSBAG"
@@ -35,6 +39,29 @@ def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions |
         CalibrationError: intrinsics or extrinsics are missing or contradict the images.
     """
     options = options or SourceOptions()
+    if options.odometry == "auto":
+        try:
+            return _open(uri, options)
+        except NoPosesError as error:
+            logger.info("%s", error)
+            return open_estimating(uri, options)
+    return _open(uri, options) if options.odometry == "topic" else open_estimating(uri, options)
+
+
+def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
+    """Return a source that estimates its poses, by the odometry that was chosen ("auto": LiDAR, else depth).
+
+    Raises:
+        HickoryError: as `open_source` does; or the sensor or the method that was chosen is not there.
+    """
+    from players.odometry_source import with_odometry
+
+    choice = options.odometry
+    return with_odometry(_open(uri, options if options.estimates_poses else replace(options, odometry="depth")), choice)
+
+
+def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
+    """Return the source of a log or a folder, by the poses that it has."""
     paths = [Path(uri)] if isinstance(uri, str | Path) else [Path(part) for part in uri]
     if len(paths) == 1 and paths[0].is_dir():
         source = _open_folder(paths[0], options)

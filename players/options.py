@@ -16,6 +16,10 @@ MAX_GAP_NS = 3_600_000_000_000
 
 Clock = Literal["auto", "header", "log"]
 
+OdometryChoice = Literal["auto", "topic", "lidar", "depth", "small_gicp", "kiss-icp"]
+NO_TOPIC = "none"
+"""As `pose_topic`: a log is played as if it had no poses."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceOptions(Ranged):
@@ -28,7 +32,9 @@ class SourceOptions(Ranged):
     kind of log, by its name in `players/profiles` or as a path: None is the profile that the topics or the layout fit,
     "none" is no profile. `robot` is the robot's name in the topics, for profiles with one. `pose_file` holds poses as
     text (TUM, or CSV with a header) in place of a pose topic. `clock` is which stamps count: those of the headers
-    ("header"), those of the recording ("log"), or the headers' unless they are of no use ("auto").
+    ("header"), those of the recording ("log"), or the headers' unless they are of no use ("auto"). `odometry` is where
+    poses come from: the pose topic ("topic"), estimates from "lidar" or "depth", or the method of that name on the
+    LiDAR, where there is none on depth; "auto" estimates where the log has no poses.
     """
 
     color_topic: str | None = None
@@ -43,3 +49,9 @@ class SourceOptions(Ranged):
     robot: str | None = None
     pose_file: Path | None = None
     clock: Clock = "auto"
+    odometry: OdometryChoice = "auto"
+
+    @property
+    def estimates_poses(self) -> bool:
+        """Whether odometry is asked for, whatever poses the log has."""
+        return self.odometry not in ("auto", "topic")

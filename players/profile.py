@@ -58,12 +58,16 @@ class Intrinsics(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RigLinks:
-    """The rig of a data set without TF: `body` is what the pose topic gives, in its own tree of static links."""
+    """The rig of a data set without TF: `body` is what the pose topic gives, in its own tree of static links.
+
+    `lidar` is the frame of its point clouds, "" where it has none that is connected.
+    """
 
     body: str
     color: str
     depth: str
     links: tuple[Edge, ...]
+    lidar: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -244,7 +248,9 @@ def _rig(rig: Mapping[str, Any], robots: Mapping[str, Any], parameters: Mapping[
             raise ValueError(f"robot {robot!r} is not known; expected one of {', '.join(robots)}: name it with --robot")
         links += robots[robot]["links"]
     edges = tuple(Edge(parent=k["parent"], child=k["child"], parent_from_child=_transform(k)) for k in links)
-    return RigLinks(body=rig["body"], color=rig["color"], depth=rig["depth"], links=edges)
+    return RigLinks(
+        body=rig["body"], color=rig["color"], depth=rig["depth"], links=edges, lidar=str(rig.get("lidar", ""))
+    )
 
 
 def _transform(link: Mapping[str, Any]) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.errors import CalibrationError, NoPosesError
 from hickory_stream.geometry.rigid import compose, invert
 from players.containers import UnreadableMessageError, deserialize
 from players.messages import CAMERA_INFO, TF, CameraInfo, StampedPose, camera_info_of, poses_of
@@ -122,6 +122,10 @@ class PosePlan:
             if jump is not None:
                 return jump
         return None
+
+
+UNPOSED = PosePlan(stream=None, links=(), is_static=True, source="none", path="none", extrinsics="none")
+"""The plan of a log without poses: each frame is in its own camera's frame until odometry places it."""
 
 
 def _moving(link: _Link, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
@@ -305,7 +309,7 @@ def plan_poses(
 
     Raises:
         CalibrationError: no pose can be carried to the camera's frame.
-        RecordingError: there is no pose at all.
+        NoPosesError: there is no pose at all.
     """
     tree, streams = reader.tree(), reader.streams()
     if rig is None or not is_named:
@@ -339,8 +343,10 @@ def plan_poses(
             extrinsics=f"profile {profile_name}",
         )
     if not streams and not tree.edges:
-        raise RecordingError(f"{path}: the pose topics hold no pose")
+        raise NoPosesError(f"{path}: the pose topics hold no pose; --odometry depth estimates them")
     told = _unconnected(path, streams, tree, camera_frame)
+    if not streams and not any(isinstance(edge.parent_from_child, GrowingTrack) for edge in tree.edges.values()):
+        raise NoPosesError(f"{told}, or estimate poses with --odometry depth")
     if rig is not None:
         told += f". The profile {profile_name} knows the body of {' or '.join(rig_topics)} only: play that log, too"
     raise CalibrationError(told)

@@ -114,7 +114,6 @@ def bad_logs() -> dict[str, tuple[Callable[[Path], object], tuple[str, ...]]]:
             lambda path: write(path, without(scenes.PNG_COLOR)),
             ("no colour topic", scenes.PNG_DEPTH, "--color-topic"),
         ),
-        "no_poses": (lambda path: write(path, without("/odom", "/tf", "/tf_static")), ("no poses", "Odometry")),
         "no_intrinsics": (
             lambda path: write(path, without(*INFOS)),
             ("no intrinsics", scenes.PNG_COLOR, "--color-info-topic"),
@@ -138,6 +137,13 @@ def test_a_log_that_cannot_be_mapped_is_refused_and_leaves_no_map(
     make, told = BAD_LOGS[name]
     make(tmp_path / "log.mcap")
     refusal(run("play", tmp_path / "log.mcap", "--out", tmp_path / "map", "--viewer", "none"), *told)
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_log_without_poses_is_refused_where_they_are_to_be_its_own(tmp_path: Path, run: Callable[..., Ended]) -> None:
+    log = write(tmp_path / "log.mcap", without("/odom", "/tf", "/tf_static"))
+    refused = run("play", log, "--odometry", "topic", "--out", tmp_path / "map", "--viewer", "none")
+    refusal(refused, "no poses", "Odometry", "--odometry depth")
     assert not (tmp_path / "map").exists()
 
 

@@ -24,6 +24,10 @@ TEXTS: dict[str, tuple[str, str]] = {
         "what becomes of every message.",
         "doctor camera.bag vio.bag --html page.html",
     ),
+    "odometry": (
+        "Estimate where the camera was from the LiDAR or the depth images of a log, and compare with the truth.",
+        "odometry demo.mcap -o poses.tum --pose-topic none --truth demo.mcap",
+    ),
     "inspect": (
         "Show what a map holds: every object with its layers, what they take and how long they took.",
         "inspect demo.map --at 12.5",

@@ -18,13 +18,20 @@ def add_source_options(command: argparse.ArgumentParser) -> None:
     """Add the options to a command."""
     topics = command.add_argument_group("what a log does not say itself; all is discovered if not named")
     for role in ("color", "depth", "color-info", "depth-info", "pose"):
-        topics.add_argument(f"--{role}-topic", metavar="TOPIC")
+        told = "none: play the log as if it had no poses" if role == "pose" else None
+        topics.add_argument(f"--{role}-topic", metavar="TOPIC", help=told)
     topics.add_argument("--pose-frame", metavar="FRAME", help="the frame whose pose the pose topic gives")
     topics.add_argument("--poses", type=Path, metavar="FILE", help="poses from a TUM or CSV file instead of a topic")
     topics.add_argument("--sync-tolerance", type=float, metavar="MS", help="between colour and depth (half a period)")
     topics.add_argument("--max-pose-gap", type=float, metavar="MS", help="between poses that are interpolated")
     topics.add_argument("--profile", metavar="NAME", help="the kind of log: a name, a TOML file, or none")
     topics.add_argument("--robot", metavar="NAME", help="the robot whose topics are played, for profiles with robots")
+    topics.add_argument(
+        "--odometry",
+        choices=("auto", "topic", "lidar", "depth", "small_gicp", "kiss-icp"),
+        default="auto",
+        help="where poses come from: the pose topic, else estimated from LiDAR, else from depth (auto); or by a method",
+    )
     topics.add_argument("--clock", choices=("auto", "header", "log"), default="auto", help="which stamps count")
 
 
@@ -48,4 +55,5 @@ def source_options(options: argparse.Namespace) -> SourceOptions:
         profile=options.profile,
         robot=options.robot,
         clock=options.clock,
+        odometry=options.odometry,
     )

@@ -20,13 +20,14 @@ from hickory_stream.engine.history.recorded_config import resumed_config
 from hickory_stream.engine.history.resume import reopen
 from hickory_stream.engine.journal import JournalWriter
 from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.processor import processor_of_run
+from hickory_stream.engine.processor import processor_kind, processor_of_run
 from hickory_stream.engine.run import Run, RunParts
 from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
 from hickory_stream.errors import InputError, MapFolderError, RecordingError
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_extractor, make_segmenter
+from hickory_stream.ports import continue_from, poses_by
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
@@ -203,6 +204,8 @@ class Mapper:
         asked = {"mode": mode, "loops": loops, "source": dict(source_note or {})}
         folder, journal, continued = await asyncio.to_thread(self._open, source, asked)
         mode, loops = folder.manifest.run["mode"], folder.manifest.run["loops"]
+        if continued is not None:
+            continue_from(source, continued.last_frame.stamp_ns, continued.last_frame.world_from_camera)
         newest: asyncio.Queue[MapSnapshot | None] = asyncio.Queue(maxsize=1)
 
         def publish(snapshot: MapSnapshot) -> None:
@@ -333,7 +336,8 @@ class Mapper:
             source=dataclasses.asdict(source.info),
             run=asked,
             extractor=self.extractor_name,
-            processor=self._processor,
+            # Odometry's sums are compiled for the processor's vector units.
+            processor=self._processor or (processor_kind() if poses_by(source) else ""),
             overwrite=self._overwrite,
         )
         try:

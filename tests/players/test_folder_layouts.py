@@ -110,11 +110,11 @@ def test_a_7_scenes_folder_without_intrinsics_is_refused(seven: Path) -> None:
         open_source(seven)
 
 
-def test_a_7_scenes_folder_without_poses_is_refused(seven: Path) -> None:
+def test_a_7_scenes_folder_without_poses_is_refused_where_they_are_to_be_its_own(seven: Path) -> None:
     for file in seven.glob("*.pose.txt"):
         file.unlink()
     with pytest.raises(RecordingError, match=r"no frame has colour, depth and a pose; found 6 no_pose"):
-        open_source(seven)
+        open_source(seven, SourceOptions(odometry="topic"))
 
 
 @pytest.mark.parametrize("text", ["1 2 3", "a b c", "0 0 0 0 0 0 0 0 1"])

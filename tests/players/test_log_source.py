@@ -74,7 +74,7 @@ def test_a_log_without_colour_lists_the_image_topics_and_the_option(tmp_path: Pa
 
 def test_a_log_without_poses_lists_its_topics(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"no poses.*nav_msgs/msg/Odometry.*/cam/color/camera_info"):
-        _open(tmp_path, _without("/odom", "/tf_static"))
+        _open(tmp_path, _without("/odom", "/tf_static"), SourceOptions(odometry="topic"))
 
 
 def test_a_log_without_intrinsics_names_where_they_were_sought(tmp_path: Path) -> None:

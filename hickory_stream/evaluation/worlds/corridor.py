@@ -44,7 +44,6 @@ class CorridorConfig:
 def corridor_scans(config: CorridorConfig, seed: int) -> list[tuple[Scan, NDArray[np.float64]]]:
     """Return the scans of a walk, each with the true pose (4, 4) of the sensor in the box's frame."""
     rng = np.random.default_rng([seed, 32])
-    directions = _directions(config)
     count = int(config.way_m / config.speed_mps * config.rate_hz) + 1
     scans = []
     for i in range(count):
@@ -53,14 +52,20 @@ def corridor_scans(config: CorridorConfig, seed: int) -> list[tuple[Scan, NDArra
         world_from_sensor = from_rotation_translation(
             yaw_rotation(0.08 * float(np.cos(sway))), np.array([x, 0.1 * float(np.sin(sway)), _SENSOR_M])
         )
-        rays = directions @ world_from_sensor[:3, :3].T
-        ranges = _ranges(world_from_sensor[:3, 3], rays, config) + config.sigma_m * rng.standard_normal(len(rays))
-        points_world = world_from_sensor[:3, 3] + rays * ranges[:, None]
-        seen = ranges < config.range_m
-        points = apply(invert(world_from_sensor), points_world[seen]).astype(np.float32)
         stamp_ns = round(i * 1e9 / config.rate_hz)
+        points = scan_from(world_from_sensor, config, rng)
         scans.append((Scan(stamp_ns=stamp_ns, frame="lidar", points=points), world_from_sensor))
     return scans
+
+
+def scan_from(
+    world_from_sensor: NDArray[np.float64], config: CorridorConfig, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Return the points (N, 3) that a sensor at a pose (4, 4) within the box sees, in its own frame."""
+    rays = _directions(config) @ world_from_sensor[:3, :3].T
+    ranges = _ranges(world_from_sensor[:3, 3], rays, config) + config.sigma_m * rng.standard_normal(len(rays))
+    points_world = world_from_sensor[:3, 3] + rays * ranges[:, None]
+    return apply(invert(world_from_sensor), points_world[ranges < config.range_m]).astype(np.float32)
 
 
 def _directions(config: CorridorConfig) -> NDArray[np.float64]:

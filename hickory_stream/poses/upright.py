@@ -1,0 +1,57 @@
+"""Which way is up in a room, from one scan: floors and tables face up, walls stand upright.
+
+For the world of an odometry that begins at a camera held by anybody; a better answer, where there is one, is gravity.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import Scan
+
+_TILTED_RAD = np.radians(50.0)
+_LEVEL_COSINE = np.cos(np.radians(6.0))
+_UPRIGHT_COSINE = np.sin(np.radians(6.0))
+_LEAST_LEVEL_SHARE = 0.05
+_LEAST_SHARE = 0.35
+_POINTS_M = 0.05
+_CANDIDATES = 400
+_ROUNDS = 3
+
+
+def up_in(scan: Scan, rough_up: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the unit vector up (3,) in the frame of a scan of a room, within 50 degrees of `rough_up` (3,).
+
+    Of the normals near it, that which most surfaces are level or upright to; then their mean. None where too few are,
+    or none is level: walls alone leave one tilt open.
+    """
+    import small_gicp
+
+    cloud, _ = small_gicp.preprocess_points(scan.points.astype(np.float64), _POINTS_M, 20, 1)
+    normals = np.asarray(cloud.normals())[:, :3] if cloud.size() else np.empty((0, 3))
+    normals = normals[np.isfinite(normals).all(axis=1) & (np.abs((normals * normals).sum(axis=1) - 1) < 0.1)]
+    if len(normals) < 100:
+        return None
+    rough = rough_up / np.sqrt((rough_up * rough_up).sum())
+    facing = normals * np.where((normals * rough).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    near = facing[(facing * rough).sum(axis=1) > np.cos(_TILTED_RAD)]
+    if len(near) < _LEAST_LEVEL_SHARE * len(normals):
+        return None
+    candidates = near[:: max(1, len(near) // _CANDIDATES)]
+    cosines = np.abs(candidates @ normals.T)
+    votes = (cosines > _LEVEL_COSINE).sum(axis=1) + (cosines < _UPRIGHT_COSINE).sum(axis=1)
+    up = candidates[int(votes.argmax())]
+    for _ in range(_ROUNDS):
+        level = facing[(facing * up).sum(axis=1) > _LEVEL_COSINE]
+        up = level.mean(axis=0)
+        up = up / np.sqrt((up * up).sum())
+    cosines = np.abs((normals * up).sum(axis=1))
+    is_level = cosines > _LEVEL_COSINE
+    if is_level.mean() < _LEAST_LEVEL_SHARE or (is_level | (cosines < _UPRIGHT_COSINE)).mean() < _LEAST_SHARE:
+        return None
+    return np.asarray(up, dtype=np.float64)
