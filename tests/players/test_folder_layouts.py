@@ -194,7 +194,7 @@ def test_a_profile_that_does_not_exist_is_told_with_those_that_do(seven: Path) -
 # ---- TUM RGB-D ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["depth.txt", "groundtruth.txt"])
+@pytest.mark.parametrize("name", ["depth.txt"])
 def test_a_tum_folder_names_the_list_that_is_missing(tum: Path, name: str) -> None:
     (tum / name).unlink()
     with pytest.raises(RecordingError, match=f"looks like TUM RGB-D but has no {name}"):
