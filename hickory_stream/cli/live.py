@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
     publishes = _publishes(options)
     route = route_of(options.uri)
     if publishes is not None and not isinstance(route, ReturnLink):
-        raise InputError(f"{options.uri} has no way back to a robot; --publish needs zenoh:// or foxglove://")
+        raise InputError(f"{options.uri} has no way back to a robot; --publish needs zenoh://, foxglove:// or dds://")
     out = options.out or Path(f"{default_name(options.uri)}.map")
     # What cannot be had is refused before a map that is there is replaced.
     beside = sinks_beside(options, settings, is_live=True)

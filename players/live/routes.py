@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 KNOWN = (
     "zenoh://HOST[:7447][/NAMESPACE], foxglove://HOST[:8765], zed://[SERIAL], zed://IP:PORT, zed:FILE.svo2, "
-    "mcap:PIPE, or - for an MCAP stream on standard input"
+    "dds://[DOMAIN], mcap:PIPE, or - for an MCAP stream on standard input"
 )
 
 
@@ -50,6 +50,10 @@ def route_of(uri: str) -> LiveSource:
         from players.live.foxglove_route import FoxgloveRoute
 
         return FoxgloveRoute(uri)
+    if uri.startswith("dds:"):
+        from players.live.dds_route import DdsRoute
+
+        return DdsRoute(uri)
     if uri.startswith("zed:"):
         from players.live.zed_route import ZedRoute
 

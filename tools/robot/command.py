@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from tools.robot.publishers import Publisher
 
-ROUTES = ("zenoh-bridge", "rmw-zenoh", "foxglove", "mcap")
+ROUTES = ("zenoh-bridge", "rmw-zenoh", "foxglove", "dds", "mcap")
 _PORTS = {"zenoh-bridge": 7447, "rmw-zenoh": 7447, "foxglove": 8765}
 
 
@@ -35,6 +35,10 @@ def publisher_of(options: argparse.Namespace) -> Publisher:
         if options.listen is None:
             raise InputError("found --via mcap without --listen, expected --listen PIPE, the pipe or file to write")
         return McapPublisher(Path(options.listen))
+    if options.via == "dds":
+        from tools.robot.dds_publisher import DdsPublisher
+
+        return DdsPublisher(options.domain)
     address = options.listen or f"127.0.0.1:{_PORTS[options.via]}"
     if options.via == "foxglove":
         from tools.robot.foxglove_publisher import FoxglovePublisher
@@ -56,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--via", required=True, choices=ROUTES)
     parser.add_argument("--listen", metavar="HOST:PORT|PIPE", help="where it can be reached (this machine only)")
     parser.add_argument("--namespace", default="", help="of all topics")
-    parser.add_argument("--domain", type=int, default=0, help="the ROS domain (rmw-zenoh)")
+    parser.add_argument("--domain", type=int, default=0, help="the ROS domain (rmw-zenoh, dds)")
     parser.add_argument("--old-bridge", action="store_true", help="a bridge before 1.5, with its publication cache")
     parser.add_argument("--rate", type=float, default=1.0, help="so many times as fast as it was recorded")
     parser.add_argument("--loop", type=int, default=1, metavar="N", help="play it N times; stamps begin again")
