@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.truth import instances_of
-from hickory_stream.evaluation.worlds.clutter.frames import frames_of
-from hickory_stream.evaluation.worlds.depth_camera import sensed_depth
 from hickory_stream.perception.fragment_odds import fragment_odds
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.join import JoinConfig, region_graph_of
@@ -20,6 +18,8 @@ from hickory_stream.perception.masks import enlarged_mask
 from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
 from hickory_stream.perception.trees import Trees
 from hickory_stream.records import Frame, Segmentation
+from hickory_stream.worlds.clutter.frames import frames_of
+from hickory_stream.worlds.depth_camera import sensed_depth
 from tools.benchmarks.first_layer import play_first_layer
 from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_overlaps
 from tools.network_training.frames import frames_of_scene

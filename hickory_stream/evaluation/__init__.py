@@ -1,1 +1,1 @@
-"""How good a map is: synthetic worlds with truth, scores, tables and pictures."""
+"""How good a map is: scores against truth, tables and pictures."""

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.evaluation.worlds.corridor import CorridorConfig, corridor_scans
 from hickory_stream.geometry.rigid import compose, invert, is_rigid
 from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.records import Scan
+from hickory_stream.worlds.corridor import CorridorConfig, corridor_scans
 from tests.examples.dead_reckoning import DeadReckoning
 
 if TYPE_CHECKING:

@@ -6,13 +6,13 @@ from hypothesis import strategies as st
 from perception_scenes import CAMERA, Block, floor, looking, render
 
 from hickory_stream.box_scene import SceneBox, cast_scene
-from hickory_stream.evaluation.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_points
 from hickory_stream.perception.observe import ObserveConfig, mask_area_of, observe, voxel_means
 from hickory_stream.perception.space import SpaceConfig, observe_space
 from hickory_stream.records import Frame, Segmentation
+from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 BOX = Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=(190, 40, 40))

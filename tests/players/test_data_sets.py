@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import CalibrationError
-from hickory_stream.evaluation.worlds.layouts import layout_files
-from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
+from hickory_stream.worlds.layouts import layout_files
+from hickory_stream.worlds.recording import RecordingConfig, make_recording
 from players import SourceOptions, open_source
 from players.profile import load_profile, profile_names
 

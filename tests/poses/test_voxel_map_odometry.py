@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.evaluation.worlds.corridor import CorridorConfig, corridor_scans
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.voxel_map_odometry import VoxelMapOdometry
 from hickory_stream.records import Scan
+from hickory_stream.worlds.corridor import CorridorConfig, corridor_scans
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -13,10 +13,10 @@ from hickory_stream.engine.play import play
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.maps.moved_source import MovedSource
 from hickory_stream.evaluation.maps.variants import random_frame
-from hickory_stream.evaluation.worlds.cache import cached_recording, recording_name
-from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.settings import Settings
 from hickory_stream.sinks.disk_sink import DiskSink
+from hickory_stream.worlds.cache import cached_recording, recording_name
+from hickory_stream.worlds.recording import RecordingConfig
 from players import open_source
 from tools.benchmarks.processes import ROOT
 

@@ -18,9 +18,9 @@ from pathlib import Path
 from hickory_stream import caches
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE
-from hickory_stream.evaluation.worlds.cache import cache_folder, cached_recording
-from hickory_stream.evaluation.worlds.outdoor.recordings import outdoors
-from hickory_stream.evaluation.worlds.recording import RecordingConfig
+from hickory_stream.worlds.cache import cache_folder, cached_recording
+from hickory_stream.worlds.outdoor.recordings import outdoors
+from hickory_stream.worlds.recording import RecordingConfig
 from tools.benchmarks.processes import ROOT
 
 _PROGRAM = "make_world_log.py"

@@ -44,7 +44,10 @@ _CODE = (
         f"hickory_stream/{name}.py"
         for name in ("compiled", "config", "confined", "events", "json_text", "ports", "ranges", "records")
     ),
-    *(f"hickory_stream/{name}" for name in ("engine", "evaluation", "geometry", "mapping", "perception", "shapes")),
+    *(
+        f"hickory_stream/{name}"
+        for name in ("engine", "evaluation", "geometry", "mapping", "perception", "shapes", "worlds")
+    ),
     *(
         f"tools/benchmarks/{name}.py"
         for name in ("first_layer", "foreign_runs", "labelled_clouds", "mask_scores", "processes")

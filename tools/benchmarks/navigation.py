@@ -18,12 +18,12 @@ from hickory_stream.evaluation.navigation_methods import built
 from hickory_stream.evaluation.navigation_scene import R_SAFE_M, score_saved_map, true_obstacles, truth_of
 from hickory_stream.evaluation.navigation_table import MethodScore, TrueScene, draw_pairs, format_table, table_of
 from hickory_stream.evaluation.truth import Truth, load_truth
-from hickory_stream.evaluation.worlds.cache import cached_recording
 from hickory_stream.navigation.free_space import CELL_M
 from hickory_stream.navigation.occupancy import Occupancy, distance_field_m
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import NoPath, Path, first_path, plan
 from hickory_stream.shapes.inflate import InflateConfig
+from hickory_stream.worlds.cache import cached_recording
 from tools.benchmarks.apartment_maps import apartment_map, apartment_recording
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.true_shapes import true_inflated

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.evaluation.worlds.layouts import layout_files
-from hickory_stream.evaluation.worlds.recording import RecordingConfig, make_recording
-from hickory_stream.evaluation.worlds.ros_messages import RosMessages
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
+from hickory_stream.worlds.layouts import layout_files
+from hickory_stream.worlds.recording import RecordingConfig, make_recording
+from hickory_stream.worlds.ros_messages import RosMessages
 from players import open_source
 from tools.benchmarks import damage
 from tools.benchmarks.figures import Figure, Options

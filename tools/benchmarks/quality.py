@@ -21,10 +21,10 @@ from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
 from hickory_stream.evaluation.view_strategies import OURS, STRATEGIES, compare, evaluate_strategy, verdict
-from hickory_stream.evaluation.worlds.cache import cached_recording
-from hickory_stream.evaluation.worlds.recording import RecordingConfig
 from hickory_stream.settings import Settings
 from hickory_stream.sinks.disk_sink import DiskSink
+from hickory_stream.worlds.cache import cached_recording
+from hickory_stream.worlds.recording import RecordingConfig
 from players import open_source
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT, play

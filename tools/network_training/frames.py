@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from hickory_stream.errors import ConfigError
-from hickory_stream.evaluation.worlds.clutter.frames import frames_of
-from hickory_stream.evaluation.worlds.recording import RecordingConfig, walkable_world
-from hickory_stream.evaluation.worlds.rendering import Renderer
-from hickory_stream.evaluation.worlds.trajectory import camera_rotation
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.worlds.clutter.frames import frames_of
+from hickory_stream.worlds.recording import RecordingConfig, walkable_world
+from hickory_stream.worlds.rendering import Renderer
+from hickory_stream.worlds.trajectory import camera_rotation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.worlds.trajectory import Trajectory
+    from hickory_stream.worlds.trajectory import Trajectory
 
 WIDTH_PX, HEIGHT_PX = 320, 240
 _NEAR_M = 0.35

@@ -1,0 +1,100 @@
+"""What a family makes things of: draws from its recipes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.worlds.clutter.bodies import BODIES
+from hickory_stream.worlds.clutter.draws import chance, one_of
+from hickory_stream.worlds.clutter.families import recipes_of
+from hickory_stream.worlds.clutter.materials import CALM, MATERIALS
+from hickory_stream.worlds.clutter.seats import SEATS
+from hickory_stream.worlds.clutter.small_frames import SMALL_FRAMES
+from hickory_stream.worlds.clutter.small_soft import SMALL_SOFT
+from hickory_stream.worlds.clutter.small_solids import SMALL_SOLIDS
+from hickory_stream.worlds.clutter.solids import stretched
+from hickory_stream.worlds.clutter.supports import SUPPORTS
+from hickory_stream.worlds.clutter.units import UNITS
+from hickory_stream.worlds.clutter.usual_kinds import USUAL_LARGE, USUAL_SMALL
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hickory_stream.worlds.clutter.families import Recipes
+    from hickory_stream.worlds.clutter.materials import Skin
+    from hickory_stream.worlds.object_models import Model
+    from hickory_stream.worlds.textures import Texture
+
+SHAPES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
+    **SMALL_SOLIDS,
+    **SMALL_FRAMES,
+    **SMALL_SOFT,
+    **SUPPORTS,
+    **SEATS,
+    **UNITS,
+    **BODIES,
+    **USUAL_SMALL,
+    **USUAL_LARGE,
+}
+"""All recipes of things by name."""
+_LEAST_M = 0.03
+_CALM_SHARE = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Kit:
+    """Draws things and materials of one family.
+
+    `tones` are the few materials that recur in a room: much of what stands in one is of a few makes.
+    """
+
+    recipes: Recipes
+    tones: tuple[Texture, ...]
+
+    def skin(self, rng: np.random.Generator) -> Texture:
+        """Return a material: one of the room's own, or any of the family's."""
+        if self.tones and chance(rng, 0.3):
+            tone: Texture = one_of(rng, self.tones)
+            return tone
+        return any_material(rng, self.recipes)
+
+    def make(self, rng: np.random.Generator, name: str) -> Model:
+        """Return a thing by the recipe of a name."""
+        return SHAPES[name](rng, self.skin)
+
+    def small(self, rng: np.random.Generator) -> Model:
+        """Return a small thing."""
+        return self.make(rng, one_of(rng, self.recipes.small))
+
+    def alike(self, rng: np.random.Generator, number: int) -> list[Model]:
+        """Return small things of one recipe and of one material each: of one make, or one size each."""
+        name, skin = one_of(rng, self.recipes.small), self.skin(rng)
+        first = SHAPES[name](rng, lambda _: skin)
+        if chance(rng, 0.5):
+            return [first] * number
+        return [SHAPES[name](rng, lambda _: skin) for _ in range(number)]
+
+
+def any_material(rng: np.random.Generator, recipes: Recipes) -> Texture:
+    """Return any material of a family, a calm one mostly."""
+    calm = [name for name in recipes.materials if name in CALM]
+    return MATERIALS[one_of(rng, calm if chance(rng, _CALM_SHARE) else recipes.materials)](rng)
+
+
+def kit_of(rng: np.random.Generator, family: str) -> Kit:
+    """Return the kit of a room; raises `ConfigError` for an unknown family."""
+    recipes = recipes_of(family)
+    return Kit(recipes=recipes, tones=tuple(any_material(rng, recipes) for _ in range(int(rng.integers(0, 4)))))
+
+
+def fitted(model: Model, most_m: tuple[float, float, float]) -> Model | None:
+    """Return a model scaled down to a size (x, y, z), None where next to nothing of it would be left."""
+    low, high = model.bounds_m()
+    factor = min(1.0, float(np.min(np.asarray(most_m) / (high - low))))
+    if factor == 1.0:
+        return model
+    small = stretched(model, (factor,) * 3)
+    return small if factor > 0.35 and float((high - low).max()) * factor > _LEAST_M else None

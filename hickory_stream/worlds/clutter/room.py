@@ -1,0 +1,104 @@
+"""A random room of a family from a seed: a floor plan, and arrangements wherever there is a place for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.worlds.clutter.draws import one_of, uniform
+from hickory_stream.worlds.clutter.families import FAMILIES
+from hickory_stream.worlds.clutter.floorplan import FloorPlan, floor_plan
+from hickory_stream.worlds.clutter.footprints import do_overlap, is_inside
+from hickory_stream.worlds.clutter.groups import GROUPS
+from hickory_stream.worlds.clutter.kit import kit_of
+from hickory_stream.worlds.clutter.lamps import random_lighting
+from hickory_stream.worlds.scene import Placement, World, at_place, numbered
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.worlds.clutter.groups import Group
+    from hickory_stream.worlds.support_placement import Wall
+
+_DRAWS = 14
+_MOST_THINGS = 220
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ClutterRoom:
+    """A world and the plan of its one room."""
+
+    world: World
+    plan: FloorPlan
+
+
+def clutter_room(seed: int, family: str, index: int = 0) -> ClutterRoom:
+    """Return a room of a seed and a family, `index` numbers them.
+
+    Raises:
+        ConfigError: there is no such family.
+    """
+    kit_seed = FAMILIES.index(family) if family in FAMILIES else 0
+    rng = np.random.default_rng([seed, 21, kit_seed, index])
+    kit = kit_of(rng, family)
+    plan = floor_plan(rng, kit)
+    x0, y0, x1, y1 = plan.bounds_m
+    taken = list(plan.taken)
+    placed: list[Placement] = []
+    crowd = uniform(rng, 0.4, 1.5)
+    for _ in range(int(6 + crowd * 0.7 * (x1 - x0) * (y1 - y0))):
+        group = GROUPS[one_of(rng, kit.recipes.groups)](rng, kit)
+        world_from_group = _place_for(rng, plan, group, taken)
+        if world_from_group is not None and len(placed) + len(group.placed) <= _MOST_THINGS:
+            placed += [
+                Placement(model=one.model, world_from_object=world_from_group @ one.world_from_object)
+                for one in group.placed
+            ]
+    middle = plan.outline_m.mean(axis=0)
+    world = World(
+        objects=numbered(placed),
+        structure=plan.structure,
+        rooms_m=(plan.bounds_m,),
+        middle_m=(float(middle[0]), float(middle[1])),
+        lighting=random_lighting(rng, plan.outline_m, plan.height_m),
+    )
+    return ClutterRoom(world=world, plan=plan)
+
+
+def _place_for(
+    rng: np.random.Generator, plan: FloorPlan, group: Group, taken: list[NDArray[np.float64]]
+) -> NDArray[np.float64] | None:
+    """Return where a group goes, and take its place; None where nothing is free in a few draws."""
+    corners = group.corners()
+    for _ in range(_DRAWS):
+        pose = _at_wall(rng, one_of(rng, plan.walls), corners) if group.is_at_wall else _anywhere(rng, plan)
+        outline = corners @ pose[:2, :2].T + pose[:2, 3]
+        # The back of what stands at a wall is a hair before it.
+        inner = (outline - outline.mean(axis=0)) * 0.999 + outline.mean(axis=0)
+        if not is_inside(inner, plan.outline_m).all() or is_inside(plan.outline_m, inner).any():
+            continue
+        if any(do_overlap(outline, other) for other in taken):
+            continue
+        taken.append(outline)
+        return pose
+    return None
+
+
+def _at_wall(rng: np.random.Generator, wall: Wall, corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a pose along a wall, past its skirting; in its corner at times."""
+    low, high = corners[:, 1].min(), corners[:, 1].max()
+    least, most = -wall.half_m - low + 0.021, wall.half_m - high - 0.021
+    along = uniform(rng, least, most) if least < most else (least + most) / 2
+    if rng.random() < 0.25:
+        along = one_of(rng, (least, most))
+    return np.asarray(wall.world_from_wall @ at_place(0.021, along, 0.0, 0.0))
+
+
+def _anywhere(rng: np.random.Generator, plan: FloorPlan) -> NDArray[np.float64]:
+    x0, y0, x1, y1 = plan.bounds_m
+    yaw = one_of(rng, (0.0, np.pi / 2, np.pi, -np.pi / 2)) + float(rng.normal(0, 0.1))
+    if rng.random() < 0.3:
+        yaw = uniform(rng, -np.pi, np.pi)
+    return at_place(uniform(rng, x0, x1), uniform(rng, y0, y1), 0.0, yaw)

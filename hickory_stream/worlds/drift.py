@@ -1,0 +1,54 @@
+"""Odometry that drifts: what dead reckoning makes of a true trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
+from hickory_stream.worlds.trajectory import Trajectory
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DriftConfig:
+    """How fast odometry drifts, as one standard deviation; 0 is exact.
+
+    Attributes:
+        scale: error of the distance travelled, as a share of it.
+        yaw_deg_per_m: error of the heading for each metre.
+        correlation_m: both errors stay alike over about this distance.
+    """
+
+    scale: float = 0.01
+    yaw_deg_per_m: float = 0.05
+    correlation_m: float = 8.0
+    jitter_m: float = 0.0
+    """Error of each pose by itself, along each axis: as of an odometry without smoothing."""
+    jitter_deg: float = 0.0
+
+
+def drifted(trajectory: Trajectory, config: DriftConfig, rng: np.random.Generator) -> Trajectory:
+    """Return the trajectory as odometry reports it: it starts at the true pose, gravity stays known."""
+    true = trajectory.world_from_camera
+    poses = np.empty_like(true)
+    poses[0] = true[0]
+    scale, yaw = rng.standard_normal(2)
+    for i in range(1, len(true)):
+        step = invert(true[i - 1]) @ true[i]
+        moved_m = float(np.linalg.norm(step[:3, 3]))
+        keep = np.exp(-moved_m / config.correlation_m)
+        fresh = np.sqrt(1 - keep**2) * rng.standard_normal(2)
+        scale, yaw = keep * scale + fresh[0], keep * yaw + fresh[1]
+        step[:3, 3] *= 1.0 + config.scale * scale
+        pose = poses[i - 1] @ step
+        # A turn about the vertical through the camera: the error of the heading, not of the place.
+        turn = yaw_rotation(np.radians(config.yaw_deg_per_m) * yaw * moved_m)
+        poses[i] = from_rotation_translation(turn @ pose[:3, :3], pose[:3, 3])
+    if config.jitter_m or config.jitter_deg:
+        for pose in poses[1:]:
+            pose[:3, 3] += config.jitter_m * rng.standard_normal(3)
+            turn = Rotation.from_rotvec(np.radians(config.jitter_deg) * rng.standard_normal(3))
+            pose[:3, :3] = pose[:3, :3] @ turn.as_matrix()
+    return Trajectory(times_s=trajectory.times_s, world_from_camera=poses)

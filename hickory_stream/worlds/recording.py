@@ -1,0 +1,377 @@
+"""A synthetic recording from a seed: the log and, beside it, the truth.
+
+Each part draws from a generator of its own (room, walk, camera, samples), so that a longer log of a seed starts like a
+shorter one and another camera sees the same room.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, truth_record
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.mesh import write_glb
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.json_text import dumps_exactly
+from hickory_stream.worlds.clutter.families import recipes_of
+from hickory_stream.worlds.clutter.room import clutter_room
+from hickory_stream.worlds.clutter.walk import wander
+from hickory_stream.worlds.color_camera import ColorCameraConfig, photographed
+from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
+from hickory_stream.worlds.drift import DriftConfig, drifted
+from hickory_stream.worlds.layouts import LAYOUTS, layout_camera, layout_files, open_layout
+from hickory_stream.worlds.object_models import model_mesh
+from hickory_stream.worlds.orbit import orbit
+from hickory_stream.worlds.outdoor.street import street
+from hickory_stream.worlds.outdoor.walk import stroll
+from hickory_stream.worlds.person import PERSON_ID, Person, with_person
+from hickory_stream.worlds.rendering import Renderer
+from hickory_stream.worlds.scenes import CLUTTER, OUTDOOR, SCENES, make_world
+from hickory_stream.worlds.tour import tour
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, walk_round
+from hickory_stream.worlds.visibility import SeenSurface
+from hickory_stream.worlds.walk_config import WalkConfig
+from hickory_stream.worlds.zed_log import encode_png
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.evaluation.ray_caster import CasterName
+    from hickory_stream.worlds.log_writer import DepthView
+    from hickory_stream.worlds.rendering import Rendered
+    from hickory_stream.worlds.scene import World
+
+_START_NS = 1_752_400_000_000_000_000
+_ODOMETRY_HZ = 30
+_WORLDS = 20
+_LEAST_CLUTTER = 6
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordingConfig:
+    """What is recorded: the same config gives the same bytes."""
+
+    scene: str = "room"
+    """One of `worlds.scenes.SCENES`."""
+    family: str = "training"
+    """Which recipes a random room (scene `clutter`) is made by: one of `worlds.clutter.families.FAMILIES`."""
+    seed: int = 7
+    walk_index: int = 0
+    """Which of the walks through the scene; a room has one for each seed."""
+    seconds: float | None = 20.0
+    """None: as long as the walk through the scene takes, a minute or more."""
+    rate_hz: float = 6.0
+    width: int = 640
+    height: int = 360
+    horizontal_fov_deg: float = 80.0
+    color_noise: float = 1.0
+    """Standard deviation of the colour noise, in grey levels."""
+    jpeg_quality: int = 80
+    layout: str = "zed"
+    """One of `worlds.layouts.LAYOUTS`: the container, the topics, the frames and the quirks of a data set."""
+    drift: DriftConfig | None = None
+    """How the odometry drifts; None: its poses are exact."""
+    person: bool = False
+    """Whether a person walks through the scene, too."""
+    color: ColorCameraConfig | None = None
+    """The defects of the colour camera beside `color_noise`; None: it has none."""
+    walk: WalkConfig = field(default_factory=WalkConfig)
+    depth: DepthCameraConfig = field(default_factory=DepthCameraConfig)
+
+    def __post_init__(self) -> None:
+        seconds = 60.0 if self.seconds is None else self.seconds
+        if not (seconds > 0 and 0 < self.rate_hz <= 120 and seconds * self.rate_hz >= 1):
+            raise ConfigError(
+                f"{self.seconds} s at {self.rate_hz} Hz; expected a positive time and a rate of up to 120 Hz "
+                "that give at least one frame"
+            )
+        if not (32 <= self.width <= 4096 and 32 <= self.height <= 4096):
+            raise ConfigError(f"images of {self.width}x{self.height}; expected 32 to 4096 pixels a side")
+        if self.seed < 0 or self.walk_index < 0:
+            raise ConfigError(f"seed {self.seed}, walk {self.walk_index}; expected 0 or more")
+        if self.scene not in SCENES:
+            raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
+        recipes_of(self.family)
+        if self.layout not in LAYOUTS:
+            raise ConfigError(f"layout {self.layout!r}; expected one of {', '.join(LAYOUTS)}")
+
+    @property
+    def camera(self) -> Camera:
+        """The pinhole camera of both images."""
+        focal_px = self.width / 2 / np.tan(np.radians(self.horizontal_fov_deg) / 2)
+        camera = Camera(
+            width=self.width,
+            height=self.height,
+            fx=float(focal_px),
+            fy=float(focal_px),
+            cx=(self.width - 1) / 2,
+            cy=(self.height - 1) / 2,
+        )
+        return layout_camera(self.layout, camera)
+
+
+def make_recording(
+    config: RecordingConfig,
+    folder: Path,
+    name: str,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    caster: CasterName | None = "open3d",
+) -> Truth:
+    """Write NAME.mcap (or what the layout has) and NAME.truth/ into a folder, replacing older ones; return the truth.
+
+    Both are made in a hidden folder beside their place and moved when complete: a failure leaves the old ones. The same
+    `caster` gives the same bytes; None takes the one that is there (`ray_caster`).
+
+    Raises:
+        ConfigError: NAME.truth exists and is no truth folder, or the seed's rooms leave no way to walk.
+        InputError: the caster is not installed.
+    """
+    truth_folder = folder / f"{name}.truth"
+    if truth_folder.exists() and not (truth_folder / TRUTH_FILE).is_file():
+        raise ConfigError(f"{truth_folder} is there and has no {TRUTH_FILE}; choose another --name or --out")
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
+        truth = _make(config, Path(unfinished), name, progress, caster)
+        if truth_folder.exists():
+            shutil.rmtree(truth_folder)
+        truth.folder.rename(truth_folder)
+        for file in layout_files(config.layout, name):
+            if (folder / file).is_dir():
+                shutil.rmtree(folder / file)
+            (Path(unfinished) / file).replace(folder / file)
+    return replace(truth, folder=truth_folder)
+
+
+def _make(
+    config: RecordingConfig,
+    folder: Path,
+    name: str,
+    progress: Callable[[int, int], None],
+    caster: CasterName | None,
+) -> Truth:
+    world, trajectory = walkable_world(config)
+    renderer = Renderer(world, caster)
+    truth_folder = folder / f"{name}.truth"
+    for part in ("meshes", "instances"):
+        (truth_folder / part).mkdir(parents=True)
+    structure = _write_meshes(world, truth_folder)
+    frames, seen, shown = _record(config, world, renderer, trajectory, (folder, name, truth_folder), progress)
+    truth = Truth(
+        folder=truth_folder,
+        camera=config.camera,
+        objects=tuple(
+            TruthObject(
+                id=item.id,
+                kind=item.model.kind,
+                mesh=f"meshes/{item.id}.glb",
+                world_from_object=item.world_from_object,
+                seen_fraction=round(seen.fraction(item.id), 4),
+                frames=tuple(shown[item.id]),
+            )
+            for item in world.objects
+        ),
+        structure=structure,
+        frames=tuple(frames),
+    )
+    (truth_folder / TRUTH_FILE).write_text(dumps_exactly(truth_record(truth), indent=1) + "\n", encoding="utf-8")
+    return truth
+
+
+def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
+    """Return the first of the seed's worlds that one can walk through, and the walk.
+
+    The world is the same for both of a scene's first two walks: both must be possible.
+
+    Raises:
+        ConfigError: none of the seed's worlds can be walked.
+    """
+    if config.scene == CLUTTER:
+        return _walkable_clutter(config)
+    if config.scene == OUTDOOR:
+        return _walkable_street(config)
+    for attempt in range(_WORLDS):
+        world = make_world(config.scene, config.seed, attempt)
+        trajectory = _walk(world, config, config.walk_index)
+        others = {0, 1} - {config.walk_index} if config.scene == "apartment" else set()
+        if not isinstance(trajectory, NoWalk) and not any(isinstance(_walk(world, config, i), NoWalk) for i in others):
+            return world, trajectory
+    raise _not_walkable(config)
+
+
+def _not_walkable(config: RecordingConfig) -> ConfigError:
+    return ConfigError(
+        f"seed {config.seed}: none of {_WORLDS} worlds leaves {config.walk.clearance_m} m to walk; "
+        "choose another --seed"
+    )
+
+
+def _walkable_clutter(config: RecordingConfig) -> tuple[World, Trajectory]:
+    """Return the first of the seed's random rooms that has things and a way about it, and the walk."""
+    for attempt in range(_WORLDS):
+        room = clutter_room(config.seed, config.family, attempt)
+        if len(room.world.objects) >= _LEAST_CLUTTER:
+            rng = np.random.default_rng([config.seed, 2, config.walk_index])
+            trajectory = wander(room, 60.0 if config.seconds is None else config.seconds, config.walk, rng)
+            if not isinstance(trajectory, NoWalk):
+                return room.world, trajectory
+    raise _not_walkable(config)
+
+
+def _walkable_street(config: RecordingConfig) -> tuple[World, Trajectory]:
+    """Return the first of the seed's streets that leaves a way round, and the walk."""
+    for attempt in range(_WORLDS):
+        found = street(config.seed, attempt)
+        trajectory = stroll(found, config.seconds, config.walk, config.walk_index)
+        if not isinstance(trajectory, NoWalk):
+            return found.world, trajectory
+    raise _not_walkable(config)
+
+
+def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory | NoWalk:
+    rng = np.random.default_rng([config.seed, 2, walk_index] if walk_index else [config.seed, 2])
+    if config.scene == "apartment":
+        return tour(world, config.seconds, config.walk, walk_index)
+    if config.scene == "tabletop":
+        return orbit(world, config.seconds, walk_index, rng)
+    return walk_round(world, 60.0 if config.seconds is None else config.seconds, config.walk, rng)
+
+
+def _person(world: World, config: RecordingConfig) -> Person | None:
+    """Return the person of a config: on another walk through the same world, faster than the camera.
+
+    Nobody walks through a random room or a street.
+    """
+    if not config.person or config.scene in (CLUTTER, OUTDOOR):
+        return None
+    faster = replace(config.walk, speed_mps=2 * config.walk.speed_mps)
+    if config.scene == "tabletop":
+        track: Trajectory | NoWalk = orbit(world, config.seconds, config.walk_index + 1, np.random.default_rng(0))
+    elif config.scene == "apartment":
+        track = tour(world, config.seconds, faster, config.walk_index + 1)
+    else:
+        seconds = 60.0 if config.seconds is None else config.seconds
+        track = walk_round(world, seconds, faster, np.random.default_rng([config.seed, 5]))
+    return None if isinstance(track, NoWalk) else Person(track=track, ahead_s=3.0)
+
+
+def _write_meshes(world: World, truth_folder: Path) -> tuple[str, ...]:
+    """Write every mesh and return the paths of the structure's."""
+    for item in world.objects:
+        write_glb(model_mesh(item.model), truth_folder / f"meshes/{item.id}.glb")
+    paths = [f"meshes/structure_{i}_{model.kind}.glb" for i, model in enumerate(world.structure)]
+    for path, model in zip(paths, world.structure, strict=True):
+        write_glb(model_mesh(model), truth_folder / path)
+    return tuple(paths)
+
+
+def _record(
+    config: RecordingConfig,
+    world: World,
+    renderer: Renderer,
+    trajectory: Trajectory,
+    targets: tuple[Path, str, Path],
+    progress: Callable[[int, int], None],
+) -> tuple[list[TruthFrame], SeenSurface, dict[int, list[int]]]:
+    """Render and write frame by frame; return the true frames, what was seen, and where each object shows."""
+    folder, name, truth_folder = targets
+    camera = config.camera
+    rng = np.random.default_rng([config.seed, 3, config.walk_index] if config.walk_index else [config.seed, 3])
+    seen = SeenSurface(
+        world, config.depth.min_depth_m, config.depth.max_depth_m, np.random.default_rng([config.seed, 4])
+    )
+    shown: dict[int, list[int]] = {item.id: [] for item in world.objects}
+    frames: list[TruthFrame] = []
+    stamps_ns, every = _stamps_ns(config, float(trajectory.times_s[-1]))
+    person = _person(world, config)
+    odometry = trajectory
+    if config.drift is not None:
+        odometry = drifted(trajectory, config.drift, np.random.default_rng([config.seed, 6, config.walk_index]))
+    num_frames = len(range(0, len(stamps_ns), every))
+    with open_layout(config.layout, folder, name, camera, config.jpeg_quality, stamps_ns[-1]) as log:
+        log.write_static(stamps_ns[0])
+        for i, stamp_ns in enumerate(stamps_ns):
+            time_s = (stamp_ns - stamps_ns[0]) / 1e9
+            world_from_camera = trajectory.pose_at(time_s)
+            log.write_pose(stamp_ns, odometry.pose_at(time_s), _velocity(odometry, time_s))
+            if i % every:
+                continue
+            index = i // every
+            rendered = renderer.render(camera, world_from_camera)
+            if person is not None:
+                rendered = with_person(rendered, camera, world_from_camera, person, time_s, renderer.caster)
+            seen.add(rendered, camera, world_from_camera)
+            for item_id in np.setdiff1d(rendered.instances, (0, PERSON_ID)):
+                shown[int(item_id)].append(index)
+            rgb, depth_m = _sensed(rendered, camera, config, rng)
+            if log.depth_view is not None:
+                depth_m = _depth_of_its_own(log.depth_view, renderer, trajectory, time_s, person, config, rng)
+            log.write_images(stamp_ns, rgb, depth_m)
+            frame = TruthFrame(
+                index=index,
+                stamp_ns=stamp_ns,
+                world_from_camera=world_from_camera,
+                instances=f"instances/{index:06d}.png",
+            )
+            (truth_folder / frame.instances).write_bytes(encode_png(rendered.instances))
+            frames.append(frame)
+            progress(index + 1, num_frames)
+    return frames, seen, shown
+
+
+def _depth_of_its_own(
+    view: DepthView,
+    renderer: Renderer,
+    trajectory: Trajectory,
+    time_s: float,
+    person: Person | None,
+    config: RecordingConfig,
+    rng: np.random.Generator,
+) -> NDArray[np.float32]:
+    """Return what a depth camera beside the colour camera reports, a moment later."""
+    later_s = min(time_s + view.lag_ns / 1e9, float(trajectory.times_s[-1]))
+    world_from_depth = trajectory.pose_at(later_s) @ view.color_from_depth
+    rendered = renderer.render(view.camera, world_from_depth)
+    if person is not None:
+        rendered = with_person(rendered, view.camera, world_from_depth, person, later_s, renderer.caster)
+    return sensed_depth(rendered.depth_m, rendered.cosine, view.camera.fx, config.depth, rng, rendered.is_blind)
+
+
+def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:
+    """Return the stamps of all grabs and how many of them there are to an image."""
+    seconds = walk_s - 2 * STEP_S if config.seconds is None else config.seconds
+    every = max(1, int(np.ceil(_ODOMETRY_HZ / config.rate_hz)))
+    num_frames = int(np.floor(seconds * config.rate_hz + 1e-9))
+    num_grabs = (num_frames - 1) * every + 1
+    start_ns = _START_NS + 1_000_003 * config.seed
+    return [start_ns + round(i * 1e9 / (config.rate_hz * every)) for i in range(num_grabs)], every
+
+
+def _velocity(trajectory: Trajectory, time_s: float) -> NDArray[np.float64]:
+    """Return the (6,) linear and angular velocity of the camera at a time, in the body's frame (x forward, z up)."""
+    step_s = 0.01
+    world_from_now, world_from_next = trajectory.pose_at(time_s), trajectory.pose_at(time_s + step_s)
+    now_from_next = invert(world_from_now) @ world_from_next
+    skew = (now_from_next[:3, :3] - now_from_next[:3, :3].T) / (2 * step_s)
+    linear, angular = now_from_next[:3, 3] / step_s, np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+    return np.concatenate([[v[2], -v[0], -v[1]] for v in (linear, angular)])
+
+
+def _sensed(
+    rendered: Rendered, camera: Camera, config: RecordingConfig, rng: np.random.Generator
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Return colour and depth as the camera reports them."""
+    noise = config.color_noise * rng.standard_normal(rendered.rgb.shape)
+    rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
+    if config.color is not None:
+        rgb = photographed(rgb, config.color, rng)
+    return rgb, sensed_depth(rendered.depth_m, rendered.cosine, camera.fx, config.depth, rng, rendered.is_blind)

@@ -1,0 +1,126 @@
+"""One furnished room from a seed: a laid table in the middle, a group of furniture along each wall.
+
+The groups go to the walls in an order that the seed draws; a draw in which anything overlaps is drawn again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.worlds import furniture, small_things
+from hickory_stream.worlds.scene import Placement, World, at_place, numbered
+from hickory_stream.worlds.structure import room_structure
+from hickory_stream.worlds.support_placement import REST_M, Wall, stood_on, walls_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+_ATTEMPTS = 200
+_HEIGHT_M = 2.6
+
+
+def furnished_room(seed: int, attempt: int = 0) -> World:
+    """Return a room of a seed, `attempt` numbers them: 20 to 22 objects of 14 kinds, none cutting into another.
+
+    Raises:
+        ConfigError: no draw fits, which no seed has shown so far.
+    """
+    rng = np.random.default_rng([seed, 1, attempt])
+    for _ in range(_ATTEMPTS):
+        world = _draw_room(rng)
+        if world is not None:
+            return world
+    raise ConfigError(f"seed {seed}: no furnishing of the room fits in {_ATTEMPTS} draws; choose another --seed")
+
+
+def _draw_room(rng: np.random.Generator) -> World | None:
+    half_x, half_y = float(rng.uniform(2.6, 2.8)), float(rng.uniform(2.3, 2.5))
+    middle = (float(rng.uniform(-0.12, 0.12)), float(rng.uniform(-0.12, 0.12)))
+    groups = (_sitting_group, _shelf_group, _desk_group, _box_group)
+    walls = walls_of((-half_x, -half_y, half_x, half_y))
+    placed = _dining_group(rng, middle)
+    for i, j in enumerate(rng.permutation(len(walls))):
+        placed += groups[i](rng, walls[int(j)])
+    if not _all_fit(placed, half_x, half_y):
+        return None
+    return World(
+        objects=numbered(placed),
+        structure=room_structure(rng, half_x, half_y, _HEIGHT_M),
+        rooms_m=((-half_x, -half_y, half_x, half_y),),
+        middle_m=middle,
+    )
+
+
+def _all_fit(placed: Sequence[Placement], half_x: float, half_y: float) -> bool:
+    for i, one in enumerate(placed):
+        corners = np.concatenate([part.vertices for part in one.model.parts])
+        world = corners @ one.world_from_object[:3, :3].T + one.world_from_object[:3, 3]
+        if (np.abs(world[:, :2]) > (half_x - 0.005, half_y - 0.005)).any() or not one.fits(placed[:i], 0.0):
+            return False
+    return True
+
+
+def _dining_group(rng: np.random.Generator, middle: tuple[float, float]) -> list[Placement]:
+    """Return the table with its long side along the room, three chairs pushed in, and what stands on it."""
+    world_from_table = at_place(*middle, REST_M, np.pi / 2 + float(rng.uniform(-0.05, 0.05)))
+    table = Placement(model=furniture.table(rng), world_from_object=world_from_table)
+    edge = float(table.model.bounds_m()[1, 0])
+    placed = [table]
+    chair_seed = int(rng.integers(2**31))
+    for side, y in ((-1, -0.3), (-1, 0.3), (1, float(rng.uniform(-0.25, 0.25)))):
+        # The chairs of one table are alike.
+        model = furniture.chair(np.random.default_rng(chair_seed))
+        out = edge + float(rng.uniform(0.14, 0.26)) + float(model.bounds_m()[0, 0])
+        yaw = (0.0 if side < 0 else np.pi) + float(rng.uniform(-0.08, 0.08))
+        table_from_chair = at_place(side * out, y + float(rng.uniform(-0.03, 0.03)), 0.0, yaw)
+        placed.append(Placement(model=model, world_from_object=world_from_table @ table_from_chair))
+    things = [small_things.bowl(rng), small_things.book_stack(rng), small_things.bottle(rng), small_things.mug(rng)]
+    return placed + stood_on(rng, table, table.model.surfaces[0], things)
+
+
+def _sitting_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
+    side = 1 if rng.random() < 0.5 else -1
+    sofa = wall.place(furniture.sofa(rng), away_m=float(rng.uniform(0.02, 0.06)), along_m=-0.2 * side)
+    end = -0.2 * side + side * float(sofa.model.bounds_m()[1, 1])
+    along = end + side * float(rng.uniform(0.24, 0.32))
+    return [sofa, wall.place(furniture.lamp(rng), away_m=float(rng.uniform(0.06, 0.12)), along_m=along)]
+
+
+def _shelf_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
+    side = 1 if rng.random() < 0.5 else -1
+    shelf = wall.place(furniture.shelf(rng), away_m=0.012, along_m=-0.35 * side)
+    surfaces = shelf.model.surfaces
+    placed = [shelf, *stood_on(rng, shelf, surfaces[3], [small_things.book_row(rng)], turn_rad=0.0)]
+    placed += stood_on(rng, shelf, surfaces[2], [small_things.small_box(rng)], turn_rad=0.1)
+    plant = furniture.plant(rng)
+    along = -0.35 * side + side * (float(shelf.model.bounds_m()[1, 1]) + float(rng.uniform(0.45, 0.6)))
+    return [*placed, wall.place(plant, away_m=0.03, along_m=along)]
+
+
+def _desk_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
+    side = 1 if rng.random() < 0.5 else -1
+    desk = wall.place(furniture.desk(rng), away_m=float(rng.uniform(0.02, 0.05)), along_m=0.2 * side)
+    surface = desk.model.surfaces[0]
+    x, y = surface.center_m[0] - surface.half_m[0] + 0.12, float(rng.uniform(-0.12, 0.12))
+    desk_from_monitor = at_place(x, y, surface.center_m[2] + REST_M, float(rng.uniform(-0.15, 0.15)))
+    monitor = Placement(model=small_things.monitor(rng), world_from_object=desk.world_from_object @ desk_from_monitor)
+    mug = stood_on(rng, desk, surface, [small_things.mug(rng)], beside=[monitor])
+    along = 0.2 * side - side * (float(desk.model.bounds_m()[1, 1]) + float(rng.uniform(0.24, 0.34)))
+    return [desk, monitor, *mug, wall.place(furniture.bin_(rng), away_m=float(rng.uniform(0.08, 0.2)), along_m=along)]
+
+
+def _box_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
+    """Return a box with a smaller one on it, a third a few centimetres beside them, and a chair with space around."""
+    side = 1 if rng.random() < 0.5 else -1
+    lower = wall.place(small_things.box(rng), away_m=float(rng.uniform(0.04, 0.1)), along_m=0.75 * side)
+    upper = stood_on(rng, lower, lower.model.surfaces[0], [small_things.small_box(rng)], turn_rad=0.3)
+    beside = small_things.box(rng)
+    reach = float(lower.model.bounds_m()[1, 1] + beside.bounds_m()[1, 1]) + float(rng.uniform(0.04, 0.1))
+    second = wall.place(beside, away_m=float(rng.uniform(0.03, 0.1)), along_m=side * (0.75 - reach))
+    turn = float(rng.uniform(-0.5, 0.5))
+    chair = wall.place(furniture.chair(rng), away_m=float(rng.uniform(0.25, 0.4)), along_m=-0.75 * side, turn_rad=turn)
+    return [lower, *upper, second, chair]

@@ -1,0 +1,114 @@
+"""A world: models with poses, and the structure around them.
+
+Whether two objects cut into one another is decided on the boxes of their parts, exactly: a chair fits under a table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.boxes import OrientedBox, intersection_volume_m3
+from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.worlds.lighting import Lighting
+    from hickory_stream.worlds.object_models import Model
+
+# Touching faces may share a sliver by rounding; a cubic millimetre is nothing.
+_SLIVER_M3 = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class WorldObject:
+    """A model at its place; `id` >= 1."""
+
+    id: int
+    model: Model
+    world_from_object: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_object", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class World:
+    """Objects sorted by id, and structure models in the world frame.
+
+    `rooms_m` are the rectangles (x0, y0, x1, y1) between the walls of each room, the floor is at z = 0. `middle_m`
+    (x, y) is the place that a walk of one room goes round. `lighting` None is two lamps under the ceiling of each room.
+    """
+
+    objects: tuple[WorldObject, ...]
+    structure: tuple[Model, ...]
+    rooms_m: tuple[tuple[float, float, float, float], ...]
+    middle_m: tuple[float, float]
+    lighting: Lighting | None = None
+
+    @property
+    def interior_m(self) -> tuple[float, float, float, float]:
+        """The rectangle (x0, y0, x1, y1) around all rooms."""
+        x0, y0, x1, y1 = zip(*self.rooms_m, strict=True)
+        return min(x0), min(y0), max(x1), max(y1)
+
+
+def at_place(x: float, y: float, z: float, yaw_rad: float) -> NDArray[np.float64]:
+    """Return the pose of something upright: `a_from_b` (4, 4)."""
+    return from_rotation_translation(yaw_rotation(yaw_rad), np.array([x, y, z]))
+
+
+def part_boxes(model: Model, world_from_object: NDArray[Any], margin_m: float = 0.0) -> list[OrientedBox]:
+    """Return the box around each part, grown sideways by `margin_m`: not upwards, since things rest on one another."""
+    boxes = []
+    for part in model.parts:
+        lower, upper = part.vertices.min(axis=0), part.vertices.max(axis=0)
+        object_from_box = from_rotation_translation(np.eye(3), (lower + upper) / 2)
+        half = (upper - lower) / 2 + (margin_m, margin_m, 0.0)
+        boxes.append(OrientedBox(world_from_box=world_from_object @ object_from_box, half_extents_m=half))
+    return boxes
+
+
+def shared_volume_m3(a: Sequence[OrientedBox], b: Sequence[OrientedBox]) -> float:
+    """Return the volume that two sets of part boxes share, summed over all pairs; slivers count as nothing."""
+    if _are_apart(a, b):
+        return 0.0
+    volumes = (intersection_volume_m3(x, y) for x in a for y in b)
+    return sum(volume for volume in volumes if volume > _SLIVER_M3)
+
+
+def _are_apart(a: Sequence[OrientedBox], b: Sequence[OrientedBox]) -> bool:
+    (a_low, a_high), (b_low, b_high) = _bounds(a), _bounds(b)
+    return bool((a_low > b_high).any() or (b_low > a_high).any())
+
+
+def _bounds(boxes: Sequence[OrientedBox]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    corners = np.concatenate([box.corners_world() for box in boxes])
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Placement:
+    """A model at its place, before it has an id."""
+
+    model: Model
+    world_from_object: NDArray[np.float64]
+
+    def fits(self, others: Sequence[Placement], margin_m: float) -> bool:
+        """Return whether it keeps `margin_m` sideways from every part of every other one."""
+        mine = part_boxes(self.model, self.world_from_object, margin_m)
+        return all(shared_volume_m3(mine, part_boxes(other.model, other.world_from_object)) == 0.0 for other in others)
+
+
+def numbered(placements: Sequence[Placement]) -> tuple[WorldObject, ...]:
+    """Return the placements as objects with the ids 1, 2, ... in their order."""
+    return tuple(
+        WorldObject(id=i, model=placed.model, world_from_object=placed.world_from_object)
+        for i, placed in enumerate(placements, start=1)
+    )

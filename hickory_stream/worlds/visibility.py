@@ -1,0 +1,59 @@
+"""How much of each object's surface a log shows.
+
+Samples on the surface count as seen once a frame looks at their front within range, with the exact depth and the
+instance image agreeing. Samples hidden inside the object's own parts (where a leg meets its table) are left out.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.evaluation.exposed import exposed_samples
+from hickory_stream.geometry.camera import project
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.worlds.object_models import model_mesh
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.worlds.rendering import Rendered
+    from hickory_stream.worlds.scene import World
+
+_SAMPLES = 1500
+_AGREEMENT_M = 0.02
+
+
+class SeenSurface:
+    """Collects which surface samples of which object have been seen, frame by frame."""
+
+    def __init__(self, world: World, min_depth_m: float, max_depth_m: float, rng: np.random.Generator) -> None:
+        self._range_m = (min_depth_m, max_depth_m)
+        points, normals, ids = [], [], []
+        for item in world.objects:
+            samples, outward = exposed_samples(model_mesh(item.model), _SAMPLES, rng)
+            points.append(apply(item.world_from_object, samples.astype(np.float64)))
+            normals.append(outward @ item.world_from_object[:3, :3].T)
+            ids.append(np.full(len(samples), item.id))
+        self._points, self._normals, self._ids = np.concatenate(points), np.concatenate(normals), np.concatenate(ids)
+        self._is_seen = np.zeros(len(self._ids), dtype=bool)
+
+    def add(self, rendered: Rendered, camera: Camera, world_from_camera: NDArray[np.float64]) -> None:
+        """Mark the samples that a frame shows."""
+        points_camera = apply(invert(world_from_camera), self._points)
+        z = points_camera[:, 2]
+        toward = world_from_camera[:3, 3] - self._points
+        candidate = (z > self._range_m[0]) & (z < self._range_m[1])
+        candidate &= np.einsum("ij,ij->i", toward, self._normals) > 0
+        index = np.flatnonzero(candidate & ~self._is_seen)
+        uv = np.round(project(points_camera[index], camera)).astype(np.int64)
+        inside = (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1)
+        index, (x, y) = index[inside], uv[inside].T
+        agrees = np.abs(rendered.depth_m[y, x] - z[index]) < _AGREEMENT_M
+        self._is_seen[index[agrees & (rendered.instances[y, x] == self._ids[index])]] = True
+
+    def fraction(self, object_id: int) -> float:
+        """Return the share of the object's samples seen so far."""
+        return float(self._is_seen[self._ids == object_id].mean())
