@@ -267,6 +267,7 @@ class Phase(StrEnum):
     ACTIVE = "active"
     DORMANT = "dormant"
     ARCHIVED = "archived"
+    ROOM = "room"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

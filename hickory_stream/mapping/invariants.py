@@ -15,7 +15,7 @@ from hickory_stream.errors import InvariantError
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.geometry.voxels import contains
-from hickory_stream.records import Phase
+from hickory_stream.mapping.track import is_object
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -72,7 +72,7 @@ def _shared_tickets(state: MapState) -> Iterator[str]:
 
 def _tentative_shapes(state: MapState) -> Iterator[str]:
     for track in state.tracks.values():
-        if track.phase is Phase.TENTATIVE and track.shape_state.open_ticket is not None:
+        if not is_object(track) and track.shape_state.open_ticket is not None:
             yield f"job {track.shape_state.open_ticket} of #{track.id}"
 
 

@@ -37,7 +37,10 @@ class LifecycleConfig(Ranged):
         phantom_frames: a track is dropped once so many keyframes have seen through its place since it was last seen.
         structure_m, structure_m3: a track is structure if its two longest sides are over the one, or its box over the
             other.
-        structure_share: a track with more of its points than this in what was found to be structure is a piece of it.
+        structure_share: a track with more of its points than this on tracks that are part of the room is a piece of
+            these.
+        revise_evidence: what a track that is set aside as part of the room has to be seen again, in units of
+            `existence` (so that viewpoints count, not keyframes), before it may be an object after all.
         wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab that begins at most this high above
             the floor, ends at least that high, is at least so tall and thinner, is a piece of a wall; so is one longer
             than `structure_m`, wherever it begins.
@@ -64,6 +67,7 @@ class LifecycleConfig(Ranged):
     lintel_foot_m: float = number(1.4, 0, 100, "m")
     lintel_top_m: float = number(2.1, 0, 100, "m")
     structure_share: float = number(0.5, 0, 1, "share")
+    revise_evidence: float = number(2.0, 0, 1000, "sightings")
     wall_share: float = number(0.15, 0, 1, "share")
     wall_hits: int = number(4, 0, 1_000_000, "keyframes")
     wall_against: float = number(2.0, 0, 1000, "ratio")
@@ -84,8 +88,9 @@ class LifeEvent(StrEnum):
 class Guard(StrEnum):
     """What a row asks of a track."""
 
-    IS_STRUCTURE = "it is too large, a piece of a wall, or flat and flush with one"
-    IN_STRUCTURE = "more than `structure_share` of it lies in such structure"
+    IS_ROOM = "it is too large, a piece of a wall, or flat and flush with one"
+    IN_ROOM = "more than `structure_share` of it lies on tracks that are part of the room"
+    REVISED = "seen since from other viewpoints, worth `revise_evidence`, it is none of that"
     SEEN_THROUGH = "out of sight, and the keyframe saw through its place"
     PHANTOM = "`phantom_frames` keyframes saw through its place"
     SURE = "its evidence is that of `confirm_sightings` sightings"
@@ -96,12 +101,13 @@ class Guard(StrEnum):
     KNOWN_HERE = "seen since the last pose jump"
     UNSUPPORTED = "nothing supports it, and it touches another track"
     OTHER_SEEN_MORE = "that was seen in more keyframes"
+    OTHER_MAYBE_OBJECT = "that is no part of the room"
 
 
 class TrackEffect(StrEnum):
     """What else is done when a row applies."""
 
-    BECOME_STRUCTURE = "its points are structure"
+    SET_ASIDE = "it is tracked on, but no object; its shape job is cancelled"
     DOUBT = "its evidence falls"
     TRIM = "its points in a wall are removed"
     DROP = "it is forgotten, its shape job cancelled"
@@ -122,6 +128,7 @@ class Other(StrEnum):
 
 
 CONFIRMED = (Phase.ACTIVE, Phase.DORMANT, Phase.ARCHIVED)
+MAYBE_OBJECT = (Phase.TENTATIVE, *CONFIRMED)
 ANY = tuple(Phase)
 
 
@@ -143,18 +150,18 @@ class Transition:
 LIFE_CYCLE = (
     Transition(None, LifeEvent.BORN, (), Phase.TENTATIVE),
     Transition(None, LifeEvent.SPLIT_OFF, (), Phase.TENTATIVE),
-    Transition(ANY, LifeEvent.TAKES_IN, (Guard.OTHER_SEEN_MORE,), Other.ITS_PHASE),
+    Transition(MAYBE_OBJECT, LifeEvent.TAKES_IN, (Guard.OTHER_MAYBE_OBJECT, Guard.OTHER_SEEN_MORE), Other.ITS_PHASE),
+    Transition((Phase.ROOM,), LifeEvent.TAKES_IN, (Guard.OTHER_MAYBE_OBJECT,), Other.ITS_PHASE),
+    Transition(MAYBE_OBJECT, LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.IS_ROOM), Phase.ROOM, (TrackEffect.SET_ASIDE,)),
     Transition(
-        ANY,
+        MAYBE_OBJECT,
         LifeEvent.JUDGED,
-        (Guard.KNOWN_HERE, Guard.IS_STRUCTURE),
+        (Guard.KNOWN_HERE, Guard.IN_ROOM),
         End.DROPPED,
-        (TrackEffect.BECOME_STRUCTURE, TrackEffect.DROP),
-        "structure",
+        (TrackEffect.DROP,),
+        "in structure",
     ),
-    Transition(
-        ANY, LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.IN_STRUCTURE), End.DROPPED, (TrackEffect.DROP,), "in structure"
-    ),
+    Transition((Phase.ROOM,), LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.REVISED), Phase.TENTATIVE),
     Transition(ANY, LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.SEEN_THROUGH), None, (TrackEffect.DOUBT,)),
     Transition(ANY, LifeEvent.AGED, (Guard.PHANTOM,), End.DROPPED, (TrackEffect.DROP,), "looked through"),
     Transition((Phase.TENTATIVE,), LifeEvent.AGED, (Guard.SURE,), Phase.ACTIVE),
@@ -180,7 +187,8 @@ LIFE_CYCLE = (
     Transition((Phase.ACTIVE,), LifeEvent.AGED, (Guard.UNSEEN, Guard.KNOWN_HERE), Phase.DORMANT, (TrackEffect.TRIM,)),
     Transition(CONFIRMED, LifeEvent.AGED, (Guard.UNSEEN,), Phase.DORMANT),
     Transition(CONFIRMED, LifeEvent.AGED, (), Phase.ACTIVE),
-    Transition(ANY, LifeEvent.SPACE_FORGOTTEN, (Guard.KNOWN_HERE,), None, (TrackEffect.TRIM,)),
+    Transition(MAYBE_OBJECT, LifeEvent.SPACE_FORGOTTEN, (Guard.KNOWN_HERE,), None, (TrackEffect.TRIM,)),
+    Transition((Phase.ROOM,), LifeEvent.SOURCE_ENDED, (), End.DROPPED, (TrackEffect.DROP,), "structure"),
     Transition((Phase.TENTATIVE,), LifeEvent.SOURCE_ENDED, (), End.DROPPED, (TrackEffect.DROP,), "never confirmed"),
     Transition(
         CONFIRMED, LifeEvent.SOURCE_ENDED, (Guard.KNOWN_HERE, Guard.UNSUPPORTED), End.MERGED, (TrackEffect.MERGE,)

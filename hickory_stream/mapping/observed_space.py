@@ -20,9 +20,7 @@ from hickory_stream.geometry.voxels import (
     inserted,
     key_of_point,
     keys_of_cells,
-    keys_of_points,
     places,
-    sorted_unique,
     union,
 )
 from hickory_stream.mapping.wall_columns import WALL_M, column_sizes, column_starts, is_wall_column
@@ -36,8 +34,8 @@ if TYPE_CHECKING:
     from hickory_stream.records import SpaceObservation
 
 _SURE_HITS = 2
-# 255 where a track was that is structure; one less for each keyframe that saw through it, down to none.
-_NO_OBJECT, _DISPROVED = 255, 251
+# More than any count of keyframes: what `structure_hits` says of voxels of tracks that are part of the room.
+_HELD = 255
 # When a count reaches this, both counts of the voxel are halved, so that later keyframes can still outvote it.
 _MOST_VOTES = 240
 # What lies so much lower is no step down, but something else than what was taken for the floor; what was, is no table
@@ -75,9 +73,10 @@ class FlushConfig(Ranged):
 class SpaceState:
     """Every voxel in which a surface was seen, and every free one, as sorted keys.
 
-    `hits` counts the keyframes that by themselves showed a voxel of `surface` as structure (over 251: a track was
-    there that is structure), `misses` those that showed something else there. Structure is what at least two keyframes
-    showed, and more than showed otherwise; it is not in `free`, but in `hidden_free` where rays had passed as well.
+    `hits` counts the keyframes that by themselves showed a voxel of `surface` as structure, `misses` those that showed
+    something else there. Structure is what at least two keyframes showed, and more than showed otherwise; it is not in
+    `free`, but in `hidden_free` where rays had passed as well. `room` are the voxels of tracks that are held to be part
+    of the room: structure for all who ask for it, but no vote of a keyframe.
     """
 
     voxel_m: float
@@ -86,6 +85,7 @@ class SpaceState:
     surface: NDArray[np.int64]
     hits: NDArray[np.uint8]
     misses: NDArray[np.uint8]
+    room: NDArray[np.int64]
     floor_z_m: float | None = None
 
     @property
@@ -101,19 +101,19 @@ def _is_structure(hits: NDArray[np.uint8], misses: NDArray[np.uint8]) -> NDArray
 def empty_space(voxel_m: float) -> SpaceState:
     """Return an empty observed space."""
     none, no_votes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
-    return SpaceState(voxel_m=voxel_m, free=none, hidden_free=none, surface=none, hits=no_votes, misses=no_votes)
+    return SpaceState(
+        voxel_m=voxel_m, free=none, hidden_free=none, surface=none, hits=no_votes, misses=no_votes, room=none
+    )
 
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     """Return the space after one more keyframe. The floor follows slowly; it goes down, or to another storey, at once.
 
-    Where a track was taken for structure, and four keyframes see through it, there is none: somebody stood there. Where
-    a floor appears below what was taken for it, what was concluded from that is withdrawn (`false_floor`).
+    Where a floor appears below what was taken for it, what was concluded from that is withdrawn (`false_floor`).
     """
     false_m = false_floor(state, seen.floor_z_m)
     if false_m is not None:
         state = without_level(state, false_m)
-    state = _without_disproved(state, seen.free_keys)
     voters = union(seen.structure_keys, seen.surface_keys)
     state = _with_surface(state, voters)
     at, is_hit = places(state.surface, voters), contains(seen.structure_keys, voters)
@@ -200,21 +200,10 @@ def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
 def _voted(
     hits: NDArray[np.uint8], misses: NDArray[np.uint8], is_hit: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the votes with one more of each voxel; where a track was that is structure, they say nothing."""
-    counts = hits <= _DISPROVED
-    hits, misses = hits + (counts & is_hit), misses + (counts & ~is_hit)
-    full = counts & (np.maximum(hits, misses) >= _MOST_VOTES)
+    """Return the votes with one more of each voxel."""
+    hits, misses = hits + is_hit, misses + ~is_hit
+    full = np.maximum(hits, misses) >= _MOST_VOTES
     return np.where(full, hits // 2, hits).astype(np.uint8), np.where(full, misses // 2, misses).astype(np.uint8)
-
-
-def _without_disproved(state: SpaceState, free_keys: NDArray[np.int64]) -> SpaceState:
-    disproved = state.hits > _DISPROVED
-    disproved[disproved] = contains(free_keys, state.surface[disproved])
-    if not disproved.any():
-        return state
-    hits = state.hits - disproved.astype(np.uint8)
-    stays = ~disproved | (hits > _DISPROVED)
-    return replace(state, surface=state.surface[stays], hits=hits[stays], misses=state.misses[stays])
 
 
 def _with_surface(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
@@ -229,31 +218,32 @@ def _with_surface(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
     )
 
 
-def add_structure(state: SpaceState, points: NDArray[np.float32]) -> SpaceState:
-    """Return the space in which the voxels of (N, 3) points surely are structure: what was an object, and is none."""
-    keys = sorted_unique(keys_of_points(points, state.voxel_m))
-    state = _with_surface(state, keys)
-    at, hits, misses = places(state.surface, keys), state.hits.copy(), state.misses.copy()
-    hits[at], misses[at] = _NO_OBJECT, 0
-    hidden = keys[contains(state.free, keys)]
-    return replace(
-        state,
-        free=difference(state.free, keys),
-        hidden_free=exchanged(state.hidden_free, hidden[:0], hidden),
-        hits=hits,
-        misses=misses,
-    )
+def with_room(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
+    """Return the space in which these sorted voxels, and no others, are those of tracks that are part of the room."""
+    return state if np.array_equal(state.room, keys) else replace(state, room=keys)
+
+
+def without_room(state: SpaceState) -> SpaceState:
+    """Return the space as keyframes showed it: without tracks that are held to be part of the room."""
+    return with_room(state, np.zeros(0, dtype=np.int64))
 
 
 def structure_hits(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return how many keyframes saw each of (N,) voxels as structure; 0 where more saw something else."""
-    out: NDArray[np.uint8] = _hits_at(state.surface, state.hits, state.misses, keys)
-    return out
+    """Return how many keyframes saw each of (N,) voxels as structure; 0 where more saw something else.
+
+    255 in voxels of tracks that are part of the room.
+    """
+    return np.where(contains(state.room, keys), np.uint8(_HELD), _votes_at(state, keys))
 
 
 def _structure_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which of (N,) voxels are structure."""
-    return structure_hits(state, keys) >= _SURE_HITS
+    """Return which of (N,) voxels keyframes showed as structure."""
+    return _votes_at(state, keys) >= _SURE_HITS
+
+
+def _votes_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
+    out: NDArray[np.uint8] = _hits_at(state.surface, state.hits, state.misses, keys)
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
@@ -265,11 +255,6 @@ def _hits_at(surface, hits, misses, keys):  # type: ignore[no-untyped-def] # pra
         if at < len(surface) and surface[at] == keys[i] and hits[at] > misses[at]:
             out[i] = hits[at]
     return out
-
-
-def known_no_object(state: SpaceState) -> NDArray[np.int64]:
-    """Return the sorted keys of the voxels that `add_structure` made structure."""
-    return np.asarray(state.surface[state.hits > _DISPROVED])
 
 
 def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: float) -> float:
@@ -336,10 +321,9 @@ def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float
 def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> NDArray[np.float32]:
     """Return the (N, 3) centres of structure voxels around a box.
 
-    Only what frames saw as structure: a track that was dropped for one reason is no reason to drop its neighbour.
+    Only what frames saw as structure: a track that is set aside for one reason is no reason to set aside its neighbour.
     """
-    sure = state.surface[state.is_structure & (state.hits <= _DISPROVED)]
-    return centers_of_keys(_near(sure, box, state.voxel_m, reach_m), state.voxel_m)
+    return centers_of_keys(_near(state.surface[state.is_structure], box, state.voxel_m, reach_m), state.voxel_m)
 
 
 def _near(keys: NDArray[np.int64], box: OrientedBox, voxel_m: float, reach_m: float) -> NDArray[np.int64]:
@@ -352,11 +336,12 @@ def _near(keys: NDArray[np.int64], box: OrientedBox, voxel_m: float, reach_m: fl
 
 
 def as_record(state: SpaceState) -> ObservedSpace:
-    """Return the public record: structure, and free space that is none."""
+    """Return the public record: structure, tracks that are part of the room among it, and free space that is none."""
+    structure = state.surface[state.is_structure]
     return ObservedSpace(
         voxel_m=state.voxel_m,
-        free=state.free,
-        structure=state.surface[state.is_structure],
+        free=difference(state.free, state.room) if len(state.room) else state.free,
+        structure=union(structure, state.room) if len(state.room) else structure,
         floor_z_m=state.floor_z_m,
     )
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.events import RequestShape
-from hickory_stream.mapping.track import ShapeState
+from hickory_stream.mapping.track import ShapeState, is_object
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
@@ -136,7 +136,7 @@ def _rank(track: Track, config: RequestConfig) -> tuple[bool, float, float, int]
 
 def _is_wanted(track: Track, clock_ns: int, *, is_final: bool, config: RequestConfig) -> bool:
     state = track.shape_state
-    if track.phase is Phase.TENTATIVE or state.open_ticket is not None:
+    if not is_object(track) or state.open_ticket is not None:
         return False
     # A part that became an object and was not seen again has no view of its own: its points must do.
     if not track.views and not is_final:

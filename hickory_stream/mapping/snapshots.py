@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.mapping.moved import moved_object
-from hickory_stream.mapping.observed_space import as_record
+from hickory_stream.mapping.observed_space import as_record, without_room
 from hickory_stream.mapping.submaps import record_of
 from hickory_stream.mapping.track import as_object
 from hickory_stream.records import MapPrior, MapSnapshot, Phase
@@ -31,7 +31,11 @@ class Snapshots:
 
     def snapshot(self, state: MapState) -> MapSnapshot:
         """Return the map as it is now."""
-        shown = {track.id: self._shown(track, state.submaps.world_from(track.submap_id)) for track in state.ordered()}
+        shown = {
+            track.id: self._shown(track, state.submaps.world_from(track.submap_id))
+            for track in state.ordered()
+            if track.phase is not Phase.ROOM
+        }
         self._objects = shown
         return MapSnapshot(
             revision=state.revision,
@@ -51,13 +55,17 @@ class Snapshots:
 
     def _observed_space(self, state: MapState) -> ObservedSpace:
         submaps = state.submaps
+        space = submaps.space
+        if len(space.room):
+            # What the map concluded is no evidence: the segmenter sees these tracks anew in every keyframe.
+            return as_record(without_room(space))
         is_one = submaps.first == submaps.open_id
-        return self._submap(submaps.states[-1]).observed_space if is_one else as_record(submaps.space)
+        return self._submap(submaps.states[-1]).observed_space if is_one else as_record(space)
 
     def _known_objects(self, state: MapState) -> tuple[TrackedObject, ...]:
         known = []
         for track in state.ordered():
-            if state.is_judged(track):
+            if state.is_judged(track) and track.phase is not Phase.ROOM:
                 shown = self._objects.get(track.id)
                 is_there = shown is not None and shown[0] is track and np.array_equal(shown[1], np.eye(4))
                 known.append(shown[2] if shown is not None and is_there else as_object(track))

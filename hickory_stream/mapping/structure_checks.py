@@ -27,8 +27,11 @@ _MOST_IN_WALL = 0.9
 
 def why_structure(track: Track, space: SpaceState, clock_ns: int, config: MappingConfig) -> str | None:
     """Return why a track is no object but structure, None where it may be one."""
+    size = " x ".join(f"{side:.1f}" for side in 2 * track.box.half_extents_m)
+    if _is_too_large(track, config.lifecycle):
+        return f"{size} m is too large for an object"
     if is_structure(track, space.floor_z_m, config.lifecycle):
-        return f"{np.round(2 * track.box.half_extents_m, 1)} m: structure"
+        return f"{size} m, an upright slab: a piece of a wall"
     return "flat or an edge, and the wall goes on around it" if _is_more_wall(track, space, clock_ns, config) else None
 
 
@@ -47,20 +50,25 @@ def is_seen_through(track: Track, free_keys: NDArray[np.int64], config: MappingC
 
 
 def _is_more_wall(track: Track, space: SpaceState, clock_ns: int, config: MappingConfig) -> bool:
-    """Return whether a track is flush with structure or an edge of it; asked when it is confirmed or resting."""
+    """Return whether a track is flush with structure or an edge of it.
+
+    Asked when it is confirmed or resting, and always of one that was set aside for it.
+    """
     is_settling = track.phase is Phase.TENTATIVE and is_sure(track, config.lifecycle)
     is_resting = track.phase is Phase.ACTIVE and clock_ns - track.seen_clock_ns > _RESTING_NS
-    if not (is_settling or is_resting):
+    if not (is_settling or is_resting or track.phase is Phase.ROOM):
         return False
     return is_flush(space, track.box, config.flush) or is_edge(space, track.box, config.flush)
 
 
 def is_structure(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
     """Return whether a track is structure by its size or as a piece of a wall."""
-    size = 2 * track.box.half_extents_m
-    if np.sort(size)[1] > config.structure_m or track.box.volume_m3 > config.structure_m3:
-        return True
-    return is_sure(track, config) and _is_piece_of_wall(track, floor_z_m, config)
+    return _is_too_large(track, config) or (is_sure(track, config) and _is_piece_of_wall(track, floor_z_m, config))
+
+
+def _is_too_large(track: Track, config: LifecycleConfig) -> bool:
+    two_longest_m = np.sort(2 * track.box.half_extents_m)[1]
+    return bool(two_longest_m > config.structure_m or track.box.volume_m3 > config.structure_m3)
 
 
 def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:

@@ -18,11 +18,11 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.voxels import contains, keys_of_points, places
+from hickory_stream.geometry.voxels import contains, places
+from hickory_stream.mapping import observed_space
 from hickory_stream.mapping.observed_space import (
     SpaceState,
     add,
-    add_structure,
     as_record,
     empty_space,
     false_floor,
@@ -165,13 +165,18 @@ def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
     return _with_spaces(submaps, space, changed)
 
 
-def with_structure(submaps: Submaps, points: NDArray[np.float32]) -> Submaps:
-    """Return the submaps where the voxels of (N, 3) points are structure: what was an object, and is none."""
-    space = add_structure(submaps.space, points)
+def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
+    """Return the submaps since the odometry last jumped, in which these sorted voxels are of tracks that are room."""
+    if np.array_equal(submaps.space.room, keys):
+        return submaps
+    space = observed_space.with_room(submaps.space, keys)
     if submaps.first == submaps.open_id:
         return _alone(submaps, space)
-    owners = _owners(submaps, keys_of_points(points, space.voxel_m))
-    changed = {i: add_structure(submaps.states[i].space, points[owners == i]) for i in _named(owners)}
+    owners = _owners(submaps, keys)
+    changed = {
+        i: observed_space.with_room(submaps.states[i].space, keys[owners == i])
+        for i in range(submaps.first, submaps.open_id + 1)
+    }
     return _with_spaces(submaps, space, changed)
 
 
@@ -202,7 +207,7 @@ def record_of(state: SubmapState) -> Submap:
 def _closed(submaps: Submaps) -> Submaps:
     """Return the submaps with everything in the open one its own for good."""
     space = submaps.states[-1].space
-    keys = np.union1d(space.free, space.surface)
+    keys = np.union1d(np.union1d(space.free, space.surface), space.room)
     owned = np.concatenate([submaps.owned, keys])
     owners = np.concatenate([submaps.owners, np.full(len(keys), submaps.open_id, dtype=np.int32)])
     order = np.argsort(owned, kind="stable")

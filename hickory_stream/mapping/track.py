@@ -67,7 +67,8 @@ class Track:
     from. `seen_through` counts keyframes that looked through the place where the object should be, `doubts` those in
     a row that saw it and more beside it as one. `is_promoted`: it was a part of another track, and is known to be none.
     `submap_id` is the submap it was born in; `seen_in` the one in which it was last seen.
-    `existence` is how sure it is that there is a thing.
+    `existence` is how sure it is that there is a thing, `aside_evidence` its evidence when the track was last set aside
+    as part of the room.
     `sketch` is a superquadric from `sketched_points` points, None while it is tentative and once it has a shape.
     """
 
@@ -94,6 +95,7 @@ class Track:
     sketch: Superquadrics | None = None
     sketched_points: int = 0
     existence: Existence = field(default_factory=no_evidence)
+    aside_evidence: float = 0.0
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -153,8 +155,8 @@ def with_cloud(track: Track, cloud: Cloud, sightings: int, voxel_m: float) -> Tr
 
 
 def sketched(track: Track, config: TrackConfig) -> Track:
-    """Return the track with a superquadric from its points, where it is confirmed, has no shape and has changed."""
-    if track.phase is Phase.TENTATIVE or track.shape is not None:
+    """Return the track with a superquadric from its points, where it is an object, has no shape and has changed."""
+    if not is_object(track) or track.shape is not None:
         return track
     count, before = len(track.solid.points), track.sketched_points
     if abs(count - before) <= config.sketch_growth * before:
@@ -171,6 +173,11 @@ def without_views(track: Track, names: Collection[str]) -> Track:
         for _, view in coverage:
             best = better(best, view) if view.score is not None else best
     return replace(track, coverage=coverage, best_view=best)
+
+
+def is_object(track: Track) -> bool:
+    """Return whether a track is an object: confirmed, and no part of the room."""
+    return track.phase not in (Phase.TENTATIVE, Phase.ROOM)
 
 
 def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: float = 0.03) -> list[Track]:

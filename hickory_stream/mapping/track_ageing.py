@@ -3,44 +3,53 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
 from hickory_stream.mapping.cloud import without
 from hickory_stream.mapping.existence import doubted
 from hickory_stream.mapping.lifecycle import Guard, LifeEvent, TrackEffect, is_sure, transition
-from hickory_stream.mapping.observed_space import known_no_object, share_in
+from hickory_stream.mapping.observed_space import share_in
 from hickory_stream.mapping.structure_checks import is_seen_through, points_in_wall, why_structure
-from hickory_stream.mapping.submaps import with_structure
-from hickory_stream.mapping.track import sketched, with_cloud
-from hickory_stream.mapping.track_endings import drop, unite
+from hickory_stream.mapping.submaps import with_room
+from hickory_stream.mapping.track import is_object, sketched, with_cloud
+from hickory_stream.mapping.track_endings import cancelled, drop, unite
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from hickory_stream.events import Effect, FrameObserved
     from hickory_stream.mapping.lifecycle import Transition
     from hickory_stream.mapping.map_state import MapState
     from hickory_stream.mapping.mapping_config import MappingConfig
-    from hickory_stream.mapping.observed_space import SpaceState
     from hickory_stream.mapping.track import Track
 
 
 def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, merges: bool) -> list[Effect]:
     """Let every track age by a keyframe; `merges`: one that is unsupported becomes a part of what it is attached to."""
     effects: list[Effect] = []
-    # The same for most tracks: it changes only where one becomes structure.
-    no_object = lru_cache(maxsize=1)(known_no_object)
+    keep_room(state)  # tracks may have been merged
     for track_id in sorted(state.tracks):
-        case = Case(state, track_id, config, free_keys=event.space.free_keys, no_object=no_object, merges=merges)
+        case = Case(state, track_id, config, free_keys=event.space.free_keys, merges=merges)
         effects += [*case.happens(LifeEvent.JUDGED), *case.happens(LifeEvent.AGED)]
         if track_id in state.tracks:
             state.tracks[track_id] = sketched(state.tracks[track_id], config.track)
+    keep_room(state)
     return effects
+
+
+def keep_room(state: MapState) -> None:
+    """Let the observed space know the voxels of the tracks that are part of the room, as they are now."""
+    voxel_m = state.submaps.space.voxel_m
+    aside = [track for track in state.ordered() if track.phase is Phase.ROOM and state.is_judged(track)]
+    keys = [keys_of_points(track.solid.points, voxel_m) for track in aside]
+    state.submaps = with_room(state.submaps, sorted_unique(np.concatenate(keys)) if keys else np.empty(0, np.int64))
 
 
 def settle(state: MapState, config: MappingConfig) -> None:
@@ -68,14 +77,12 @@ class Case:
         config: MappingConfig,
         *,
         free_keys: NDArray[np.int64] | None = None,
-        no_object: Callable[[SpaceState], NDArray[np.int64]] = known_no_object,
         merges: bool = False,
     ) -> None:
         self.state = state
         self.config = config
         self._track_id = track_id
         self._free_keys = free_keys
-        self._no_object = no_object
         self._merges = merges
 
     @property
@@ -93,8 +100,11 @@ class Case:
         done = [effect for track_effect in row.effects for effect in EFFECTS[track_effect](self, row)]
         if isinstance(row.to, Phase) and row.to is not self.track.phase:
             track = self.track
-            self.state.decide("phase", track.id, f"{track.phase} -> {row.to} after {track.sightings} sightings")
+            why = f": {self.why_structure}" if row.to is Phase.ROOM else ""
+            self.state.decide("phase", track.id, f"{track.phase} -> {row.to} after {track.sightings} sightings{why}")
             self.change(replace(track, phase=row.to))
+            if Phase.ROOM in (track.phase, row.to):
+                keep_room(self.state)
         return done
 
     def change(self, track: Track) -> None:
@@ -115,16 +125,21 @@ class Case:
         """The track that this one, unsupported, hangs from; None if it is supported, or near nothing."""
         if not self._merges:
             return None
-        confirmed = (o for o in self.state.tracks.values() if o.phase is not Phase.TENTATIVE)
+        confirmed = (o for o in self.state.tracks.values() if is_object(o))
         others = (o for o in confirmed if self.state.is_judged(o))
         support = self.state.support_graph(self.config).hangs_from(self.track, others)
         return None if support is None else support.by
 
-    def is_in_structure(self) -> bool:
-        """Return whether most of the track lies in what was found to be structure."""
+    def is_in_room(self) -> bool:
+        """Return whether most of the track lies on tracks that are part of the room."""
         space = self.state.submaps.space
-        share = share_in(self._no_object(space), self.track.solid.points, space.voxel_m)
+        share = share_in(space.room, self.track.solid.points, space.voxel_m)
         return share > self.config.lifecycle.structure_share
+
+    def is_revised(self) -> bool:
+        """Return whether the track, set aside, was seen enough since, and is no part of the room now."""
+        seen_since = self.track.existence.evidence - self.track.aside_evidence
+        return seen_since >= self.config.lifecycle.revise_evidence and self.why_structure is None
 
     def is_seen_through(self) -> bool:
         """Return whether the keyframe, which did not see the track, saw through its place."""
@@ -136,9 +151,12 @@ class Case:
         )
 
 
-def _become_structure(case: Case, _: Transition) -> list[Effect]:
-    case.state.submaps = with_structure(case.state.submaps, case.track.solid.points)
-    return []
+def _set_aside(case: Case, _: Transition) -> list[Effect]:
+    track = case.track
+    effects = cancelled(track)
+    shape_state = replace(track.shape_state, open_ticket=None)
+    case.change(replace(track, shape_state=shape_state, aside_evidence=track.existence.evidence))
+    return effects
 
 
 def _doubt(case: Case, _: Transition) -> list[Effect]:
@@ -160,7 +178,7 @@ def _trim(case: Case, _: Transition) -> list[Effect]:
 
 def _drop(case: Case, row: Transition) -> list[Effect]:
     assert row.cause is not None
-    reasons = {"structure": case.why_structure, "in structure": "a piece of what was found to be structure"}
+    reasons = {"structure": case.why_structure, "in structure": "it lies on what is part of the room"}
     return drop(case.state, case.track, row.cause, reasons.get(row.cause))
 
 
@@ -171,8 +189,9 @@ def _merge(case: Case, _: Transition) -> list[Effect]:
 
 
 GUARDS: dict[Guard, Callable[[Case], bool]] = {
-    Guard.IS_STRUCTURE: lambda case: case.why_structure is not None,
-    Guard.IN_STRUCTURE: Case.is_in_structure,
+    Guard.IS_ROOM: lambda case: case.why_structure is not None,
+    Guard.IN_ROOM: Case.is_in_room,
+    Guard.REVISED: Case.is_revised,
     Guard.SEEN_THROUGH: Case.is_seen_through,
     Guard.PHANTOM: lambda case: case.track.seen_through >= case.config.lifecycle.phantom_frames,
     Guard.SURE: lambda case: is_sure(case.track, case.config.lifecycle),
@@ -186,7 +205,7 @@ GUARDS: dict[Guard, Callable[[Case], bool]] = {
 """What the guards of the table ask of a track; of two that are merged, `track_merging` asks."""
 
 EFFECTS: dict[TrackEffect, Callable[[Case, Transition], list[Effect]]] = {
-    TrackEffect.BECOME_STRUCTURE: _become_structure,
+    TrackEffect.SET_ASIDE: _set_aside,
     TrackEffect.DOUBT: _doubt,
     TrackEffect.TRIM: _trim,
     TrackEffect.DROP: _drop,

@@ -24,7 +24,7 @@ def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = N
     state.split_candidates.pop(track.id, None)
     state.absorbed.pop(track.id, None)
     state.decide("drop", track.id, f"{reason or cause}, after {track.sightings} sightings", cause=cause)
-    return _cancelled(track)
+    return cancelled(track)
 
 
 def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: MappingConfig) -> list[Effect]:
@@ -35,9 +35,10 @@ def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: Mapp
     state.split_candidates = reassigned(state.split_candidates, kept_id, gone_id)
     state.absorbed = after_merge(state.absorbed, kept_id, gone)
     state.decide("merge", kept_id, f"#{gone_id} is the same: {reason}", other_id=gone_id)
-    return _cancelled(gone)
+    return cancelled(gone)
 
 
-def _cancelled(gone: Track) -> list[Effect]:
+def cancelled(gone: Track) -> list[Effect]:
+    """Return what cancels the shape job of a track, if it has one."""
     ticket = gone.shape_state.open_ticket
     return [] if ticket is None else [CancelShape(ticket=ticket)]

@@ -20,6 +20,7 @@ from hickory_stream.mapping.lifecycle import Guard, LifeEvent, transition
 from hickory_stream.mapping.track import Track, touching, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 from hickory_stream.ranges import Ranged, number
+from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.cloud import Cloud
     from hickory_stream.mapping.support_graph import SupportGraph
     from hickory_stream.mapping.views import ViewConfig
-    from hickory_stream.records import Phase
 
 
 _FOOT_GAP_M = 0.2
@@ -189,7 +189,10 @@ def merge(kept: Track, gone: Track, voxel_m: float, view_config: ViewConfig) -> 
 
 def _phase_after(kept: Track, gone: Track) -> Phase:
     """Return the phase of a track that has taken in another one."""
-    asked = {Guard.OTHER_SEEN_MORE: gone.sightings > kept.sightings}
+    asked = {
+        Guard.OTHER_SEEN_MORE: gone.sightings > kept.sightings,
+        Guard.OTHER_MAYBE_OBJECT: gone.phase is not Phase.ROOM,
+    }
     row = transition(kept.phase, LifeEvent.TAKES_IN, asked.__getitem__)
     return kept.phase if row is None else gone.phase
 
@@ -198,6 +201,8 @@ def why_one(
     a: Track, b: Track, near: Sequence[Track], book: VoteBook, graph: SupportGraph, config: MergeConfig
 ) -> str | None:
     """Return the reason to merge two tracks, None if there is none; `near` are the tracks around them."""
+    if (a.phase is Phase.ROOM) is not (b.phase is Phase.ROOM):
+        return _why_no_room(*((a, b) if a.phase is Phase.ROOM else (b, a)), config)
     is_known = min(a.sightings, b.sightings) >= config.min_votes
     # The column between a seat and its foot may be too thin for the sensor: the two need not touch.
     if is_known and not (a.is_promoted or b.is_promoted) and (part := graph.foot_of(a, b)) is not None:
@@ -219,3 +224,16 @@ def why_one(
     if is_known and not less.is_promoted and (part := graph.part_of(less, more, near)) is not None:
         return part.reason
     return None
+
+
+def _why_no_room(room: Track, thing: Track, config: MergeConfig) -> str | None:
+    """Return why a track that was set aside as part of the room is one with a thing, None where it is not.
+
+    It is where it turned out to be a side of a larger thing: the front of a wardrobe. A thing on a wall is none of it.
+    """
+    if len(room.solid.keys) > len(thing.solid.keys) or intersection_volume_m3(room.box, thing.box, 0.03) <= 0.0:
+        return None
+    share = share_near(room.solid.keys, thing.solid)
+    if share < config.sure_share:
+        return None
+    return f"{share:.0%} of it, which was taken for a part of the room, lies on this larger thing"

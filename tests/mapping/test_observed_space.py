@@ -11,13 +11,13 @@ from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.observed_space import (
     SpaceState,
     add,
-    add_structure,
     as_record,
     empty_space,
     false_floor,
     floor_change,
-    known_no_object,
     share_in,
+    structure_hits,
+    with_room,
 )
 from hickory_stream.records import SpaceObservation
 from tests.mapping.mapping_fixtures import space
@@ -120,25 +120,36 @@ WALL = (np.stack(np.meshgrid(np.arange(20), [3], np.arange(20)), axis=-1).reshap
 )
 
 
-def test_an_object_that_turned_out_to_be_structure_is_structure_at_once_and_stays_it() -> None:
-    wall = set(keys_of_points(WALL, 0.05).tolist())
-    state = add_structure(after(space(free=keys_of_points(WALL[:50], 0.05), structure=keys(1, 2))), WALL)
-    assert set(as_record(state).structure.tolist()) == wall
-    assert not set(as_record(state).free.tolist()) & wall
-    for _ in range(300):
-        state = add(state, space(structure=keys_of_points(WALL[:50], 0.05)))
-    assert share_in(known_no_object(state), WALL, state.voxel_m) == 1.0
+def test_a_track_that_is_part_of_the_room_is_structure_as_long_as_it_is_held_to_be() -> None:
+    wall, behind = np.unique(keys_of_points(WALL, 0.05)), np.unique(keys_of_points(WALL[:50], 0.05))
+    before = after(space(free=behind, structure=keys(1, 2)))
+    held = with_room(before, wall)
+    assert as_record(held).structure.tolist() == wall.tolist()
+    assert not set(as_record(held).free.tolist()) & set(wall.tolist())
+    assert (structure_hits(held, wall) == 255).all()
+    for _ in range(3):
+        held = add(held, space(structure=keys(1, 2), free=behind))
+    # No keyframe voted for it, so that nothing stays of it.
+    freed = as_record(with_room(held, keys()))
+    assert freed.structure.tolist() == [1, 2]
+    assert freed.free.tolist() == behind.tolist()
 
 
-def test_only_what_was_an_object_counts_as_structure_for_objects() -> None:
+def test_rays_through_a_track_that_is_part_of_the_room_are_known_when_it_is_none() -> None:
+    wall = np.unique(keys_of_points(WALL, 0.05))
+    held = add(with_room(after(), wall), space(free=wall))
+    assert as_record(held).free.tolist() == []
+    assert as_record(with_room(held, keys())).free.tolist() == wall.tolist()
+
+
+def test_only_tracks_that_are_part_of_the_room_are_what_pieces_lie_in() -> None:
     seen_often = after(*[space(structure=keys_of_points(WALL, 0.05))] * 400)
-    assert share_in(known_no_object(seen_often), WALL, seen_often.voxel_m) == 0.0
+    assert share_in(seen_often.room, WALL, seen_often.voxel_m) == 0.0
     beside = WALL + np.array([0, 0.5, 0], dtype=np.float32)
-    state = add_structure(seen_often, WALL)
-    assert share_in(known_no_object(state), beside, state.voxel_m) == 0.0
-    assert share_in(known_no_object(state), np.concatenate([WALL, beside]), state.voxel_m) == pytest.approx(
-        0.5, abs=0.02
-    )
+    state = with_room(seen_often, np.unique(keys_of_points(WALL, 0.05)))
+    assert share_in(state.room, beside, state.voxel_m) == 0.0
+    both = np.concatenate([WALL, beside])
+    assert share_in(state.room, both, state.voxel_m) == pytest.approx(0.5, abs=0.02)
 
 
 def level(z_m: float, side_m: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.observed_space import FlushConfig, add, add_structure, empty_space, is_edge, is_flush
+from hickory_stream.mapping.observed_space import FlushConfig, add, empty_space, is_edge, is_flush, with_room
 from hickory_stream.mapping.split_candidates import TrackSplitConfig, reassigned, with_keyframe
 from hickory_stream.mapping.structure_checks import is_structure
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
@@ -163,4 +163,4 @@ def test_a_flat_thing_is_more_wall_only_where_the_wall_goes_on_around_it() -> No
     assert is_flush(state, patch.box, config)
     assert not is_flush(state, television.box, config)
     assert not is_flush(empty_space(0.05), patch.box, config)
-    assert not is_flush(add_structure(empty_space(0.05), wall), patch.box, config)  # dropped tracks, not seen walls
+    assert not is_flush(with_room(empty_space(0.05), keys), patch.box, config)  # tracks set aside, not seen walls

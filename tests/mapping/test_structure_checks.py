@@ -64,7 +64,7 @@ def test_what_rays_passed_for_the_most_part_was_looked_through() -> None:
 
 def test_what_is_larger_than_a_thing_can_be_is_structure_and_says_how_large() -> None:
     wide = track(1, box_surface((0, 0, 1.5), (3.2, 3.0, 0.4)))
-    assert why_structure(wide, empty_space(SPACE_M), 0, CONFIG) == "[3.2 3.  0.4] m: structure"
+    assert why_structure(wide, empty_space(SPACE_M), 0, CONFIG) == "3.2 x 3.0 x 0.4 m is too large for an object"
     assert why_structure(track(1, BOX), empty_space(SPACE_M), 0, CONFIG) is None
 
 

@@ -31,8 +31,8 @@ from hickory_stream.mapping.submaps import (
     record_of,
     torn,
     travelled,
+    with_room,
     with_seen,
-    with_structure,
 )
 from hickory_stream.records import MapSnapshot, SpaceObservation
 from tests.mapping.mapping_fixtures import (
@@ -126,7 +126,7 @@ def test_a_way_of_no_length_is_refused() -> None:
 _KEYS = st.lists(st.integers(0, 30), max_size=12).map(lambda keys: np.unique(np.int64(keys)))
 
 
-@given(st.lists(st.tuples(st.sampled_from(["seen", "went", "structure"]), _KEYS, _KEYS), max_size=25))
+@given(st.lists(st.tuples(st.sampled_from(["seen", "went", "room"]), _KEYS, _KEYS), max_size=25))
 @settings(deadline=None)
 def test_every_voxel_is_in_one_submap_and_all_together_are_what_was_seen(
     steps: list[tuple[str, NDArray[np.int64], NDArray[np.int64]]],
@@ -140,8 +140,8 @@ def test_every_voxel_is_in_one_submap_and_all_together_are_what_was_seen(
         elif kind == "went":
             place += 1.0
             submaps = travelled(submaps, np.array([place, 0.0, 0.0]), SubmapConfig(travel_m=1.5))
-        elif len(free):
-            submaps = with_structure(submaps, np.float32([[0.05 * key, 0.0, 0.0] for key in free]))
+        else:
+            submaps = with_room(submaps, free)
     judge, parts = as_record(submaps.space), [record_of(state).observed_space for state in submaps.states]
     for name in ("free", "structure"):
         together = np.concatenate([getattr(part, name) for part in parts])
@@ -193,18 +193,22 @@ def test_after_a_jump_an_object_is_not_looked_through_until_it_is_seen_again() -
     assert ids(jump, at(4, 0.0, A), *(replace(f, frame_index=f.frame_index + 1) for f in through)) == []
 
 
-def test_the_space_of_before_a_jump_does_not_judge_what_is_seen_after_it() -> None:
-    """A wall of 4 m that was dropped as structure: a box in its voxels is a piece of it, but not after a jump."""
+def test_a_wall_that_is_tracked_as_part_of_the_room_is_known_again_after_a_jump() -> None:
+    """A wall of 4 m was set aside; a piece of it that is seen later is the wall, and no object, with a jump or not."""
     wall = box_surface((0.0, 1.0, 1.2), (4.0, 0.2, 2.4))
     piece = box_surface((0.5, 1.0, 0.5), (0.8, 0.2, 0.8))
 
-    def ids(*between: PoseJumped) -> list[int]:
+    def room(*between: PoseJumped) -> list[int]:
         core = MapperCore(replace(CONFIG, submaps=SubmapConfig()))
         drive(core, [*(at(i, 0.0, wall) for i in range(4)), *between, *(at(4 + i, 0.0, piece) for i in range(4))])
-        return [item.submap_id for item in core.snapshot().objects]
+        assert core.snapshot().objects == ()
+        return [len(submap.observed_space.structure) for submap in core.snapshot().submaps]
 
-    assert ids() == []
-    assert ids(PoseJumped(stamp_ns=4 * SECOND_NS, after_from_before=JUMP)) == [1]
+    (alone,) = room()
+    assert alone > 1000
+    before, after = room(PoseJumped(stamp_ns=4 * SECOND_NS, after_from_before=JUMP))
+    assert before > 1000
+    assert after == alone
 
 
 def test_the_space_of_a_submap_that_a_jump_closed_stays_as_it_was() -> None:
