@@ -16,7 +16,7 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -87,11 +87,25 @@ def _entry(box: SceneBox, eye: NDArray[np.float64], rays: NDArray[np.float64]) -
 
 
 class SceneSource:
-    """A `Source` of the scene: `num_frames` frames, 0.3 s and 7 degrees apart, each of them a keyframe by default."""
+    """A `Source` of the scene: by default frames 0.3 s and 7 degrees apart, each of them a keyframe.
 
-    def __init__(self, num_frames: int = 8, boxes: Sequence[SceneBox] = SCENE_BOXES) -> None:
+    `step_of` tells on which step of the camera's circle (`scene_pose`) a frame is taken.
+    """
+
+    def __init__(
+        self,
+        num_frames: int = 8,
+        boxes: Sequence[SceneBox] = SCENE_BOXES,
+        *,
+        camera: Camera = SCENE_CAMERA,
+        period_ns: int = PERIOD_NS,
+        step_of: Callable[[int], int] = int,
+    ) -> None:
         self._num_frames = num_frames
         self._boxes = tuple(boxes)
+        self._camera = camera
+        self._period_ns = period_ns
+        self._step_of = step_of
         self._num_yielded = 0
         self.is_closed = False
 
@@ -102,18 +116,21 @@ class SceneSource:
             uri="memory:scene",
             kind="synthetic scene",
             identity=f"scene-{self._num_frames}-{len(self._boxes)}",
-            camera=SCENE_CAMERA,
+            camera=self._camera,
             num_frames=self._num_frames,
             start_ns=START_NS,
-            end_ns=START_NS + (self._num_frames - 1) * PERIOD_NS,
+            end_ns=self._stamp_ns(self._num_frames - 1),
             streams=(("color", "cast"), ("depth", "cast"), ("pose", "circle")),
         )
 
     @cached_property
     def instances(self) -> Mapping[int, NDArray[np.int32]]:
         """The true instances (H, W) of every frame, by its stamp: what `InstanceSegmenter` reads."""
-        poses = {START_NS + i * PERIOD_NS: scene_pose(i) for i in range(self._num_frames)}
-        return {stamp_ns: cast_scene(self._boxes, SCENE_CAMERA, pose)[2] for stamp_ns, pose in poses.items()}
+        return {self._stamp_ns(i): self.cast(self._step_of(i))[2] for i in range(self._num_frames)}
+
+    def cast(self, step: int) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
+        """Return colour, depth and instances as seen from a step, as `cast_scene` does."""
+        return cast_scene(self._boxes, self._camera, scene_pose(step))
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames from the beginning."""
@@ -122,21 +139,25 @@ class SceneSource:
             self._num_yielded += 1
             yield RawFrame(
                 index=i,
-                stamp_ns=START_NS + i * PERIOD_NS,
-                camera=SCENE_CAMERA,
-                world_from_camera=scene_pose(i),
+                stamp_ns=self._stamp_ns(i),
+                camera=self._camera,
+                world_from_camera=scene_pose(self._step_of(i)),
                 decode=partial(self._decode, i),
             )
 
+    def _stamp_ns(self, index: int) -> int:
+        return START_NS + index * self._period_ns
+
     def _decode(self, index: int) -> Frame:
-        rgb, depth_m, _ = cast_scene(self._boxes, SCENE_CAMERA, scene_pose(index))
+        step = self._step_of(index)
+        rgb, depth_m, _ = self.cast(step)
         return Frame(
             index=index,
-            stamp_ns=START_NS + index * PERIOD_NS,
+            stamp_ns=self._stamp_ns(index),
             rgb=rgb,
             depth_m=depth_m,
-            camera=SCENE_CAMERA,
-            world_from_camera=scene_pose(index),
+            camera=self._camera,
+            world_from_camera=scene_pose(step),
         )
 
     def ledger(self) -> Mapping[str, int]:

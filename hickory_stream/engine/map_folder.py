@@ -173,8 +173,7 @@ class MapFolder:
     def keep_views(self, names: Iterable[str]) -> set[str]:
         """Remove these views' pixels no more, though that was asked for; return those that are gone already."""
         with self._lock:
-            while self._drop_requests:
-                self._dropped.add(self._drop_requests.popleft())
+            self._take_requests()
             files = {name: crop_files(self.views, name) for name in names}
             self._dropped.difference_update(*files.values())
             return {name for name, paths in files.items() if not all(path.exists() for path in paths)}
@@ -245,9 +244,13 @@ class MapFolder:
                 if f"{folder}/{path.name}" not in names:
                     path.unlink()
 
-    def _remove_dropped(self) -> None:
+    def _take_requests(self) -> None:
+        """Take the views that were dropped since; `drop_view` appends to the queue without the lock."""
         while self._drop_requests:
             self._dropped.add(self._drop_requests.popleft())
+
+    def _remove_dropped(self) -> None:
+        self._take_requests()
         unreferenced = self._dropped - files_of(self.path, self._last)
         for path in unreferenced:
             path.unlink(missing_ok=True)

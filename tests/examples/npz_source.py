@@ -50,23 +50,9 @@ class NpzSource:
         self._num_yielded = 0
         for i, stamp_ns in enumerate(self._stamps_ns.tolist()):
             self._num_yielded = max(self._num_yielded, i + 1)
-            yield RawFrame(
-                index=i,
-                stamp_ns=stamp_ns,
-                camera=self.info.camera,
-                world_from_camera=self._poses[i],
-                decode=partial(self._decode, i, stamp_ns),
-            )
-
-    def _decode(self, i: int, stamp_ns: int) -> Frame:
-        return Frame(
-            index=i,
-            stamp_ns=stamp_ns,
-            rgb=self._rgb[i],
-            depth_m=self._depth_m[i],
-            camera=self.info.camera,
-            world_from_camera=self._poses[i],
-        )
+            when, where = {"index": i, "stamp_ns": stamp_ns}, {"world_from_camera": self._poses[i]}
+            known = {**when, **where, "camera": self.info.camera}
+            yield RawFrame(**known, decode=partial(Frame, **known, rgb=self._rgb[i], depth_m=self._depth_m[i]))
 
     def ledger(self) -> Mapping[str, int]:
         """Return how many frames the latest pass has yielded."""

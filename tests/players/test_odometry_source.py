@@ -17,10 +17,10 @@ from hickory_stream.cli import main
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.evaluation.trajectory_error import trajectory_error
-from hickory_stream.evaluation.worlds.corridor import CorridorConfig, scan_from
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.ports import SourceAround
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
+from hickory_stream.worlds.corridor import CorridorConfig, scan_from
 from players import SourceOptions, open_source
 from players.first_frames import FirstFrames
 from players.odometry_source import OdometrySource

@@ -11,14 +11,13 @@ import asyncio
 import threading
 import time
 from dataclasses import replace
-from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import psutil
 
-from hickory_stream.box_scene import SCENE_BOXES, START_NS, cast_scene, scene_pose
+from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
@@ -26,79 +25,37 @@ from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.json_text import dumps
 from hickory_stream.perception.choose import make_segmenter
-from hickory_stream.records import Frame, RawFrame, SourceInfo
 from hickory_stream.sinks.disk_sink import DiskSink
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from numpy.typing import NDArray
 
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.ports import Segmenter, Sink
-    from hickory_stream.records import FrameReport, MapPrior, Segmentation
+    from hickory_stream.records import Frame, FrameReport, MapPrior, Segmentation
 
 _CAMERA = Camera(width=640, height=480, fx=560.0, fy=560.0, cx=319.5, cy=239.5)
 _PERIOD_NS = 33_333_333
 _STEPS = 24
 
 
-class FastScene:
-    """A source of the scene: a camera that walks around the boxes, 30 frames a second for `seconds`."""
+class FastScene(SceneSource):
+    """The scene at 30 Hz and 640x480 for `seconds`: the camera goes there and back, a step every third of a second."""
 
     def __init__(self, seconds: float) -> None:
-        self._num_frames = int(seconds * 1e9 / _PERIOD_NS)
-        self._num_yielded = 0
+        num_frames = int(seconds * 1e9 / _PERIOD_NS)
+        super().__init__(num_frames, camera=_CAMERA, period_ns=_PERIOD_NS, step_of=_there_and_back)
+        # Cast before the clock starts.
+        self._images = [SceneSource.cast(self, step) for step in range(_STEPS)]
 
-    @property
-    def info(self) -> SourceInfo:
-        """What there is to play."""
-        return SourceInfo(
-            uri="memory:fast-scene",
-            kind="synthetic scene",
-            identity=f"fast-scene-{self._num_frames}",
-            camera=_CAMERA,
-            num_frames=self._num_frames,
-            start_ns=START_NS,
-            end_ns=START_NS + self._num_frames * _PERIOD_NS,
-            streams=(),
-        )
+    def cast(self, step: int) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
+        """Return the images of a step."""
+        return self._images[step]
 
-    @cached_property
-    def _images(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [cast_scene(SCENE_BOXES, _CAMERA, scene_pose(i))[:2] for i in range(_STEPS)]
 
-    def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames."""
-        assert self._images
-        for i in range(self._num_frames):
-            self._num_yielded += 1
-            # There and back again, a step a third of a second.
-            phase = (i // 10) % (2 * _STEPS - 2)
-            step = phase if phase < _STEPS else 2 * _STEPS - 2 - phase
-            yield RawFrame(
-                index=i,
-                stamp_ns=START_NS + i * _PERIOD_NS,
-                camera=_CAMERA,
-                world_from_camera=scene_pose(step),
-                decode=partial(self._decode, i, step),
-            )
-
-    def _decode(self, index: int, step: int) -> Frame:
-        rgb, depth_m = self._images[step]
-        return Frame(
-            index=index,
-            stamp_ns=START_NS + index * _PERIOD_NS,
-            rgb=rgb,
-            depth_m=depth_m,
-            camera=_CAMERA,
-            world_from_camera=scene_pose(step),
-        )
-
-    def ledger(self) -> Mapping[str, int]:
-        """Return how many frames were yielded."""
-        return {"frames": self._num_yielded}
-
-    def close(self) -> None:
-        """Do nothing."""
+def _there_and_back(index: int) -> int:
+    phase = (index // 10) % (2 * _STEPS - 2)
+    return phase if phase < _STEPS else 2 * _STEPS - 2 - phase
 
 
 class SlowedSegmenter:
