@@ -13,7 +13,8 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.engine.history.recorded import frame_indices, recorded_steps
-from hickory_stream.engine.journal import Journal, JournalWriter
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS

@@ -103,7 +103,7 @@ def _json(saved: SavedMap) -> bytes:
 def _ply(saved: SavedMap) -> bytes:
     import numpy as np
 
-    from hickory_stream.engine.map_codec import ply_bytes
+    from hickory_stream.engine.array_files import ply_bytes
 
     objects = saved.snapshot.objects
     points = [np.zeros((0, 3), dtype=np.float32), *(tracked.points_world for tracked in objects)]

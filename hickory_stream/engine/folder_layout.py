@@ -26,7 +26,7 @@ from hickory_stream.confined import refuse_links
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, outside_errors
 from hickory_stream.engine.crops import crop_files
 from hickory_stream.engine.folder_lock import LOCK, check_unlocked
-from hickory_stream.engine.journal import JOURNAL
+from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.manifest import MANIFEST, is_map_folder
 from hickory_stream.engine.map_codec import POINTS, SPACE
 from hickory_stream.errors import MapFolderError

@@ -22,9 +22,10 @@ import numpy as np
 
 from hickory_stream.config import from_dict
 from hickory_stream.confined import path_within, plain_name, read_within
+from hickory_stream.engine.array_files import npy_array
 from hickory_stream.engine.atomic import disk_errors, link_or_copy, outside_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop
-from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics, npy_array
+from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import glb_bytes, mesh_of_glb, sha256_of

@@ -1,20 +1,10 @@
-"""`journal.mcap`: every event of a run, step by step, so that the run can be resumed, replayed and inspected.
-
-Each step is one compressed chunk with a CRC: a file that was cut anywhere holds all steps before the cut. Messages are
-CBOR (see `record_codec`), one channel per kind of event; the channel `step` says where the run stood, `checkpoint`
-holds the core's state now and then, `color` the compressed images of keyframes, `told` the decisions of a step (older
-journals have none). The log time is the stamp.
-
-A chunk reaches the operating system when its step is over, so that a killed process loses nothing of it; it reaches the
-disk (fsync) at most `flush_s` later, which is what a lost power supply may cost.
-"""
+"""The journal of a run, read step by step, whether it is complete or was cut off; `journal_format` describes it."""
 
 from __future__ import annotations
 
 import mmap
 import os
 import struct
-import time
 from bisect import bisect_right
 from collections import OrderedDict
 from dataclasses import dataclass, replace
@@ -27,12 +17,18 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk
-from mcap.writer import CompressionType, Writer
 
-from hickory_stream.confined import OutsideError, open_new, open_within
-from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
-from hickory_stream.engine.checkpoints import Packer, unpacked
-from hickory_stream.engine.record_codec import decode, encode, encode_array
+from hickory_stream.confined import OutsideError, open_within
+from hickory_stream.engine.checkpoints import unpacked
+from hickory_stream.engine.journal_format import (
+    CHANNELS,
+    COLOR,
+    EVENT_NAMES,
+    JOURNAL,
+    STEP,
+    TOLD,
+)
+from hickory_stream.engine.record_codec import decode
 from hickory_stream.engine.step import Checkpoint, JournalEntry, Step, StepKind
 from hickory_stream.errors import MapFolderError
 
@@ -45,26 +41,8 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import Event
 
-JOURNAL = "journal.mcap"
-_PROFILE = "hickory-stream/1"
-_STEP, _CHECKPOINT, _COLOR, _TOLD = 1, 2, 3, 4
-_TOPICS = {_STEP: "step", _CHECKPOINT: "checkpoint", _COLOR: "color", _TOLD: "told"}
-# A place in this list is part of the format: what is new comes last.
-_EVENTS = (
-    "FrameObserved",
-    "FeaturesReady",
-    "ShapeReady",
-    "ShapeFailed",
-    "TimeJumped",
-    "SourceEnded",
-    "PoseJumped",
-    "PosesCorrected",
-)
-_CHANNELS = {name: 16 + i for i, name in enumerate(_EVENTS)}
-_EVENT_NAMES = {channel: name for name, channel in _CHANNELS.items()}
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
-_NO_LIMIT = 1 << 60
 _CACHED_CHUNKS = 64
 # A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
 _MOST_CHUNK_BYTES = 1 << 29
@@ -80,149 +58,6 @@ _DAMAGE = (
     OverflowError,
     MemoryError,
 )
-
-
-# ---- writing --------------------------------------------------------------------------------------------------------
-
-
-class JournalWriter:
-    """Appends to the journal of a map folder. Not to be called from two threads at a time.
-
-    `continued` holds the steps to begin with: they are copied, so that the file is one whole MCAP file at the end, and
-    the old file is replaced only when that is done.
-
-    Raises:
-        MapFolderError: the disk refused; also from each method.
-    """
-
-    def __init__(self, folder: Path, *, flush_s: float, continued: Journal | None = None) -> None:
-        self._path = folder / JOURNAL
-        self._flush_s = flush_s
-        self._parts = _Parts()
-        self._packer = Packer()
-        self._num_chunks = 0
-        self._synced_s = time.monotonic()
-        partial = folder / f".{JOURNAL}{PARTIAL_SUFFIX}"
-        with disk_errors(self._path):
-            self._file = os.fdopen(open_new(partial), "wb")
-            try:
-                self._writer = Writer(self._file, chunk_size=_NO_LIMIT, compression=CompressionType.ZSTD)
-                self._writer.start(profile=_PROFILE, library="hickory-stream")
-                self._register()
-                for chunk in continued.chunks() if continued is not None else ():
-                    self._copy(chunk)
-                self._file.flush()
-                os.fsync(self._file.fileno())
-                partial.replace(self._path)
-            except BaseException:
-                self._file.close()
-                partial.unlink(missing_ok=True)
-                raise
-
-    def append(self, entry: JournalEntry, color: bytes | None = None) -> None:
-        """Add a step; `color` is the compressed image of its keyframe."""
-        stamp_ns = entry.step.stamp_ns
-        with disk_errors(self._path):
-            # First in its chunk: it tells what the chunk is.
-            self._add(_STEP, stamp_ns, encode(entry.step))
-            for event in entry.events:
-                self._add(_CHANNELS[type(event).__name__], stamp_ns, encode(event))
-            if entry.told is not None:
-                self._add(_TOLD, stamp_ns, encode(entry.told))
-            if color is not None:
-                self._add(_COLOR, stamp_ns, color)
-            self._end_chunk()
-
-    def checkpoint(self, checkpoint: Checkpoint, stamp_ns: int) -> None:
-        """Add the state after the last step; arrays that an earlier checkpoint holds are referred to."""
-        with disk_errors(self._path):
-            self._parts.begin(self._num_chunks)
-            document = encode(replace(checkpoint, core=self._packer.packed(checkpoint.core)), self._parts)
-            new = self._parts.end()
-            self._add(_CHECKPOINT, stamp_ns, document)
-            for part in new:
-                self._add(_CHECKPOINT, stamp_ns, part)
-            self._end_chunk()
-
-    def sync(self) -> None:
-        """Wait until everything has reached the disk."""
-        with disk_errors(self._path):
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._synced_s = time.monotonic()
-
-    def close(self) -> None:
-        """Write the index that makes it a whole MCAP file, and close it."""
-        if self._file.closed:
-            return
-        with disk_errors(self._path):
-            try:
-                self._writer.finish()
-                self.sync()
-                sync(self._path.parent)
-            finally:
-                self._file.close()
-
-    def abandon(self) -> None:
-        """Close the file as a kill would leave it."""
-        try:
-            self._file.close()
-        except OSError:
-            pass  # the disk refused before: what is not there is not there
-
-    def _register(self) -> None:
-        """Register every channel; ids that follow from the order are part of the format."""
-        names = {**_TOPICS, **{number: f"event/{name}" for name, number in _CHANNELS.items()}}
-        for number in range(1, max(names) + 1):
-            topic = names.get(number, f"reserved/{number}")
-            encoding = "image" if number == _COLOR else "cbor"
-            assert self._writer.register_channel(topic, encoding, schema_id=0) == number
-
-    def _copy(self, chunk: list[Message]) -> None:
-        for message in chunk:
-            self._add(message.channel_id, message.log_time, message.data)
-        self._end_chunk()
-
-    def _add(self, channel: int, stamp_ns: int, data: bytes) -> None:
-        self._writer.add_message(channel, max(0, stamp_ns), data, max(0, stamp_ns), sequence=self._num_chunks)
-
-    def _end_chunk(self) -> None:
-        self._writer.flush()
-        self._num_chunks += 1
-        if time.monotonic() - self._synced_s >= self._flush_s:
-            self.sync()
-
-
-class _Parts:
-    """Where the arrays of earlier checkpoints are stored: (chunk, number in the chunk), by identity of the array."""
-
-    def __init__(self) -> None:
-        self._places: dict[int, tuple[NDArray[Any], tuple[int, int]]] = {}
-        self._used: dict[int, tuple[NDArray[Any], tuple[int, int]]] = {}
-        self._new: list[bytes] = []
-        self._chunk = 0
-
-    def begin(self, chunk: int) -> None:
-        self._chunk, self._new, self._used = chunk, [], {}
-
-    def put(self, array: NDArray[Any], encoded: Callable[[], bytes]) -> tuple[int, int]:
-        """Return where the array is; arrays of records never change, so that one and the same needs no comparison."""
-        del encoded
-        known = self._used.get(id(array)) or self._places.get(id(array))
-        if known is None:
-            # The first message of the chunk is the document.
-            known = (array, (self._chunk, 1 + len(self._new)))
-            self._new.append(encode_array(array))
-        self._used[id(array)] = known
-        return known[1]
-
-    def end(self) -> list[bytes]:
-        # What this checkpoint did not use is forgotten, so that the arrays of the past can go.
-        self._places = self._used
-        return self._new
-
-
-# ---- reading --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,11 +126,11 @@ class Journal:
         """
         others = self._messages(self._steps[index])[1:]
         events = [
-            self._decoded(message.data, _EVENT_NAMES[message.channel_id])
+            self._decoded(message.data, EVENT_NAMES[message.channel_id])
             for message in others
-            if message.channel_id in _EVENT_NAMES
+            if message.channel_id in EVENT_NAMES
         ]
-        told = [self._decoded(message.data, "Told") for message in others if message.channel_id == _TOLD]
+        told = [self._decoded(message.data, "Told") for message in others if message.channel_id == TOLD]
         return JournalEntry(step=self.step(index), events=tuple(events), told=told[0] if told else None)
 
     def step(self, index: int) -> Step:
@@ -305,12 +140,12 @@ class Journal:
 
     def events(self, index: int, kind: str) -> list[Event]:
         """Return the events of one kind in a step."""
-        channel = _CHANNELS[kind]
+        channel = CHANNELS[kind]
         return [self._decoded(m.data, kind) for m in self._messages(self._steps[index]) if m.channel_id == channel]
 
     def color(self, index: int) -> bytes | None:
         """Return the compressed image of a step's keyframe, None where there is none."""
-        found = [m.data for m in self._messages(self._steps[index]) if m.channel_id == _COLOR]
+        found = [m.data for m in self._messages(self._steps[index]) if m.channel_id == COLOR]
         return found[0] if found else None
 
     def checkpoint_before(self, index: int) -> tuple[int, Checkpoint] | None:
@@ -430,7 +265,7 @@ def _scan(data: Any, path: Path) -> list[_Place]:
             chunk = (start, end, struct.unpack_from("<Q", data, start)[0])
         elif opcode == _INDEX_OPCODE and chunk is not None and length >= 2:
             channel = struct.unpack_from("<H", data, start)[0]
-            places.append(_Place(chunk[0], chunk[1], channel == _STEP, chunk[2]))
+            places.append(_Place(chunk[0], chunk[1], channel == STEP, chunk[2]))
             chunk = None
         at = end
     return places

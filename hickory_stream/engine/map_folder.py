@@ -28,7 +28,7 @@ from hickory_stream.engine.folder_layout import (
     remove_map,
 )
 from hickory_stream.engine.folder_lock import FolderLock
-from hickory_stream.engine.journal import JOURNAL
+from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.manifest import MANIFEST, Manifest, manifest_json, pretty_json, read_manifest
 from hickory_stream.engine.map_codec import POINTS, SPACE, encode_snapshot
 from hickory_stream.engine.saved_map import open_map

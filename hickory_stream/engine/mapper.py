@@ -18,7 +18,7 @@ from hickory_stream import caches
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.history.recorded_config import resumed_config
 from hickory_stream.engine.history.resume import reopen
-from hickory_stream.engine.journal import JournalWriter
+from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.processor import processor_kind, processor_of_run
 from hickory_stream.engine.run import Run, RunParts

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hickory_stream.engine.journal import JournalWriter
+    from hickory_stream.engine.journal_writer import JournalWriter
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.shape_queue import ShapeQueue
     from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, Told

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.history.resume_point import ResumePoint
-    from hickory_stream.engine.journal import JournalWriter
+    from hickory_stream.engine.journal_writer import JournalWriter
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.run_progress import Progress

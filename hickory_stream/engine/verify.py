@@ -18,7 +18,8 @@ from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.core_replay import Replay, mesh_names
 from hickory_stream.engine.history.recorded_config import recorded_config
 from hickory_stream.engine.history.replay import replay
-from hickory_stream.engine.journal import JOURNAL, Journal
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.manifest import read_manifest
 from hickory_stream.engine.map_folder import rewrite_objects
 from hickory_stream.engine.saved_map import open_map

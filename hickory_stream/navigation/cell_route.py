@@ -1,4 +1,4 @@
-"""The shortest route from cell to cell (Dijkstra): on which side to pass obstacles, which random trees may miss.
+"""The shortest route from cell to cell (A*): on which side to pass obstacles, which random trees may miss.
 
 Over the eight neighbours, diagonally only between two free cells, so that the route is a path. It is no shortest path,
 but pulled tight it nearly always becomes one. For robots that need not turn.

@@ -12,7 +12,7 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.engine.jobs import write_job
-from hickory_stream.engine.journal import JOURNAL
+from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.map_folder import create_map_folder, reopen_map_folder
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError

@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.box_scene import SCENE_CAMERA
-from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_format import JOURNAL
+from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import ShapeFailed, SourceEnded, TimeJumped

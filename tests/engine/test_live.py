@@ -14,7 +14,8 @@ from hickory_stream.box_scene import START_NS, SceneSource
 from hickory_stream.cli import main
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.replay import replay
-from hickory_stream.engine.journal import JOURNAL, Journal
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import OutputError, RecordingError
 from hickory_stream.testing import InstanceSegmenter, RememberingSink

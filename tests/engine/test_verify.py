@@ -10,7 +10,7 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.journal import JOURNAL
+from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.engine.verify import State, Verdict, verify
 from hickory_stream.errors import MapFolderError

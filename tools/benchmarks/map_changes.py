@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING, Any
 import cbor2
 
 from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_format import JOURNAL
+from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError
 

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 from hickory_stream.confined import OutsideError, whole_number
 from hickory_stream.engine.history.recorded_config import recorded_config
 from hickory_stream.engine.history.resume_point import resume_point_of
-from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_format import JOURNAL
+from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.manifest import Manifest, read_manifest
 from hickory_stream.engine.map_folder import MapFolder, reopen_map_folder
 from hickory_stream.errors import MapFolderError, RecordingError

@@ -11,7 +11,9 @@ import pytest
 
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.recorded import final_snapshot, frame_indices, recorded_steps
-from hickory_stream.engine.journal import JOURNAL, Journal, JournalWriter
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_format import JOURNAL
+from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.engine.step import StepKind
 from hickory_stream.events import FrameObserved

@@ -13,7 +13,8 @@ from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.history.resume import reopen
-from hickory_stream.engine.journal import JOURNAL, Journal
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.mapper import Mapper, MapperConfig
 from hickory_stream.engine.saved_map import open_map

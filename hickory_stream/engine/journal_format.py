@@ -1,0 +1,30 @@
+"""The format of `journal.mcap`: every event of a run, step by step, to resume, replay and inspect it.
+
+Each step is one compressed chunk with a CRC: a file that was cut anywhere holds all steps before the cut. Messages are
+CBOR (see `record_codec`), one channel per kind of event; the channel `step` says where the run stood, `checkpoint`
+holds the core's state now and then, `color` the compressed images of keyframes, `told` the decisions of a step (older
+journals have none). The log time is the stamp.
+
+A chunk reaches the operating system when its step is over, so that a killed process loses nothing of it; it reaches the
+disk (fsync) at most `flush_s` later, which is what a lost power supply may cost.
+"""
+
+from __future__ import annotations
+
+JOURNAL = "journal.mcap"
+PROFILE = "hickory-stream/1"
+STEP, CHECKPOINT, COLOR, TOLD = 1, 2, 3, 4
+TOPICS = {STEP: "step", CHECKPOINT: "checkpoint", COLOR: "color", TOLD: "told"}
+# A place in this list is part of the format: what is new comes last.
+_EVENTS = (
+    "FrameObserved",
+    "FeaturesReady",
+    "ShapeReady",
+    "ShapeFailed",
+    "TimeJumped",
+    "SourceEnded",
+    "PoseJumped",
+    "PosesCorrected",
+)
+CHANNELS = {name: 16 + i for i, name in enumerate(_EVENTS)}
+EVENT_NAMES = {channel: name for name, channel in CHANNELS.items()}

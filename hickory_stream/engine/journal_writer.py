@@ -1,0 +1,174 @@
+"""Writes the journal of a run: one chunk a step, and the state of the core now and then; see `journal_format`."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from mcap.writer import CompressionType, Writer
+
+from hickory_stream.confined import open_new
+from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
+from hickory_stream.engine.checkpoints import Packer
+from hickory_stream.engine.journal_format import (
+    CHANNELS,
+    CHECKPOINT,
+    COLOR,
+    JOURNAL,
+    PROFILE,
+    STEP,
+    TOLD,
+    TOPICS,
+)
+from hickory_stream.engine.record_codec import encode, encode_array
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mcap.records import Message
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.journal import Journal
+    from hickory_stream.engine.step import Checkpoint, JournalEntry
+
+_NO_LIMIT = 1 << 60
+
+
+class JournalWriter:
+    """Appends to the journal of a map folder. Not to be called from two threads at a time.
+
+    `continued` holds the steps to begin with: they are copied, so that the file is one whole MCAP file at the end, and
+    the old file is replaced only when that is done.
+
+    Raises:
+        MapFolderError: the disk refused; also from each method.
+    """
+
+    def __init__(self, folder: Path, *, flush_s: float, continued: Journal | None = None) -> None:
+        self._path = folder / JOURNAL
+        self._flush_s = flush_s
+        self._parts = _Parts()
+        self._packer = Packer()
+        self._num_chunks = 0
+        self._synced_s = time.monotonic()
+        partial = folder / f".{JOURNAL}{PARTIAL_SUFFIX}"
+        with disk_errors(self._path):
+            self._file = os.fdopen(open_new(partial), "wb")
+            try:
+                self._writer = Writer(self._file, chunk_size=_NO_LIMIT, compression=CompressionType.ZSTD)
+                self._writer.start(profile=PROFILE, library="hickory-stream")
+                self._register()
+                for chunk in continued.chunks() if continued is not None else ():
+                    self._copy(chunk)
+                self._file.flush()
+                os.fsync(self._file.fileno())
+                partial.replace(self._path)
+            except BaseException:
+                self._file.close()
+                partial.unlink(missing_ok=True)
+                raise
+
+    def append(self, entry: JournalEntry, color: bytes | None = None) -> None:
+        """Add a step; `color` is the compressed image of its keyframe."""
+        stamp_ns = entry.step.stamp_ns
+        with disk_errors(self._path):
+            # First in its chunk: it tells what the chunk is.
+            self._add(STEP, stamp_ns, encode(entry.step))
+            for event in entry.events:
+                self._add(CHANNELS[type(event).__name__], stamp_ns, encode(event))
+            if entry.told is not None:
+                self._add(TOLD, stamp_ns, encode(entry.told))
+            if color is not None:
+                self._add(COLOR, stamp_ns, color)
+            self._end_chunk()
+
+    def checkpoint(self, checkpoint: Checkpoint, stamp_ns: int) -> None:
+        """Add the state after the last step; arrays that an earlier checkpoint holds are referred to."""
+        with disk_errors(self._path):
+            self._parts.begin(self._num_chunks)
+            document = encode(replace(checkpoint, core=self._packer.packed(checkpoint.core)), self._parts)
+            new = self._parts.end()
+            self._add(CHECKPOINT, stamp_ns, document)
+            for part in new:
+                self._add(CHECKPOINT, stamp_ns, part)
+            self._end_chunk()
+
+    def sync(self) -> None:
+        """Wait until everything has reached the disk."""
+        with disk_errors(self._path):
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._synced_s = time.monotonic()
+
+    def close(self) -> None:
+        """Write the index that makes it a whole MCAP file, and close it."""
+        if self._file.closed:
+            return
+        with disk_errors(self._path):
+            try:
+                self._writer.finish()
+                self.sync()
+                sync(self._path.parent)
+            finally:
+                self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as a kill would leave it."""
+        try:
+            self._file.close()
+        except OSError:
+            pass  # the disk refused before: what is not there is not there
+
+    def _register(self) -> None:
+        """Register every channel; ids that follow from the order are part of the format."""
+        names = {**TOPICS, **{number: f"event/{name}" for name, number in CHANNELS.items()}}
+        for number in range(1, max(names) + 1):
+            topic = names.get(number, f"reserved/{number}")
+            encoding = "image" if number == COLOR else "cbor"
+            assert self._writer.register_channel(topic, encoding, schema_id=0) == number
+
+    def _copy(self, chunk: list[Message]) -> None:
+        for message in chunk:
+            self._add(message.channel_id, message.log_time, message.data)
+        self._end_chunk()
+
+    def _add(self, channel: int, stamp_ns: int, data: bytes) -> None:
+        self._writer.add_message(channel, max(0, stamp_ns), data, max(0, stamp_ns), sequence=self._num_chunks)
+
+    def _end_chunk(self) -> None:
+        self._writer.flush()
+        self._num_chunks += 1
+        if time.monotonic() - self._synced_s >= self._flush_s:
+            self.sync()
+
+
+class _Parts:
+    """Where the arrays of earlier checkpoints are stored: (chunk, number in the chunk), by identity of the array."""
+
+    def __init__(self) -> None:
+        self._places: dict[int, tuple[NDArray[Any], tuple[int, int]]] = {}
+        self._used: dict[int, tuple[NDArray[Any], tuple[int, int]]] = {}
+        self._new: list[bytes] = []
+        self._chunk = 0
+
+    def begin(self, chunk: int) -> None:
+        self._chunk, self._new, self._used = chunk, [], {}
+
+    def put(self, array: NDArray[Any], encoded: Callable[[], bytes]) -> tuple[int, int]:
+        """Return where the array is; arrays of records never change, so that one and the same needs no comparison."""
+        del encoded
+        known = self._used.get(id(array)) or self._places.get(id(array))
+        if known is None:
+            # The first message of the chunk is the document.
+            known = (array, (self._chunk, 1 + len(self._new)))
+            self._new.append(encode_array(array))
+        self._used[id(array)] = known
+        return known[1]
+
+    def end(self) -> list[bytes]:
+        # What this checkpoint did not use is forgotten, so that the arrays of the past can go.
+        self._places = self._used
+        return self._new
