@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot
 
+_LIVE_NICENESS = 10
+
 
 class Mapper:
     """Maps sources into one map folder.
@@ -204,6 +206,9 @@ class Mapper:
         asked = {"mode": mode, "loops": loops, "source": dict(source_note or {})}
         folder, journal, continued = await asyncio.to_thread(self._open, source, asked)
         mode, loops = folder.manifest.run["mode"], folder.manifest.run["loops"]
+        if mode == "live" and isinstance(self._workers, LocalWorkers):
+            # A robot waits for the keyframe, nobody for the shape.
+            self._workers.niceness = _LIVE_NICENESS
         if continued is not None:
             continue_from(source, continued.last_frame.stamp_ns, continued.last_frame.world_from_camera)
         newest: asyncio.Queue[MapSnapshot | None] = asyncio.Queue(maxsize=1)

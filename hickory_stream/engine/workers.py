@@ -13,6 +13,7 @@ import shutil
 import signal
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, Self
 
@@ -87,6 +88,8 @@ class LocalWorkers:
         self._num_open = 0
         self._children: set[_Child] = set()
         self.num_limits = 0
+        self.niceness = 0
+        """By how much children that are started from now on give way to others, as nice(1) counts."""
 
     async def __aenter__(self) -> Self:
         return self
@@ -156,7 +159,7 @@ class LocalWorkers:
                 await self._end(child)
 
     async def _start(self) -> _Child:
-        child = await _Child.start(self._python)
+        child = await _Child.start(self._python, self.niceness)
         self._children.add(child)
         return child
 
@@ -176,8 +179,8 @@ class _Child:
         self._process = process
 
     @classmethod
-    async def start(cls, python: str) -> _Child:
-        """Return a child that has said that it is ready.
+    async def start(cls, python: str, niceness: int) -> _Child:
+        """Return a child that has said that it is ready, and gives way to others by so much.
 
         Raises:
             WorkerError: it could not be started, or says nothing.
@@ -197,6 +200,9 @@ class _Child:
         except OSError as error:
             raise WorkerError(f"cannot start a shape worker with {python}: {error.strerror or error}") from error
         child = cls(process)
+        if niceness:
+            with suppress(ProcessLookupError):
+                os.setpriority(os.PRIO_PROCESS, process.pid, niceness)
         try:
             await asyncio.wait_for(child._answer(), _START_TIMEOUT_S)
         except (WorkerError, TimeoutError) as error:

@@ -164,3 +164,12 @@ def test_leaving_with_an_error_and_jobs_under_way_ends_every_child(tmp_path: Pat
 def test_no_workers_at_all_are_refused() -> None:
     with pytest.raises(ValueError, match="found 0 workers"):
         LocalWorkers(0, WorkerLimits(time_s=60.0, memory_mb=4000.0))
+
+
+def test_children_of_a_live_run_give_way_to_others(tmp_path: Path) -> None:
+    async def use(workers: LocalWorkers) -> list[int]:
+        workers.niceness = 7
+        await workers.submit(job(tmp_path, "a"))
+        return [process.nice() for process in shape_workers()]
+
+    assert use_workers(use) == [psutil.Process().nice() + 7]

@@ -1,0 +1,117 @@
+"""The web viewer in a real browser: Chromium without a screen, opened after the run, shows the whole map at its end.
+
+The picture is kept in the test's folder (`--basetemp`), to be looked at.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import subprocess
+import urllib.request
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import psutil
+import pytest
+from websockets.sync.client import connect
+
+from hickory_stream.sinks.rerun_config import RerunConfig
+from hickory_stream.sinks.rerun_sink import RerunSink
+from hickory_stream.sinks.rerun_viewer import parse_viewer
+from tests.players.live.robot_fixtures import eventually
+from tests.sinks.report_fixtures import boxes, reports
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+pytestmark = [pytest.mark.interop, pytest.mark.timeout(240)]
+BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
+SIZE = (1280, 800)
+SCENE = np.s_[70:620, 0:630]
+"""Rows and columns of the page that show layers 1 and 2."""
+
+
+@pytest.fixture
+def shown(tmp_path: Path) -> Iterator[RerunSink]:
+    """A sink with a web viewer to which a whole run was shown."""
+    sink = RerunSink(RerunConfig(), tmp_path, None, parse_viewer("web"))
+    for report in reports(30, tmp_path):
+        sink.show(report)
+    yield sink
+    sink.close()
+
+
+class Page:
+    """A page in a Chromium without a screen, by the DevTools protocol."""
+
+    def __init__(self, url: str, profile: Path) -> None:
+        drawing = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+        command = [BROWSER, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", *drawing]
+        command += [f"--user-data-dir={profile}", f"--window-size={SIZE[0]},{SIZE[1]}", "--remote-debugging-port=0"]
+        self._process = subprocess.Popen([*command, url], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        port_file = profile / "DevToolsActivePort"
+        assert eventually(lambda: port_file.exists() and "\n" in port_file.read_text(), 60.0)
+        port = int(port_file.read_text().splitlines()[0])
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
+            (page,) = [found for found in json.load(answer) if found["type"] == "page"]
+        self._stack = ExitStack()
+        self._connection = self._stack.enter_context(connect(page["webSocketDebuggerUrl"], max_size=None, proxy=None))
+        self._number = 0
+
+    def picture(self) -> bytes:
+        """Return what it shows now (PNG)."""
+        self._number += 1
+        self._connection.send(json.dumps({"id": self._number, "method": "Page.captureScreenshot"}))
+        while (said := json.loads(self._connection.recv(60.0))).get("id") != self._number:
+            pass
+        return base64.b64decode(said["result"]["data"])
+
+    def close(self) -> None:
+        self._stack.close()
+        self._process.terminate()
+        self._process.wait(10.0)
+
+
+def colors_of(picture: bytes) -> int:
+    """Return how many different hues the view of layers 1 and 2 shows, each on many pixels."""
+    page = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    assert page is not None
+    hues, saturations, values = cv2.split(cv2.cvtColor(np.ascontiguousarray(page[SCENE]), cv2.COLOR_BGR2HSV))
+    bins = np.bincount(hues[(saturations > 90) & (values > 60)] // 15, minlength=12)
+    return int((bins > 300).sum())
+
+
+@pytest.mark.skipif(not BROWSER, reason="needs Chromium")
+def test_a_browser_that_comes_late_shows_every_object(shown: RerunSink, tmp_path: Path) -> None:
+    page = Page(str(shown.web_url), tmp_path / "profile")
+    pictures: list[bytes] = []
+
+    def is_whole() -> bool:
+        pictures.append(page.picture())
+        # Of the colours of seven boxes one is grey, and two others are close.
+        return colors_of(pictures[-1]) >= len(boxes()) - 3
+
+    try:
+        found = eventually(is_whole, 120.0)
+    finally:
+        page.close()
+        if pictures:
+            (tmp_path / "page.png").write_bytes(pictures[-1])
+    assert found, colors_of(pictures[-1])
+
+
+def test_the_page_is_reachable_from_this_machine_only(shown: RerunSink) -> None:
+    assert shown.web_url is not None
+    assert shown.web_url.startswith("http://127.0.0.1:")
+    heard = {
+        connection.laddr.ip
+        for child in psutil.Process().children(recursive=True)
+        for connection in child.net_connections(kind="tcp")
+        if connection.status == psutil.CONN_LISTEN
+    }
+    assert heard == {"127.0.0.1"}
