@@ -25,7 +25,7 @@ def test_markers_are_those_of_the_machine_that_is_asked_for() -> None:
 
 
 def test_what_only_developers_and_extras_need_is_not_asked_for() -> None:
-    assert not {"pytest", "mypy", "cyclonedds", "torch"} & names(Target("x86_64", "3.11"))
+    assert not {"mypy", "cyclonedds", "torch"} & names(Target("x86_64", "3.11"))
 
 
 def test_what_has_no_wheel_is_found_among_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
