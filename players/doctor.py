@@ -16,6 +16,7 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, NoPosesError, RecordingError
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe, motion
+from hickory_stream.poses.hand_eye import NoHandEye
 from players.agreement import BorderScores, border_scores, color_agreement
 from players.depth_noise import FlatPatches, depth_bias, depth_noise, flat_patches
 from players.folder import FolderSource
@@ -23,8 +24,10 @@ from players.gravity import SeenFloor, floor_in, gravity_notes
 from players.light import Light, light_of, light_of_all
 from players.log_opening import open_log, read_opening
 from players.log_source import LogSource
+from players.mounting import estimated_mounting, is_assumed, mounting_text
 from players.odometry_source import OdometrySource, with_odometry
 from players.opening import open_container, open_source
+from players.rig import body_from_camera_of
 from players.stream_stats import StreamStats, nearest_ms
 
 if TYPE_CHECKING:
@@ -124,6 +127,9 @@ def examine_log(
         source = _as_play_opens(found, log, options)
         progress("reading as play does")
         examine_frames(found, source, stats)
+        if isinstance(source, LogSource) and not is_heard and options.extrinsics == "log":
+            progress("looking where the camera sits")
+            judge_mounting(found, source)
     except InputError as error:
         found.refusal = str(error)
     _tell_damage(found, log.flaws)
@@ -329,6 +335,27 @@ def judge_depth(found: Diagnosis, noise: DepthNoise | None, bias: DepthBias | No
             f"depth has {noise.ratio_to(sensor):.1f} times the noise that the sensor is believed to have; map with "
             f"--set mapper.sensor.noise_per_m={noise.noise_per_m:.4f} --set mapper.sensor.noise_m={noise.noise_m:.4f}, "
             f"or put them under [sensor] in a profile"
+        )
+
+
+def judge_mounting(found: Diagnosis, source: LogSource) -> None:
+    """Say where the camera sits elsewhere than the profile has it; TF is believed."""
+    if not is_assumed(source):
+        return
+    estimated = estimated_mounting(source)
+    if isinstance(estimated, NoHandEye):
+        found.notes.append(
+            f"where the camera sits is taken from the profile, and cannot be checked: {estimated.reason}"
+        )
+        return
+    off = estimated.disagrees_with(body_from_camera_of(source.setup.plan))
+    left_open = f" (its motion leaves open: {', '.join(estimated.open_names())})" if estimated.open_names() else ""
+    if off is None:
+        found.notes.append(f"by its motion the camera sits where the profile has it{left_open}")
+    else:
+        found.problems.append(
+            f"by its motion the camera sits {off[0]:.2f} m and {np.degrees(off[1]):.1f} degrees from where the profile "
+            f"has it{left_open}: {mounting_text(estimated)}; map with --extrinsics estimate, or put it into a profile"
         )
 
 

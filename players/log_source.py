@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from players.calibration import Lens
     from players.containers import Log, LogMessage, Topic
     from players.log_setup import LogSetup
+    from players.rig import PosePlan
 
 logger = logging.getLogger(__name__)
 
@@ -83,6 +85,15 @@ class LogSource:
     def info(self) -> SourceInfo:
         """What was found when the log was opened; `num_frames` is the most there can be: images may lack partners."""
         return self._info
+
+    def with_plan(self, plan: PosePlan) -> LogSource:
+        """Return the same log with poses that come about in another way.
+
+        Raises:
+            RecordingError: then no frame has one.
+        """
+        streams = {**dict(self._setup.streams), "frames": plan.path, "extrinsics": plan.extrinsics}
+        return LogSource(self._log, replace(self._setup, plan=plan, streams=tuple(streams.items())))
 
     def clouds(self) -> tuple[str, ...]:
         """Return the topics of point clouds, those with the most messages first."""

@@ -73,7 +73,12 @@ def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Sou
             return source
     from players.log_opening import open_log
 
-    return open_log(open_container(*paths), options)
+    log = open_log(open_container(*paths), options)
+    if options.extrinsics == "log":
+        return log
+    from players.mounting import with_estimated_mounting
+
+    return with_estimated_mounting(log)
 
 
 def open_container(*paths: Path) -> Log:

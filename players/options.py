@@ -34,7 +34,8 @@ class SourceOptions(Ranged):
     text (TUM, or CSV with a header) in place of a pose topic. `clock` is which stamps count: those of the headers
     ("header"), those of the recording ("log"), or the headers' unless they are of no use ("auto"). `odometry` is where
     poses come from: the pose topic ("topic"), estimates from "lidar" or "depth", or the method of that name on the
-    LiDAR, where there is none on depth; "auto" estimates where the log has no poses.
+    LiDAR, where there is none on depth; "auto" estimates where the log has no poses. `extrinsics` is where the camera
+    sits on the body whose poses the log has: as TF or the profile say ("log"), or by its motion ("estimate").
     """
 
     color_topic: str | None = None
@@ -50,6 +51,7 @@ class SourceOptions(Ranged):
     pose_file: Path | None = None
     clock: Clock = "auto"
     odometry: OdometryChoice = "auto"
+    extrinsics: Literal["log", "estimate"] = "log"
 
     @property
     def estimates_poses(self) -> bool:

@@ -11,7 +11,7 @@ carry the camera.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -290,6 +290,20 @@ class RigReader:
 
     def _unreadable(self, topic: Topic) -> None:
         self.fates["unreadable_message"] += 1
+
+
+def mounted(plan: PosePlan, body_from_camera: NDArray[np.float64], told: str) -> PosePlan:
+    """Return a plan whose camera sits elsewhere on its body; `told` says where that comes from."""
+    link = _Link(static=body_from_camera, key=None, is_inverted=False)
+    return replace(plan, links=(link,), is_static=True, extrinsics=told)
+
+
+def body_from_camera_of(plan: PosePlan) -> NDArray[np.float64]:
+    """Return where a plan without moving links has the camera on its body."""
+    body_from_camera = np.eye(4)
+    for link in plan.links:
+        body_from_camera = compose(body_from_camera, invert(link.static) if link.is_inverted else link.static)
+    return body_from_camera
 
 
 def plan_poses(

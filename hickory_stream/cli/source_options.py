@@ -32,6 +32,12 @@ def add_source_options(command: argparse.ArgumentParser) -> None:
         default="auto",
         help="where poses come from: the pose topic, else estimated from LiDAR, else from depth (auto); or by a method",
     )
+    topics.add_argument(
+        "--extrinsics",
+        choices=("log", "estimate"),
+        default="log",
+        help="where the camera sits on the body: as TF or the profile say (log), or by the motion of both",
+    )
     topics.add_argument("--clock", choices=("auto", "header", "log"), default="auto", help="which stamps count")
 
 
@@ -56,4 +62,5 @@ def source_options(options: argparse.Namespace) -> SourceOptions:
         robot=options.robot,
         clock=options.clock,
         odometry=options.odometry,
+        extrinsics=options.extrinsics,
     )

@@ -27,7 +27,7 @@ CLUTTER_VERSION = 2
 
 # What configs did not have at first: its default is left out of a name, so that what is cached stays valid.
 _LATER = {
-    "": (RecordingConfig(), ("layout", "family", "color")),
+    "": (RecordingConfig(), ("layout", "family", "color", "camera_offset")),
     "walk": (WalkConfig(), ("pitch_deg",)),
     "drift": (DriftConfig(), ("jitter_m", "jitter_deg")),
 }

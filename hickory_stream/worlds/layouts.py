@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
 from hickory_stream.worlds.log_writer import DepthView, LogWriter
 from hickory_stream.worlds.ros_messages import RosMessages
 from hickory_stream.worlds.zed_log import ZedLog
@@ -42,12 +42,36 @@ def layout_camera(layout: str, camera: Camera) -> Camera:
     return _resized(Camera(width=640, height=480, fx=372.4634, fy=371.5072, cx=315.9902, cy=254.5944), camera)
 
 
-def open_layout(layout: str, folder: Path, name: str, camera: Camera, jpeg_quality: int, end_ns: int) -> LogWriter:
-    """Return the writer of a layout; `end_ns` is the last stamp, by which a loop closure is placed."""
+def drawn_mounting(seed: int) -> NDArray[np.float64]:
+    """Return body_from_camera (4, 4) of a camera 0.4 m from the body's origin, 10 degrees off its axes, by a seed.
+
+    Where the camera of a B2 sits was not published: ahead, mostly, and looking about where the body does.
+    """
+    rng = np.random.default_rng([seed, 7])
+    ahead = np.array([1.0, 0.5, 0.5]) * rng.standard_normal(3) + np.array([1.5, 0.0, 0.5])
+    axis = rng.standard_normal(3)
+    turn = rotation_of_vector(np.radians(10.0) * axis / np.linalg.norm(axis))
+    return from_rotation_translation(turn @ _FLU_FROM_OPTICAL, 0.4 * ahead / np.linalg.norm(ahead))
+
+
+def open_layout(
+    layout: str,
+    folder: Path,
+    name: str,
+    camera: Camera,
+    jpeg_quality: int,
+    end_ns: int,
+    mounting: NDArray[np.float64] | None = None,
+) -> LogWriter:
+    """Return the writer of a layout; `end_ns` is the last stamp, by which a loop closure is placed.
+
+    `mounting` is body_from_camera (4, 4) of a NUS-CLB robot; None: both have one origin.
+    """
     if layout == "kimera_multi":
         return KimeraMultiLog(folder, name, camera, jpeg_quality)
     if layout.startswith("nus_clb"):
-        return NusClbLog(folder / name, name, camera, jpeg_quality if layout.endswith("jpeg") else None, end_ns)
+        quality = jpeg_quality if layout.endswith("jpeg") else None
+        return NusClbLog(folder / name, name, camera, quality, end_ns, mounting)
     return ZedLog(folder / f"{name}.mcap", camera, jpeg_quality)
 
 
@@ -172,7 +196,17 @@ class NusClbLog:
     _color = "/zed/zed_node/rgb/color/rect/image"
     _frame = "zed_left_camera_frame_optical"
 
-    def __init__(self, folder: Path, name: str, camera: Camera, jpeg_quality: int | None, end_ns: int) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        camera: Camera,
+        jpeg_quality: int | None,
+        end_ns: int,
+        mounting: NDArray[np.float64] | None = None,
+    ) -> None:
+        aligned = from_rotation_translation(_FLU_FROM_OPTICAL, np.zeros(3))
+        self._camera_from_flu = invert(aligned if mounting is None else mounting)
         self.depth_view: DepthView | None = None
         self._messages = RosMessages(2)
         self._folder = folder
@@ -249,7 +283,7 @@ class NusClbLog:
         if stamp_ns - self._lidar_ns < 95_000_000:
             return
         self._lidar_ns = stamp_ns
-        world_from_flu = world_from_camera @ from_rotation_translation(_FLU_FROM_OPTICAL.T, np.zeros(3))
+        world_from_flu = world_from_camera @ self._camera_from_flu
         has_jumped = stamp_ns - (self._start_ns or 0) >= self.jump_at * (self._end_ns - (self._start_ns or 0))
         pose = self.after_from_before @ world_from_flu if has_jumped else world_from_flu
         message = self._messages.odometry(stamp_ns, "odom", "odom_mapping", _orthogonal(pose))

@@ -26,7 +26,7 @@ from hickory_stream.worlds.clutter.walk import wander
 from hickory_stream.worlds.color_camera import ColorCameraConfig, photographed
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.worlds.drift import DriftConfig, drifted
-from hickory_stream.worlds.layouts import LAYOUTS, layout_camera, layout_files, open_layout
+from hickory_stream.worlds.layouts import LAYOUTS, drawn_mounting, layout_camera, layout_files, open_layout
 from hickory_stream.worlds.object_models import model_mesh
 from hickory_stream.worlds.orbit import orbit
 from hickory_stream.worlds.outdoor.street import street
@@ -78,6 +78,8 @@ class RecordingConfig:
     jpeg_quality: int = 80
     layout: str = "zed"
     """One of `worlds.layouts.LAYOUTS`: the container, the topics, the frames and the quirks of a data set."""
+    camera_offset: bool = False
+    """Whether the camera of a NUS-CLB robot sits 0.4 m and 10 degrees, drawn by the seed, off its odometry's body."""
     drift: DriftConfig | None = None
     """How the odometry drifts; None: its poses are exact."""
     person: bool = False
@@ -297,7 +299,8 @@ def _record(
     if config.drift is not None:
         odometry = drifted(trajectory, config.drift, np.random.default_rng([config.seed, 6, config.walk_index]))
     num_frames = len(range(0, len(stamps_ns), every))
-    with open_layout(config.layout, folder, name, camera, config.jpeg_quality, stamps_ns[-1]) as log:
+    mounting = drawn_mounting(config.seed) if config.camera_offset else None
+    with open_layout(config.layout, folder, name, camera, config.jpeg_quality, stamps_ns[-1], mounting) as log:
         log.write_static(stamps_ns[0])
         for i, stamp_ns in enumerate(stamps_ns):
             time_s = (stamp_ns - stamps_ns[0]) / 1e9

@@ -1,0 +1,116 @@
+"""Where the camera sits on the body whose poses a log has, by the motion of both: pose topic against depth odometry.
+
+For logs without TF, whose profile can only assume it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.ports import NotRegistered
+from hickory_stream.poses.choose import make_odometry
+from hickory_stream.poses.depth_scan import scan_of_depth
+from hickory_stream.poses.hand_eye import HandEye, NoHandEye, hand_eye
+from players.rig import body_from_camera_of, mounted
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from players.log_source import LogSource
+
+_MAX_FRAMES = 400
+"""So many frames are looked at: a minute of walking tells what there is to tell."""
+
+_LEAST_STEP_NS = 90_000_000
+_MOTION_NS = 1_000_000_000
+"""Motions of a second: long against the noise of poses, short against the drift of odometry."""
+
+
+def is_assumed(source: LogSource) -> bool:
+    """Return whether it is the profile that says where the camera sits on the body, not the log."""
+    plan = source.setup.plan
+    return plan.stream is not None and plan.is_static and plan.extrinsics.startswith("profile")
+
+
+def estimated_mounting(source: LogSource) -> HandEye | NoHandEye:
+    """Return where the camera sits, by the beginning of a log; the log's own answer says where open directions stay."""
+    plan = source.setup.plan
+    if plan.stream is None or not plan.is_static:
+        return NoHandEye(reason="the poses of the log are not those of one body")
+    assumed = body_from_camera_of(plan)
+    bodies = source.with_plan(replace(plan, links=()))
+    odometry = make_odometry("depth")
+    track: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
+    num_seen = 0
+    last_ns: int | None = None
+    for raw in bodies.frames():
+        if not raw.is_posed or (last_ns is not None and 0 <= raw.stamp_ns - last_ns < _LEAST_STEP_NS):
+            continue
+        last_ns = raw.stamp_ns
+        num_seen += 1
+        if num_seen > _MAX_FRAMES:
+            break
+        try:
+            found = odometry.register(scan_of_depth(raw.decode()))
+        except RecordingError:
+            continue
+        if not isinstance(found, NotRegistered) and not len(found.degenerate):
+            track.append((raw.stamp_ns, raw.world_from_camera, found.start_from_sensor))
+    bodies.close()
+    pairs = _motions(track)
+    if not pairs:
+        return NoHandEye(reason=f"of {num_seen} frames none has another one a second later")
+    return hand_eye([body for body, _ in pairs], [camera for _, camera in pairs], assumed)
+
+
+def with_estimated_mounting(source: LogSource) -> LogSource:
+    """Return the log with its camera where its motion says that it sits.
+
+    Raises:
+        CalibrationError: that cannot be said.
+    """
+    found = estimated_mounting(source)
+    if isinstance(found, NoHandEye):
+        raise CalibrationError(
+            f"{source.info.uri}: where the camera sits cannot be estimated: {found.reason}. Play it with "
+            "--extrinsics log, or name a --profile with the links of this robot"
+        )
+    told = f"estimated by the motion: {mounting_text(found)}"
+    if found.open_names():
+        told += f"; as assumed where the motion leaves it open ({', '.join(found.open_names())})"
+    return source.with_plan(mounted(source.setup.plan, found.body_from_camera, told))
+
+
+def mounting_text(found: HandEye) -> str:
+    """Return where a camera sits and how sure that is, in the body's axes."""
+    place = ", ".join(f"{value:+.3f}" for value in found.body_from_camera[:3, 3])
+    sigma = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    return (
+        f"at ({place}) m, +- {sigma[3:].max():.3f} m and {np.degrees(sigma[:3]).max():.2f} degrees, "
+        f"by {found.num_motions} motions"
+    )
+
+
+def _motions(
+    track: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]],
+) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Return the motions of body and camera over a second, half of one overlapping the next."""
+    motions = []
+    next_ns, last = None, 0
+    for stamp_ns, body, camera in track:
+        if next_ns is not None and stamp_ns < next_ns:
+            continue
+        next_ns = stamp_ns + _MOTION_NS // 2
+        while last < len(track) and track[last][0] < stamp_ns + _MOTION_NS:
+            last += 1
+        if last == len(track):
+            break
+        after_ns, body_after, camera_after = track[last]
+        if after_ns - stamp_ns <= 2 * _MOTION_NS:
+            motions.append((compose(invert(body), body_after), compose(invert(camera), camera_after)))
+    return motions
