@@ -126,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
                 settings.mapper,
                 out=out,
                 overwrite=options.overwrite,
-                sinks=all_sinks(options, settings, viewer, beside),
+                sinks=all_sinks(options, settings, viewer, beside, status=partial(_status_text, source)),
                 mode="playback" if is_recording(options.uri) else "live",
                 source_note={"live": options.uri},
                 progress=printer,
@@ -177,6 +177,12 @@ def _tell_published(sink: PublishSink, *, as_json: bool) -> None:
         sys.stderr.write(f"published {name}: {', '.join(f'{n} {fate}' for fate, n in fates.items())}\n")
     if any(counts["goals"].values()):
         sys.stderr.write(f"goals: {', '.join(f'{n} {fate}' for fate, n in counts['goals'].items() if n)}\n")
+
+
+def _status_text(source: LiveMapSource) -> str:
+    from players.live.status import status_table
+
+    return status_table(source.status())
 
 
 def _topics(source: LiveMapSource) -> list[dict[str, Any]]:

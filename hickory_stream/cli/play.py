@@ -157,12 +157,20 @@ def sinks_beside(options: argparse.Namespace, settings: Settings, *, is_live: bo
 
 
 def all_sinks(
-    options: argparse.Namespace, settings: Settings, viewer: Any, beside: list[Sink]
+    options: argparse.Namespace,
+    settings: Settings,
+    viewer: Any,
+    beside: list[Sink],
+    *,
+    status: Callable[[], str] | None = None,
 ) -> Callable[[MapFolder], list[tuple[Sink, bool]]]:
-    """Return what makes the sinks of a run; it hands over those `beside`, which until then are the caller's."""
+    """Return what makes the sinks of a run; it hands over those `beside`, which until then are the caller's.
+
+    `status` says how a live route is, for the viewer.
+    """
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
-        made = make_sinks(folder, settings, viewer, options.rrd)
+        made = make_sinks(folder, settings, viewer, options.rrd, status)
         handed_over = [(sink, False) for sink in beside]
         beside.clear()
         return [*made, *handed_over]
@@ -175,7 +183,9 @@ def make_style(options: argparse.Namespace) -> Style:
     return "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
 
 
-def make_sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None) -> list[tuple[Sink, bool]]:
+def make_sinks(
+    folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None, status: Callable[[], str] | None = None
+) -> list[tuple[Sink, bool]]:
     """Return the sinks of a playback, each with whether the run must stop when it fails."""
     from hickory_stream.sinks.disk_sink import DiskSink
     from hickory_stream.sinks.rerun_sink import RerunSink
@@ -183,7 +193,7 @@ def make_sinks(folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | N
 
     made: list[tuple[Sink, bool]] = [(DiskSink(folder, settings.disk), True)]
     if rrd is not None or viewer.kind is not ViewerKind.NONE:
-        shown = RerunSink(settings.rerun, folder.path, rrd, viewer)
+        shown = RerunSink(settings.rerun, folder.path, rrd, viewer, status)
         if shown.web_url:
             sys.stderr.write(f"viewer: {shown.web_url}\n")
         made.append((shown, False))

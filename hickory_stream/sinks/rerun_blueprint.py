@@ -20,10 +20,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 BACKGROUND = (22, 25, 31)
+ROBOT = "robot"
+"""The entity that says how a live route and its topics are."""
 
 
-def default_blueprint(corners: NDArray[np.float64], *, num_views: int) -> rrb.Blueprint:
-    """Return the arrangement, with all of (N, 3) points in view where there are any, and as many best views."""
+def default_blueprint(corners: NDArray[np.float64], *, num_views: int, is_live: bool = False) -> rrb.Blueprint:
+    """Return the arrangement, with all of (N, 3) points in view where there are any, and as many best views.
+
+    `is_live`: with a view of how the robot's topics are.
+    """
     main, side = (eye_on(corners, aspect).controls() if len(corners) else None for aspect in (MAIN_ASPECT, SIDE_ASPECT))
     width_px, height_px = sheet_px(num_views)
     layers = _map_view("Layers 1 and 2: points, boxes, meshes", [POINTS_LAYER, MESH_LAYER], main, is_main=True)
@@ -55,7 +60,8 @@ def default_blueprint(corners: NDArray[np.float64], *, num_views: int) -> rrb.Bl
         ),
     )
     # As wide as the window: a list of candidates is one long line.
-    decisions = rrb.Tabs(_log(DECISIONS, "Decisions"), _log(OBJECT_DECISIONS, "Decisions by object"))
+    robot = [rrb.TextDocumentView(origin=ROBOT, name="Robot")] if is_live else []
+    decisions = rrb.Tabs(_log(DECISIONS, "Decisions"), _log(OBJECT_DECISIONS, "Decisions by object"), *robot)
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(layers, superquadrics, images, column_shares=[10, 4, 6]), decisions, row_shares=[4, 1]

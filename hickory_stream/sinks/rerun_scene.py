@@ -72,9 +72,9 @@ class RerunScene:
         """Return (N, 3) the corners of the map; none while it has no objects."""
         return self._layers.corners()
 
-    def blueprint(self, corners: NDArray[np.float64]) -> Any:
+    def blueprint(self, corners: NDArray[np.float64], *, is_live: bool) -> Any:
         """Return the default arrangement, with these (N, 3) points in view."""
-        return default_blueprint(corners, num_views=self._views.num_tiles)
+        return default_blueprint(corners, num_views=self._views.num_tiles, is_live=is_live)
 
     def _keyframe_items(self, report: FrameReport) -> list[LogItem]:
         items = self._trajectory.items()

@@ -7,6 +7,7 @@ modules that need Rerun are imported when a sink is made, so that the command li
 from __future__ import annotations
 
 import itertools
+import time
 import uuid
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind, parse_viewer, start_viewer
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -29,22 +30,33 @@ if TYPE_CHECKING:
 __all__ = ["RerunSink", "ViewerChoice", "ViewerKind", "parse_viewer"]
 
 _CLOSE_TIMEOUT_S = 2.0
+_STATUS_EVERY_S = 1.0
 
 
 class RerunSink:
     """A `Sink` for Rerun.
 
     `folder` is the map folder, whose `shapes/` holds the meshes. `web_url` is the page to open when the choice is WEB.
-    With neither a file nor a viewer it does nothing.
+    With neither a file nor a viewer it does nothing. `status` is asked, about once a second, how a live route and its
+    topics are, as lines of text.
 
     Raises:
         ViewerError: the file cannot be written, or the viewer that was asked for cannot be had.
     """
 
-    def __init__(self, config: RerunConfig, folder: Path, rrd: Path | None, viewer: ViewerChoice) -> None:
+    def __init__(
+        self,
+        config: RerunConfig,
+        folder: Path,
+        rrd: Path | None,
+        viewer: ViewerChoice,
+        status: Callable[[], str] | None = None,
+    ) -> None:
         from hickory_stream.sinks.rerun_scene import RerunScene
 
         self._config = config
+        self._status = status
+        self._told_s = -np.inf
         self._scene = RerunScene(config, folder / "shapes")
         self._recording_id = str(uuid.uuid4())
         self._file: Any = None
@@ -75,7 +87,7 @@ class RerunSink:
         if self._last is None:
             self._begin(report)
         self._last = moment_of(report)
-        self._log(self._last, self._scene.items(report))
+        self._log(self._last, [*self._scene.items(report), *self._robot_items()])
 
     def close(self) -> None:
         """Finish the file, and give the viewer a moment; a window stays open, a web server that we started ends."""
@@ -83,7 +95,7 @@ class RerunSink:
             self._log(self._last, self._scene.finish())
         if self._file is not None:
             if len(corners := self._scene.corners()):
-                self._file.send_blueprint(self._scene.blueprint(corners))
+                self._file.send_blueprint(self._scene.blueprint(corners, is_live=self._status is not None))
             self._file.close()
         if self._feed is not None:
             self._feed.close(_CLOSE_TIMEOUT_S)
@@ -94,7 +106,7 @@ class RerunSink:
     def _begin(self, report: FrameReport) -> None:
         """Arrange the views for the part of the world that the first keyframe shows."""
         corners = np.empty((0, 3)) if report.frame is None else _visible_corners(report.frame)
-        blueprint = self._scene.blueprint(corners)
+        blueprint = self._scene.blueprint(corners, is_live=self._status is not None)
         if self._file is not None:
             self._file.send_blueprint(blueprint)
         if self._viewer is not None:
@@ -106,6 +118,20 @@ class RerunSink:
                 capacity=self._config.live_queue_length,
                 blueprint=blueprint,
             )
+
+    def _robot_items(self) -> list[LogItem]:
+        """Return how the robot's topics are, where that is known and was not told for a second."""
+        if self._status is None or time.monotonic() - self._told_s < _STATUS_EVERY_S:
+            return []
+        import rerun as rr
+
+        from hickory_stream.sinks.rerun_blueprint import ROBOT
+        from hickory_stream.sinks.rerun_items import LogItem, Span
+
+        self._told_s = time.monotonic()
+        told = f"```\n{self._status()}\n```"
+        document = rr.TextDocument(told, media_type=rr.MediaType.MARKDOWN)
+        return [LogItem(path=ROBOT, archetypes=(document,), span=Span.LASTING)]
 
     def _log(self, moment: Moment, items: list[LogItem]) -> None:
         if self._file is not None:

@@ -336,3 +336,15 @@ def test_what_was_merged_says_under_its_own_name_what_it_became(tmp_path):
     rows = rows_of(play(tmp_path, num_frames=1, change=lambda report: replace(report, decisions=told)))
     for path in ("/decisions_of/7", "/decisions_of/9"):
         assert [row["TextLog:text"][0] for row in rows[path]] == ["merge 7: #9 is the same: seen as one"]
+
+
+def test_how_the_robots_topics_are_is_shown_in_a_live_run_and_only_there(tmp_path):
+    told = iter(f"zenoh://robot: connected, {i}" for i in range(100))
+    path = tmp_path / "live.rrd"
+    sink = RerunSink(RerunConfig(), tmp_path, path, NO_VIEWER, lambda: next(told))
+    for report in reports(3, tmp_path, width=160):
+        sink.show(report)
+    sink.close()
+    found = [row["TextDocument:text"][0] for row in rows_of(path)["/robot"]]
+    assert found[0] == "```\nzenoh://robot: connected, 0\n```"
+    assert "/robot" not in rows_of(play(tmp_path, num_frames=3))
