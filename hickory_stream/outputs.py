@@ -247,6 +247,22 @@ class Differences(TypedDict):
     changes: list[Difference]
 
 
+class SameObject(TypedDict):
+    """An object that is in two maps: its ids, and how much its boxes overlap."""
+
+    a: int
+    b: int
+    iou: float
+
+
+class MapDifferences(TypedDict):
+    """How the ends of two maps differ: objects in both, and the ids of those in one alone."""
+
+    both: list[SameObject]
+    only_in_a: list[int]
+    only_in_b: list[int]
+
+
 class Blocker(TypedDict):
     """An object that the robot would touch, or null for a wall, and how far it is."""
 
@@ -557,6 +573,7 @@ OUTPUTS: dict[str, Any] = {
     "render": Rendered,
     "export": Exported,
     "diff": Differences,
+    "diff-maps": MapDifferences,
     "plan": Planned,
     "align": Aligned,
     "merge": Merged,

@@ -99,6 +99,23 @@ def test_diff_tells_what_happened_between_two_moments(calm: Path) -> None:
     assert look("diff", calm, "1", "1").stdout == "nothing has changed\n"
 
 
+def test_diff_tells_what_is_in_one_of_two_maps_alone(calm: Path) -> None:
+    found = look("diff", calm, "--other", calm, "--json").json()
+    assert found["both"]
+    assert all(pair["a"] == pair["b"] and pair["iou"] > 0.999 for pair in found["both"])
+    assert found["only_in_a"] == found["only_in_b"] == []
+    lines = look("diff", calm, "--other", calm).stdout.splitlines()
+    assert lines == [
+        f"{len(found['both'])} objects are in both (boxes overlap by 0.5 and more)",
+        f"0 only in {calm}",
+        f"0 only in {calm}",
+    ]
+    for wrong in ((), ("1",), ("1", "2", "--other", calm), ("1", "--other", calm)):
+        refused = look("diff", calm, *wrong)
+        assert refused.status == 2
+        assert "found neither T1 and T2 nor --other MAP, or both; expected one of them" in refused.stderr
+
+
 @pytest.mark.parametrize(("kind", "first"), [("json", b"{"), ("ply", b"ply\n"), ("glb", b"glTF")])
 def test_export_writes_what_other_programs_read(calm: Path, tmp_path: Path, kind: str, first: bytes) -> None:
     ended = look("export", calm, "--format", kind, "-o", tmp_path / f"map.{kind}", "--json")

@@ -39,6 +39,9 @@ def test_a_stream_becomes_a_map_with_a_ledger_in_which_nothing_is_missing(
     again = json.loads(played.stdout.splitlines()[-1])
     assert again["is_reproducible"]
     assert again["ledger"]["messages"]["declared"] == messages["declared"]
+    found = json.loads(run("diff", out, "--other", tmp_path / "again", "--json").stdout)
+    assert len(found["both"]) + len(found["only_in_a"]) == finished["objects"]
+    assert len(found["both"]) + len(found["only_in_b"]) == again["objects"]
 
 
 def test_a_signal_ends_a_live_run_in_order_while_it_waits_for_more(
