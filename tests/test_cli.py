@@ -22,6 +22,7 @@ import trimesh
 from hickory_stream.cli import main
 from hickory_stream.config import from_dict, read_config
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import apply
@@ -134,10 +135,8 @@ def test_a_log_played_again_and_again_leaves_the_objects_and_the_size_of_the_rou
     no_shapes = ("mapper.mapping.requests.max_failures=0",)
     source = open_source(short_log)
     play(
+        Mapper(read_config(Settings, coarse_config, no_shapes).mapper, out=tmp_path / "map"),
         source,
-        read_config(Settings, coarse_config, no_shapes).mapper,
-        out=tmp_path / "map",
-        overwrite=False,
         sinks=lambda _: [(sink, True)],
         rate=None,
         loops=4,

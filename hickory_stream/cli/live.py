@@ -73,6 +73,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
+    from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.metrics_sink import MetricsSink
@@ -122,10 +123,8 @@ def run(options: argparse.Namespace) -> int:
         options.resumed_by = resume_command(out)
         with _StatusPrinter(source, options.status, as_json=options.json):
             played = play(
+                Mapper(settings.mapper, out=out, overwrite=options.overwrite),
                 source,
-                settings.mapper,
-                out=out,
-                overwrite=options.overwrite,
                 sinks=all_sinks(options, settings, viewer, beside, status=partial(_status_text, source)),
                 mode="playback" if is_recording(options.uri) else "live",
                 source_note={"live": options.uri},

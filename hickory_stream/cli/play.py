@@ -73,6 +73,7 @@ def add_run_options(command: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
+    from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
@@ -114,10 +115,8 @@ def run(options: argparse.Namespace) -> int:
     try:
         with keys:
             played = play(
+                Mapper(settings.mapper, out=out, overwrite=options.overwrite),
                 source,
-                settings.mapper,
-                out=out,
-                overwrite=options.overwrite,
                 sinks=all_sinks(options, settings, viewer, beside),
                 rate=None,  # the clock of the source keeps it
                 mode="live" if options.live else "playback",

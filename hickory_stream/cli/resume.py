@@ -41,6 +41,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.engine.history.recorded_config import resumed_config
     from hickory_stream.engine.history.resume import check_interrupted, save_live, was_sought
+    from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
@@ -75,15 +76,8 @@ def run(options: argparse.Namespace) -> int:
     printer = ProgressPrinter(make_style(options))
     options.resumed_by = resume_command(options.map)
     try:
-        played = play(
-            source,
-            None,
-            out=options.map,
-            sinks=sinks,
-            progress=printer,
-            machine=settings.mapper.run,
-            ignores_recorded_workers=options.own_workers,
-        )
+        mapper = Mapper.resuming(options.map, machine=settings.mapper.run, ignores_recorded_workers=options.own_workers)
+        played = play(mapper, source, sinks=sinks, progress=printer)
     finally:
         printer.close()
         source.close()

@@ -8,15 +8,13 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.ports import interrupt
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
-    from pathlib import Path
 
-    from hickory_stream.config import MapperConfig, RunConfig
     from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.run_progress import Progress
     from hickory_stream.ports import Sink, Source
@@ -40,35 +38,33 @@ class Played:
 
 
 def play(
+    mapper: Mapper,
     source: Source,
-    config: MapperConfig | None,
     *,
-    out: Path,
     sinks: Callable[[MapFolder], list[tuple[Sink, bool]]],
     progress: Callable[[Progress], None],
-    overwrite: bool = False,
     rate: float | None = None,
     mode: Mode = "playback",
     loops: int = 1,
     source_note: Mapping[str, Any] | None = None,
-    machine: RunConfig | None = None,
-    ignores_recorded_workers: bool = False,
 ) -> Played:
-    """Map a source into the folder `out`. The first SIGINT or SIGTERM ends it in order and saves, the second cancels.
+    """Map a source. The first SIGINT or SIGTERM ends the run in order and saves it, the second cancels it.
 
-    Without a `config` it goes on with the interrupted playback that is in `out`, with the workers of `machine`
-    (`Mapper.resuming`).
+    Args:
+        mapper: a new one with a folder, or one that resumes an interrupted playback (`Mapper.resuming`).
+        source: what is mapped; closed by the caller.
+        sinks: makes the sinks for the map folder, each with whether it is essential.
+        progress: told where the run is.
+        rate: 1.0 is real time, None as fast as can be.
+        mode: whether the run waits for the map, or the map for the run.
+        loops: how many rounds of the source.
+        source_note: kept in the manifest, for whoever resumes the run.
 
     Raises:
         HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
         KeyboardInterrupt: it was cancelled by a second signal.
     """
     try:
-        mapper = (
-            Mapper.resuming(out, machine=machine, ignores_recorded_workers=ignores_recorded_workers)
-            if config is None
-            else Mapper(config, out=out, overwrite=overwrite)
-        )
         snapshots = mapper.run(
             source, sinks=sinks, rate=rate, mode=mode, loops=loops, progress=progress, source_note=source_note
         )

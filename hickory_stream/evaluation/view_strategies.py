@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
+from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import evaluate
@@ -61,7 +62,7 @@ def evaluate_strategy(
     """
     mapping = replace(config.mapping, views=replace(config.mapping.views, strategy=strategy))
     config = replace(config, mapping=mapping, shapes=replace(config.shapes, reconstructor="single_view"))
-    play(source, config, out=out, overwrite=True, sinks=sinks, rate=None, loops=1, progress=progress)
+    play(Mapper(config, out=out, overwrite=True), source, sinks=sinks, progress=progress)
     return evaluate(open_map(out), truth)
 
 

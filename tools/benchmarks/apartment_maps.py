@@ -9,6 +9,7 @@ import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.manifest import is_map_folder
+from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.maps.moved_source import MovedSource
@@ -49,10 +50,8 @@ def apartment_map(apartment: int, walk: int, *, plays: bool) -> Path | None:
     source = MovedSource(open_source(str(log)), frame_of(apartment, walk))
     try:
         play(
+            Mapper(MapperConfig(), out=folder, overwrite=True),
             source,
-            MapperConfig(),
-            out=folder,
-            overwrite=True,
             sinks=lambda made: [(DiskSink(made, Settings().disk), True)],
             rate=None,
             loops=1,
