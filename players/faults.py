@@ -1,4 +1,4 @@
-"""A source that fails on purpose: frames dropped, repeated, late, torn, blind or misplaced, from a seed."""
+"""Fault injection into a source: frames dropped, repeated, late, torn, blind or misplaced, from a seed."""
 
 from __future__ import annotations
 

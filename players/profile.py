@@ -1,4 +1,4 @@
-"""What a kind of log does not say itself, from `players/profiles/*.toml`; each file explains its values.
+"""Profiles of kinds of logs (`players/profiles/*.toml`): what such a log does not say itself; each file has comments.
 
 A profile names the topics of a data set, the frames between pose and camera where the log has no TF, and the
 tolerances that fit its sensors. It is named with `--profile`, or recognised by its topics.

@@ -1,4 +1,4 @@
-"""What the stamps of a topic say: rate, order, gaps, and how far the recording lags behind."""
+"""Statistics of a topic's stamps: rate, order, gaps, and how far the recording lags behind."""
 
 from __future__ import annotations
 

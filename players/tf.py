@@ -1,4 +1,4 @@
-"""The tree of coordinate frames of a log: static links and tracks, and the chains through it.
+"""The TF tree of a log: static and moving transforms, and chains of them between two frames.
 
 Every frame has one parent. A chain goes up from its source to the nearest common ancestor and down to its target.
 """

@@ -1,4 +1,4 @@
-"""The stamps of one stream as they come: in order, a little late, doubled, off, or jumped.
+"""Classification of the stamps of one stream: in order, late, duplicate, implausible, or after a jump.
 
 A stamp far from its neighbours is either one that is wrong or the first after a jump; the message behind it tells:
 if that goes on where the odd one was, time has jumped, and everything before a jump backwards is another epoch.

@@ -1,4 +1,4 @@
-"""`hickory-stream reconstruct`: repeat one shape job by hand, in this process, to see what it does."""
+"""`hickory-stream reconstruct`: repeat one shape job in this process, for debugging."""
 
 from __future__ import annotations
 

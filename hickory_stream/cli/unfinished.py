@@ -1,4 +1,4 @@
-"""What is said of a map whose run did not end: how much of it there is, and how to go on."""
+"""The notice for a map whose run did not end: how much of it there is, and the command that resumes it."""
 
 from __future__ import annotations
 

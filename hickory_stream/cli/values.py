@@ -1,4 +1,4 @@
-"""What the options of the command line may hold: each value checked, with what was expected."""
+"""Checks of option values of the command line, with messages that say what was expected."""
 
 from __future__ import annotations
 

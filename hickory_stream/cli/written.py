@@ -1,4 +1,4 @@
-"""What a command writes beside a map: never over a file that is there, unless asked to; and said when it is done."""
+"""Output files of commands: an existing file is replaced only with --overwrite, and each file written is named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same scene as three kinds of obstacle for one robot: boxes, meshes, layer 4; and what each takes to build.
+"""Occupancy of one scene by three obstacle models, boxes, meshes and layer 4, and the time to build each.
 
 Mesh-OBB is the convex hull of each object's gravity-aligned box, Mesh-Full all triangles of all meshes, none left out.
 Both keep the margin that layer 4 has built in. All are rasterised by the same kernel, exactly over the height band and

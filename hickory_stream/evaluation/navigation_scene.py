@@ -1,4 +1,4 @@
-"""Scenes to plan in: the truth of a truth folder, and a saved map seen three ways."""
+"""Scenes to plan in: from a truth folder, and from a saved map as boxes, meshes or layer 4."""
 
 from __future__ import annotations
 

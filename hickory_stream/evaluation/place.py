@@ -1,4 +1,4 @@
-"""Where an object is and what it looks like, from the best layer that it has: its mesh, or else its points."""
+"""Position and geometry of an object from its best layer: its mesh, else its points."""
 
 from __future__ import annotations
 

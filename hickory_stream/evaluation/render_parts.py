@@ -1,4 +1,4 @@
-"""What of a map is drawn, as surfaces: the layers of its objects, the walls around them, the floor below.
+"""The surfaces of a picture of a map: layers of its objects, walls and floor.
 
 Walls are drawn from the inside only: of a structure voxel, the faces that look at observed free space and at the eye.
 So the near walls of a room are not there when one looks in over them.

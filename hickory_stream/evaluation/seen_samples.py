@@ -1,4 +1,4 @@
-"""Which samples of the true surfaces a log shows, found from the truth folder alone."""
+"""The visible samples of true surfaces: which of them a log shows, from the truth folder alone."""
 
 from __future__ import annotations
 

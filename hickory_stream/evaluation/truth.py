@@ -1,4 +1,4 @@
-"""The truth folder of a synthetic log: what is where, what it looks like, what the log shows of it.
+"""The truth folder of a synthetic log: objects with poses and meshes, instance images, and what the log shows.
 
 One `truth.json` beside GLB meshes and instance images; the format number changes whenever a reader would misread it.
 Poses are exact; the world is z up.

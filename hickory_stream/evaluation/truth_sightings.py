@@ -1,4 +1,4 @@
-"""What a run saw of every true object, keyframe by keyframe: how many pixels, and what these were taken for."""
+"""The sightings of every true object in a run: for each keyframe its pixels, and how these were labelled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a picture is taken from: straight above, or a raised place from which everything is in the frame."""
+"""Viewpoints of pictures: from above, or from a raised place from which everything is in the image."""
 
 from __future__ import annotations
 

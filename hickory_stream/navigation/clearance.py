@@ -142,7 +142,7 @@ class ClearanceScene:
             self._rebuild()
 
     def remove(self, object_id: int) -> None:
-        """Take an object out; one that is not there is none to take."""
+        """Remove an object; nothing happens where it is not there."""
         for place in self._rows_of.pop(object_id, []):
             self._free_item, released = kernels.removed(
                 self._rows[place],

@@ -1,4 +1,4 @@
-"""Where a robot may be, in every posture and heading: the grids that a planner searches.
+"""The configuration space of a robot, for every posture and range of headings: the grids that a planner searches.
 
 One `Occupancy` per posture and range of headings; a round robot has one heading. What lies outside of the grid, and
 what nobody saw, is no place to be, unless unknown space is declared free.
@@ -104,7 +104,7 @@ class FreeSpace:
             layer.put_hulls(object_id, hulls)
 
     def remove(self, object_id: int) -> None:
-        """Take an object out; one that is not there is none to take."""
+        """Remove an object; nothing happens where it is not there."""
         self._forget()
         self.scene.remove(object_id)
         self.hulls.pop(object_id, None)

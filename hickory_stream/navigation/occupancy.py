@@ -1,4 +1,4 @@
-"""Which cells of the floor a body may stand on: free, occupied or unknown, whole cells, over all of its height.
+"""Occupancy of floor cells for the centre of a body: free, occupied or unknown, over all of its height.
 
 A cell is free where the robot's middle may be anywhere in its closed square. Objects are stamped as outlines
 (`navigation/outline.py`) into a counter per cell, so that an object that comes, changes or goes costs its own cells
@@ -132,7 +132,7 @@ class Occupancy:
         self._replace(object_id, [outlines_of_hulls(hulls, part) for part in self._grown])
 
     def remove(self, object_id: int) -> None:
-        """Take an object out; one that is not there is none to take."""
+        """Remove an object; nothing happens where it is not there."""
         for corners, starts in self._outlines.pop(object_id, []):
             stamp(self._counts, corners, starts, self.frame.origin_m, self.frame.cell_m, -1)
 

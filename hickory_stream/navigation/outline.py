@@ -1,4 +1,4 @@
-"""Where a body may not stand: outlines, on the floor, of convex obstacles for a convex body.
+"""Outlines on the floor of the Minkowski sums of convex obstacles with a convex body: where the body may not stand.
 
 A body at (x, y) meets an obstacle where (x, y, 0) lies in the Minkowski sum of the obstacle and the mirrored body. That
 sum is convex, and so is its slice at height 0: an outline. The slice has the support function

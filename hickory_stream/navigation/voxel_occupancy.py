@@ -65,7 +65,7 @@ class VoxelOccupancy:
             layer.put_hulls(object_id, hulls)
 
     def remove(self, object_id: int) -> None:
-        """Take an object out; one that is not there is none to take."""
+        """Remove an object; nothing happens where it is not there."""
         for layer in self._layers:
             layer.remove(object_id)
 

@@ -1,4 +1,4 @@
-"""One job of a shape worker: from what is kept of an object to its layers 2, 3 and 4."""
+"""One job of a shape worker: from the kept views and points of an object to its layers 2, 3 and 4."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All primitives of an object refined together, and their exponents rounded to simple shapes.
+"""Joint refinement of all primitives of an object, and rounding of their exponents to simple shapes.
 
 The distance to a union is the smallest of the distances to its parts, so that every sample belongs to one primitive
 and the normal equations fall apart into one block for each: a sweep steps the primitives in turn, each against the

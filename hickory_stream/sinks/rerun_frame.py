@@ -1,4 +1,4 @@
-"""What one frame shows: the camera, its colour, depth, masks and 2D boxes, and the way it came.
+"""The log items of one frame: the camera, its colour, depth, masks and 2D boxes, and its trajectory so far.
 
 Between keyframes only the pose and the still-compressed colour are logged; the masks of the last keyframe stay.
 """

@@ -1,4 +1,4 @@
-"""Log items: what is to be shown, apart from where it goes.
+"""Log items, independent of the stream that they are written to.
 
 A report becomes a list of items once; the file and the live viewer each take from it what they can carry. An item says
 whether it is heavy (may be left out when space or time runs short) and whether it lasts (an object's cloud is missed

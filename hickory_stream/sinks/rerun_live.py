@@ -1,4 +1,4 @@
-"""The live picture: a bounded queue, and a daemon thread that hands it to a viewer.
+"""Live logging to a viewer: a bounded queue and a daemon thread that empties it.
 
 Rerun's own queue to a viewer that does not read grows to some 300 MB and then blocks for ever. Here everything that may
 block does so on a thread that nobody waits for, and each entry is flushed before the next, so that what a viewer cannot
@@ -79,7 +79,7 @@ class LiveQueue:
             return None
 
     def start_over(self) -> None:
-        """Hand out every lasting item again: a viewer has come that knows nothing."""
+        """Hand out every lasting item again, for a viewer that has just connected."""
         with self._changed:
             self._missing = set(self._latest)
 

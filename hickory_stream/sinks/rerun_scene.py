@@ -1,4 +1,4 @@
-"""One report in, everything that is to be logged of it out."""
+"""Converts a report into all of its log items."""
 
 from __future__ import annotations
 

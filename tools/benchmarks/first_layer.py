@@ -1,4 +1,4 @@
-"""A log played through perception and the core alone, in one thread: layer 1 as `play` makes it, without shapes.
+"""Playback of a log through perception and the core in one thread: layer 1 as `play` makes it, without shapes.
 
 Masks are scored as they come in playback, each keyframe with the map as it is after the one before.
 """

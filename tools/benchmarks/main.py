@@ -1,4 +1,4 @@
-"""The main job on the embedded recording: speed, memory, what is found, and whether it repeats itself."""
+"""The whole pipeline on the embedded recording: speed, memory, recall, and reproducibility."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the masks of one image compare with its truth.
+"""Scores of the masks of one image against its truth: F1 at IoU 0.5 and the best IoU.
 
 A mask is right when its IoU with a true thing is over 0.5; no mask can be right twice, for masks do not overlap. Pixels
 of which the truth is not known, or that show things too small to count, count neither for nor against a mask; a mask

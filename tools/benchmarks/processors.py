@@ -1,4 +1,4 @@
-"""One map on every processor: the same log is played as other processors would play it.
+"""Portability of maps: the same log is played with libraries made to believe that they run on other processors.
 
 Each variant has one of the libraries choose its code as on another machine, by what that library asks for; the last
 have all of them do so, and the workers alone. The kernels compiled by Numba are made for any x86-64 in one of them,

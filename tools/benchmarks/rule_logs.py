@@ -1,4 +1,4 @@
-"""A log whose layer 1 is made again and again with one thing changed: from its keyframes, or from what was perceived.
+"""Repeated mapping of one log to layer 1 with one setting changed, from its keyframes or from recorded observations.
 
 What does not depend on the map is computed once: the keyframes, what the segmenter prepares of them, and, for changes
 of the mapping, the events of a first run. With those, perception's prior stays that of the first run, although a

@@ -1,4 +1,4 @@
-"""A seeded simulator of pairs of object maps: what two robots would have mapped, without mapping.
+"""A seeded simulator of pairs of overlapping object maps with outliers, noise and tilt.
 
 Objects stand in a square of 2.5 m^2 each, at heights of 0 to 1.5 m; each map's frame is where its robot started. Some
 are in both maps; the rest (the outliers) have no counterpart, but stand in the same square. Each map sees an object

@@ -1,4 +1,4 @@
-"""Maps as another robot would have made them: in another frame, with drifting odometry, seen in a mirror."""
+"""Variants of an object map: in another frame, bent by drift, mirrored."""
 
 from __future__ import annotations
 
