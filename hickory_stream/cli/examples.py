@@ -8,7 +8,7 @@ TEXTS: dict[str, tuple[str, str]] = {
         "play demo.mcap --out demo.map --rrd demo.rrd",
     ),
     "live": (
-        "Map a robot while it moves: what arrives is mapped, what is missing is said, and nothing of ROS is installed.",
+        "Map a robot while it moves: what arrives is mapped, losses are reported, and ROS need not be installed.",
         "live zenoh://b2.local --out robot.map --for 60",
     ),
     "resume": (
@@ -90,7 +90,7 @@ TEXTS: dict[str, tuple[str, str]] = {
         "segment color.png depth.png --intrinsics 525,525,319.5,239.5 -o segments.png",
     ),
     "models": (
-        "Look after the networks of this machine; nothing is ever downloaded.",
+        "Manage the networks of this machine; nothing is ever downloaded.",
         "models list",
     ),
     "models where": ("Print the folder of models.", "models where"),

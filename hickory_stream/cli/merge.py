@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         for outcome in outcomes:
             print(f"{outcome['a']} and {outcome['b']}: {outcome['outcome']}")
         for path in left_out:
-            print(f"{path} was left out: it hangs on no other map")
+            print(f"{path} was left out: it is aligned with no other map")
         print(f"{options.out}: {result['objects']} objects, {result['united']} of them in several maps" if is_any else
               "nothing was merged")  # fmt: skip
     return 0 if is_any else NO_ALIGNMENT
