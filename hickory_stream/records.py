@@ -463,6 +463,7 @@ DecisionKind = Literal[
     "split",  # of a track off another one
     "trim",  # of the points of a track that are those of a wall
     "phase",  # of a track
+    "room",  # a track: set aside as part of the room, or an object after all
     "view",  # of a track: a better one, or none
     "shape",  # of a track: asked for, made, failed
     "reject",  # a mask

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 class TrackStory:
     """What became of a track: where it was first seen, in how many keyframes, and how it ended ("" where it did not).
 
-    `map_id` is the object that it is, or is a part of, in the map; None for one that was dropped.
+    `changes` are those of what it was held to be: part of the room, or an object. `map_id` is the object that it is, or
+    is a part of, in the map; None for one that was dropped.
     """
 
     id: int
@@ -23,6 +24,7 @@ class TrackStory:
     born: str
     num_keyframes: int
     turns: tuple[str, ...]
+    changes: tuple[str, ...]
     ending: str
     map_id: int | None
 
@@ -54,6 +56,7 @@ def track_story(history: TrackHistory, map_id: int | None) -> TrackStory:
         born=history.born.text,
         num_keyframes=len(history.frames),
         turns=tuple(f"{when(t.frame)}: {t.text}" for t in history.turns),
+        changes=tuple(f"{when(t.frame)} {t.text}" for t in history.changes),
         ending=told,
         map_id=map_id,
     )

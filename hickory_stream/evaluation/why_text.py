@@ -86,7 +86,13 @@ def _frames(stretch: Stretch) -> str:
 def _track(track: TrackStory) -> str:
     first = "at the end" if track.first_frame is None else f"in frame {track.first_frame}"
     end, s = track.ending or "in the map", "" if track.num_keyframes == 1 else "s"
-    return _indented(f"#{track.id} made {first}: {track.born}; seen in {track.num_keyframes} keyframe{s}; {end}")
+    told = (
+        f"#{track.id} made {first}: {track.born}",
+        f"seen in {track.num_keyframes} keyframe{s}",
+        *track.changes,
+        end,
+    )
+    return _indented("; ".join(told))
 
 
 def _counted(counts: Sequence[ReasonCount], total: int, meanings: Mapping[Any, str]) -> list[str]:

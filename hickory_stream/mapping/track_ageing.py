@@ -100,10 +100,17 @@ class Case:
         done = [effect for track_effect in row.effects for effect in EFFECTS[track_effect](self, row)]
         if isinstance(row.to, Phase) and row.to is not self.track.phase:
             track = self.track
-            why = f": {self.why_structure}" if row.to is Phase.ROOM else ""
-            self.state.decide("phase", track.id, f"{track.phase} -> {row.to} after {track.sightings} sightings{why}")
+            after = f"after {track.sightings} sightings"
+            if row.to is Phase.ROOM:
+                text = f"set aside as part of the room {after}: {self.why_structure}"
+            elif track.phase is Phase.ROOM:
+                text = f"an object after all, {after}: by what was seen since it is no part of the room"
+            else:
+                text = f"{track.phase} -> {row.to} {after}"
+            is_room = Phase.ROOM in (track.phase, row.to)
+            self.state.decide("room" if is_room else "phase", track.id, text)
             self.change(replace(track, phase=row.to))
-            if Phase.ROOM in (track.phase, row.to):
+            if is_room:
                 keep_room(self.state)
         return done
 

@@ -8,6 +8,7 @@ from hickory_stream.events import CancelShape
 from hickory_stream.mapping.absorbed import after_merge
 from hickory_stream.mapping.split_candidates import reassigned
 from hickory_stream.mapping.track_merging import merge
+from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
     from hickory_stream.events import Effect
@@ -30,11 +31,13 @@ def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = N
 def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: MappingConfig) -> list[Effect]:
     """Merge a track into another one, which takes over its points, its views, its votes and its candidates."""
     kept, gone = state.tracks[kept_id], state.tracks.pop(gone_id)
-    state.tracks[kept_id] = merge(kept, gone, config.lattice.points_m, config.views)
+    state.tracks[kept_id] = merged = merge(kept, gone, config.lattice.points_m, config.views)
     state.votes = state.votes.merged(kept_id, gone_id)
     state.split_candidates = reassigned(state.split_candidates, kept_id, gone_id)
     state.absorbed = after_merge(state.absorbed, kept_id, gone)
     state.decide("merge", kept_id, f"#{gone_id} is the same: {reason}", other_id=gone_id)
+    if kept.phase is Phase.ROOM and merged.phase is not Phase.ROOM:
+        state.decide("room", kept_id, f"an object after all: it is a side of #{gone_id}, which is larger")
     return cancelled(gone)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -45,7 +46,7 @@ def decisions(effects: list[Effect]) -> list[Decision]:
 
 
 def phases(effects: list[Effect]) -> list[str]:
-    return [d.text.split(" after")[0] for d in decisions(effects) if d.kind == "phase"]
+    return [re.split(r",? after \d", d.text)[0] for d in decisions(effects) if d.kind in ("phase", "room")]
 
 
 def structure(core: MapperCore) -> int:
@@ -55,13 +56,13 @@ def structure(core: MapperCore) -> int:
 def test_a_wardrobe_of_which_the_front_looked_like_a_wall_is_an_object_again_with_its_history() -> None:
     core = MapperCore(CONFIG)
     effects = drive(core, [seen(i, FRONT) for i in range(4)])
-    assert phases(effects) == ["tentative -> room"]
+    assert phases(effects) == ["set aside as part of the room"]
     assert core.snapshot().objects == ()
     held = structure(core)
     assert held > 100
     sides = [cupboard(depth_m) for depth_m in (0.2, 0.26, 0.34, 0.44, 0.6)]
     effects = drive(core, [seen(4 + i, side, angle_rad=0.5 + 0.4 * i) for i, side in enumerate(sides)])
-    assert phases(effects)[-2:] == ["room -> tentative", "tentative -> active"]
+    assert phases(effects)[-2:] == ["an object after all", "tentative -> active"]
     (item,) = core.snapshot().objects
     assert (item.id, item.first_seen_ns) == (1, 0)
     assert min(view.frame_index for view in item.views) < 4, "a view of before it was set aside is kept"
@@ -75,6 +76,9 @@ def test_a_front_that_lies_on_a_larger_thing_becomes_a_part_of_it() -> None:
     drive(core, [seen(i, FRONT) for i in range(4)])
     effects = drive(core, [seen(4 + i, WARDROBE, angle_rad=0.5) for i in range(4)])
     assert any("was taken for a part of the room" in d.text for d in decisions(effects) if d.kind == "merge")
+    assert [d.text for d in decisions(effects) if d.kind == "room"] == [
+        "an object after all: it is a side of #2, which is larger"
+    ]
     (item,) = core.snapshot().objects
     assert (item.id, item.first_seen_ns, item.merged_ids) == (1, 0, (2,))
     assert structure(core) == 0

@@ -44,12 +44,16 @@ class Ending:
 
 @dataclass(kw_only=True, slots=True)
 class TrackHistory:
-    """The history of a track; `born`: how it was created, `ending`: None for a track in the map."""
+    """The history of a track; `born`: how it was created, `ending`: None for a track in the map.
+
+    `changes`: where it was set aside as part of the room, and where it was an object after all.
+    """
 
     id: int
     born: Turn
     masks: list[Joined] = field(default_factory=list)
     turns: list[Turn] = field(default_factory=list)
+    changes: list[Turn] = field(default_factory=list)
     ending: Ending | None = None
 
     @property
@@ -114,6 +118,8 @@ class TrackHistories:
             gone.ending = Ending(kind="merged", frame=frame, text=reason, into=track_id)
         elif decision.kind == "drop":
             history.ending = Ending(kind="dropped", frame=frame, text=decision.text, cause=decision.cause)
+        elif decision.kind == "room":
+            history.changes.append(Turn(frame=frame, text=decision.text))
         elif decision.kind in ("phase", "shape", "trim"):
             history.turns.append(Turn(frame=frame, text=decision.text))
 
