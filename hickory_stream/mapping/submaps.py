@@ -173,11 +173,11 @@ def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
     if submaps.first == submaps.open_id:
         return _alone(submaps, space)
     owners = _owners(submaps, keys)
-    changed = {
+    spaces = {
         i: observed_space.with_room(submaps.states[i].space, keys[owners == i])
         for i in range(submaps.first, submaps.open_id + 1)
     }
-    return _with_spaces(submaps, space, changed)
+    return _with_spaces(submaps, space, {i: own for i, own in spaces.items() if own is not submaps.states[i].space})
 
 
 def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float64]]) -> Submaps:

@@ -150,6 +150,18 @@ def test_every_voxel_is_in_one_submap_and_all_together_are_what_was_seen(
     assert len(np.unique(np.concatenate(owned))) == sum(map(len, owned))
 
 
+def test_a_submap_that_holds_nothing_of_what_became_room_stays_as_it_is() -> None:
+    here, there = np.int64([3, 4]), np.int64([20, 21])
+    submaps = with_seen(first_submap(0.05), space(free=here))
+    for x_m in (0.0, 2.0):
+        submaps = travelled(submaps, np.array([x_m, 0.0, 0.0]), SubmapConfig(travel_m=1.5))
+    submaps = with_seen(submaps, space(free=there))
+    now = with_room(submaps, there)
+    assert now.states[0] is submaps.states[0]
+    assert now.states[1].space.room.tolist() == there.tolist()
+    assert with_room(now, there) is now
+
+
 def test_the_way_is_not_measured_across_a_jump_of_the_stamps() -> None:
     def went(submaps: Submaps, x_m: float) -> Submaps:
         return travelled(submaps, np.array([x_m, 0.0, 0.0]), SubmapConfig(travel_m=15.0))
