@@ -96,6 +96,8 @@ def qos(*, is_reliable: bool, is_latched: bool, depth: int = _DEPTH) -> Any:
         Policy.Durability.TransientLocal if is_latched else Policy.Durability.Volatile,
         Policy.History.KeepLast(depth),
         Policy.DataRepresentation(use_cdrv0_representation=True),
+        # Who publishes and listens to one topic does not hear itself.
+        Policy.IgnoreLocal.Participant,
     )
 
 

@@ -54,9 +54,12 @@ class ZenohReturn:
         """Publish no more: the session is being closed."""
         with self._lock:
             self._session = self._like = None
+            declared = [*self._publishers.values(), *self._declared.values(), *self._tokens]
             self._publishers.clear()
             self._declared.clear()
             self._tokens.clear()
+        for one in declared:
+            one.undeclare()
 
     def offer(self, name: str, type_name: str, *, type_hash: str, is_latched: bool) -> None:
         """Announce a topic."""

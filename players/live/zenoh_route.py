@@ -108,6 +108,16 @@ class ZenohRoute:
         session, self._session = self._session, None
         if session is not None:
             self._problem = "closed"
+            with self._lock:
+                declared = [
+                    *self._watching,
+                    *self._listening,
+                    *(one for made in self._declared.values() for one in made),
+                ]
+                self._watching, self._listening, self._declared = [], [], {}
+            # One by one, so that none of their callbacks runs while the process ends.
+            for one in declared:
+                one.undeclare()
             self._return.detach()
             session.close()
 

@@ -12,6 +12,7 @@ import pytest
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.sinks.publish_sink import MAP_TOPIC, MARKERS_TOPIC, OBJECTS_TOPIC, PLAN_TOPIC, TF_TOPIC, PublishSink
 from hickory_stream.sinks.ros_messages import PATH, TRANSFORMS, goal_message, store
+from players.containers import Topic
 from players.live import open_live
 from players.live.zenoh_keys import publication_of_key, publication_of_token
 from tests.navigation.rooms import snapshot
@@ -143,3 +144,12 @@ def test_to_nodes_of_rmw_zenoh_our_topics_are_publishers_of_their_domain(tmp_pat
     )
     assert publication_of_key(f"7/map/nav_msgs::msg::dds_::OccupancyGrid_/{found.hash}") is not None
     assert MAP_TOPIC not in [entry.topic for entry in status.topics]
+
+
+@pytest.mark.parametrize("route", ["zenoh-bridge", "rmw-zenoh"])
+def test_a_robot_that_listens_to_a_topic_of_its_own_is_not_heard_by_that(route: str) -> None:
+    _, robot = publisher_of(route, f"127.0.0.1:{free_port()}")
+    tf = Topic(name="/tf", type_name=TRANSFORMS, num_messages=None, wire="cdr", definition_format="none", definition="")
+    robot.connect([tf])
+    assert not eventually(lambda: robot.is_heard("/tf"), 0.5)
+    robot.disconnect()
