@@ -124,7 +124,7 @@ def examine_log(
     found.topics = {name: stats[name].as_dict() for name in sorted(stats)}
     _tell_stamps(found, is_heard=is_heard)
     try:
-        source = _as_play_opens(found, log, options)
+        source = _as_play_opens(found, log, options, is_heard=is_heard)
         progress("reading as play does")
         examine_frames(found, source, stats)
         if isinstance(source, LogSource) and not is_heard and options.extrinsics == "log":
@@ -159,13 +159,13 @@ def _examine_folder(
     return found
 
 
-def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions) -> Source:
-    """Return what is played; of a log without poses, with those that odometry estimates."""
+def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_heard: bool) -> Source:
+    """Return what is played; a log without poses by those that odometry estimates, unless a robot is heard."""
     try:
         _examine_opening(found, log, options)
         source = open_log(log, options)
     except NoPosesError as error:
-        if options.odometry != "auto":
+        if options.odometry != "auto" or is_heard:
             raise
         found.notes.append(f"{error}, as play will do (--odometry)")
         estimating = replace(options, odometry="depth")

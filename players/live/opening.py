@@ -147,6 +147,7 @@ def open_live(
         CalibrationError: intrinsics or extrinsics are still missing then, or contradict the images.
     """
     options = options or SourceOptions()
+    _check_poses_are_heard(uri, options)
     route = route or route_of(uri)
     inbox = inbox or Inbox(tap=recorder.take if recorder is not None else None)
     log = LiveLog(route, inbox, most_s=most_s, loses_nothing=is_recording(uri))
@@ -179,6 +180,23 @@ def of_other_robots(path: object, topics: Sequence[Topic], options: SourceOption
             robot = max((robot for robot in robots if topic.name.startswith(f"{robot}/")), key=len, default=own)
             if robot != own and not own.startswith(f"{robot}/") and robot:
                 yield topic.name
+
+
+def _check_poses_are_heard(uri: str, options: SourceOptions) -> None:
+    """Refuse what is estimated from a whole log: a robot that is heard says itself where it is.
+
+    Raises:
+        RecordingError: odometry or the camera's place was to be estimated.
+    """
+    for option, value, usual in (
+        ("--odometry", options.odometry, ("auto", "topic")),
+        ("--extrinsics", options.extrinsics, ("log",)),
+    ):
+        if value not in usual:
+            raise RecordingError(
+                f"found {option} {value} for {uri}, expected {' or '.join(usual)}: poses are estimated from logs only; "
+                "record the robot (--record) and play that"
+            )
 
 
 class _Patience(NamedTuple):
