@@ -1,1 +1,1 @@
-"""The core: from events to effects. No I/O, no clock, no randomness."""
+"""The core of the mapper: takes events, returns effects. No I/O, no clock, no randomness."""

@@ -1,7 +1,7 @@
-"""Tracks that were merged into others: a split that shows one of them again gives it its history back.
+"""Absorbed tracks: those that were merged into another track, kept so that a later split can restore their history.
 
-A merge may be wrong, and later keyframes may tell the two apart. What was known of the one that went, since when it was
-seen and from where, is kept as long as the track that took it in.
+A merge may be wrong, and later keyframes may segment the two objects apart again. The history of an absorbed track
+(when and from where it was seen, its views) is kept for as long as the track that absorbed it exists.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
 
 Absorbed = dict[int, tuple["Track", ...]]
-"""The confirmed tracks that each track took in, by its id."""
+"""The confirmed tracks that each track has absorbed, by the id of the absorbing track (the host)."""
 
 
 def after_merge(absorbed: Mapping[int, tuple[Track, ...]], kept_id: int, gone: Track) -> Absorbed:
-    """Return what is absorbed after a track was merged into another, which takes over what that one had taken in."""
+    """Return the absorbed tracks after `gone` was merged into `kept_id`, which inherits those absorbed by `gone`."""
     updated = {host: tracks for host, tracks in absorbed.items() if host != gone.id}
     own = () if gone.phase is Phase.TENTATIVE else (gone,)
     if taken := (*absorbed.get(kept_id, ()), *absorbed.get(gone.id, ()), *own):
@@ -34,9 +34,9 @@ def after_merge(absorbed: Mapping[int, tuple[Track, ...]], kept_id: int, gone: T
 
 
 def recalled(absorbed: Mapping[int, tuple[Track, ...]], host_id: int, cloud: Cloud, same_share: float) -> Track | None:
-    """Return the track that a cloud is again, split off a host; None if it is none of those that the host took in.
+    """Return the absorbed track that a cloud split off a host matches; None if it matches none of the host's.
 
-    Of both clouds `same_share` lies on the other; of several the one with the most in common.
+    Two clouds match if at least `same_share` of each lies on the other; of several matches, the best is returned.
     """
     best, most = None, same_share
     for track in absorbed.get(host_id, ()):
@@ -47,7 +47,7 @@ def recalled(absorbed: Mapping[int, tuple[Track, ...]], host_id: int, cloud: Clo
 
 
 def restored(new: Track, before: Track) -> Track:
-    """Return a track that was split off with the history that it had before it was merged: times, places and views."""
+    """Return a split-off track with the history that it had before the merge: times, viewpoints and views."""
     return replace(
         new,
         sightings=max(new.sightings, before.sightings),
@@ -59,20 +59,20 @@ def restored(new: Track, before: Track) -> Track:
 
 
 def without_views_of(host: Track, before: Track) -> Track:
-    """Return a host without the views that it had from a track that was split off again, if any of its own are left."""
+    """Return a host without the views inherited from a track that was split off again, unless it has no other views."""
     left = without_views(host, {view.name for view in before.views})
     return left if left.views else host
 
 
 def after_split(absorbed: Mapping[int, tuple[Track, ...]], host_id: int, before: Track) -> Absorbed:
-    """Return what is absorbed after a track was split off its host again."""
+    """Return the absorbed tracks after `before` was split off its host again."""
     rest = tuple(track for track in absorbed.get(host_id, ()) if track is not before)
     updated = {host: tracks for host, tracks in absorbed.items() if host != host_id}
     return {**updated, host_id: rest} if rest else updated
 
 
 def without_lost_views(absorbed: Mapping[int, tuple[Track, ...]], names: Collection[str]) -> Absorbed:
-    """Return what is absorbed without some of its views."""
+    """Return the absorbed tracks without the views of these names."""
     return {host: tuple(without_views(track, names) for track in tracks) for host, tracks in absorbed.items()}
 
 

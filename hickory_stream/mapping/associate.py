@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
     from hickory_stream.records import Observation
 
-# Shares that differ by less are the same: they are quotients of the same counts.
+# Shares that differ by less than this count as equal: they are quotients of the same counts.
 _TIE = 1e-12
-# A product that is a whole number but for its last bit counts as one.
+# Tolerance for rounding: a product this close to a whole number counts as that number.
 _ROUNDING = 1e-9
 
 
@@ -38,14 +38,15 @@ class AssociateConfig(Ranged):
     Attributes:
         min_iou: minimum IoU of the oriented boxes.
         min_lies_on: minimum share of a partial view's points that lie on the track.
-        settled_sightings, swollen: an observation whose box is `swollen` times that of a track which was seen so often
-            is the track and more; it is not fused into it unless that repeats itself.
-        swollen_over: such an observation has more than this share of the track's box in its own.
-        most_doubted: an observation may be under-segmented with so many tracks, those of the best IoU; tracks that it
-            barely overlaps do not count.
-        patience, patience_share: after so many doubts, and this share of its sightings more, a track is taken to be
-            larger after all.
-        lies_in: an observation can lie on a track only if this share of its box is in the track's.
+        settled_sightings, swollen: an observation is under-segmented if its box has more than `swollen` times the
+            volume of the box of a track with at least `settled_sightings` sightings; it is not fused into the track
+            unless this happens repeatedly.
+        swollen_over: minimum share of the track's box inside the box of such an observation.
+        most_doubted: maximum number of tracks, those with the best IoU, for which one observation counts as
+            under-segmented.
+        patience, patience_share: number of consecutive under-segmented observations, plus this share of the track's
+            sightings, after which the track is taken to be larger after all.
+        lies_in: an observation can lie on a track only if at least this share of its box is inside the track's box.
     """
 
     min_iou: float = number(0.2, 0, 1, "IoU")
@@ -63,7 +64,7 @@ class AssociateConfig(Ranged):
 class Match:
     """An observation and the track that it matches.
 
-    `is_part`: it lies on a track that another observation of the frame matches already, so that it is a part of it.
+    `is_part`: the observation shows a part of a track that another observation of the frame matches already.
     `candidates` are the tracks with overlapping boxes and their IoU, best first, for the log of decisions.
     """
 
@@ -80,9 +81,9 @@ def associate(
 ) -> list[Match]:
     """Return one match per observation, in order; `track_id` None: it is a new object.
 
-    By boxes: pairs in the order of falling IoU, ties by track id, then by observation. Then, for observations that are
-    left: the track that they lie on most, by points; of several, the one with the most of them there is the track, and
-    the others are its parts.
+    First by boxes, greedily: pairs in order of decreasing IoU, ties by track id, then by observation. Then by points:
+    each unmatched observation goes to the track on which most of its points lie. Where several go to one track, the
+    one with the most points on it is the match, and the others are parts of the track.
     """
     ordered = [tracks[i] for i in sorted(tracks)]
     ious: dict[int, dict[int, float]] = {}
@@ -139,7 +140,7 @@ def associate(
 def is_swollen(observation: Observation, track: Track, config: AssociateConfig) -> bool:
     """Return whether an observation is under-segmented: it contains an established track and something beside it.
 
-    The size of a track with many sightings is known. Each such observation is a doubt about it.
+    The size of a track with many sightings is well known. Each such observation counts as a doubt about that size.
     """
     return (
         track.sightings >= config.settled_sightings

@@ -1,4 +1,4 @@
-"""The best views of the tracks: proposed from what is known before features are computed, judged with these."""
+"""The best views of the tracks: proposed by an upper bound of their score, decided once features are computed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 def propose_views(
     state: MapState, event: FrameObserved, sightings: list[Sighting], config: ViewConfig
 ) -> tuple[dict[int, View], list[Effect]]:
-    """Return the views whose bound beats the best view, by observation, and what is kept for its direction."""
+    """Return the views whose score bound beats the track's best view, by observation, and effects that keep views.
+
+    A view is kept at once if it is the best of its viewing direction (see `views.covers_better`).
+    """
     candidates: dict[int, View] = {}
     keeps: list[Effect] = []
     for sighting in sightings:
@@ -45,7 +48,7 @@ def propose_views(
 
 
 def judge_views(state: MapState, pending: PendingFeatures, event: FeaturesReady, config: ViewConfig) -> list[Effect]:
-    """Make candidates best views where their scores win; return which pixels are to be kept."""
+    """Make candidates best views where their score is higher; return the effects that keep or drop view pixels."""
     effects: list[Effect] = []
     for feature in sorted(event.features, key=lambda f: f.observation_index):
         view = _judged(state, pending.candidates[feature.observation_index], feature, config)
@@ -56,7 +59,7 @@ def judge_views(state: MapState, pending: PendingFeatures, event: FeaturesReady,
 
 
 def drop_unused_views(state: MapState) -> list[Effect]:
-    """Return which pixels nothing refers to any more."""
+    """Return the effects that drop the pixels of views that nothing refers to any more."""
     used = state.view_names()
     gone = sorted(state.kept_views - used)
     state.kept_views &= used
@@ -64,7 +67,7 @@ def drop_unused_views(state: MapState) -> list[Effect]:
 
 
 def _judged(state: MapState, candidate: View, feature: MaskFeature, config: ViewConfig) -> View | None:
-    """Make a candidate the best view if its score wins; return it then."""
+    """Make a candidate the best view if its score is higher and return it; otherwise return None."""
     track_id = state.current_id(candidate.object_id)
     if track_id is None:
         return None

@@ -35,7 +35,7 @@ class Cloud:
 def cloud_of(points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: float) -> Cloud:
     """Return the cloud of one frame's points."""
     keys = keys_of_points(points, voxel_m)
-    if (keys[1:] > keys[:-1]).all():  # means of voxels, as masks are lifted, are one per voxel already
+    if (keys[1:] > keys[:-1]).all():  # lifted masks are voxel means: they have one point per voxel already
         hits = np.ones(len(keys), dtype=np.int32)
         return Cloud(keys=keys, points=points.astype(np.float32), colors=colors.astype(np.float32), hits=hits)
     order = np.argsort(keys, kind="stable")
@@ -62,11 +62,11 @@ def without(cloud: Cloud, drop: NDArray[np.bool_]) -> Cloud:
 
 
 def solid_part(cloud: Cloud, sightings: int) -> Cloud:
-    """Return the voxels that were seen again: what a single frame put beside the surface is noise.
+    """Return the voxels that were seen in more than one frame: a voxel seen only once is likely to be noise.
 
-    Where that would take more than half, the cloud is young or far away, and its voxels are seldom hit twice. Then only
-    a tail goes, a piece of its neighbour that one frame took for it: cells of eight voxels of which none was seen
-    again, where without them the cloud is much smaller.
+    Where this would remove more than half of the voxels, the cloud is new or far away, and few voxels are hit twice.
+    Then only an outlying tail is removed, e.g. a piece of a neighbour that one frame included by mistake: cells of
+    eight voxels of which none was seen again, if the cloud is much smaller without them.
     """
     if sightings < 4:
         return cloud
@@ -86,12 +86,12 @@ def _volume(points: NDArray[np.float32]) -> float:
 
 
 def is_near(keys: NDArray[np.int64], cloud: Cloud) -> NDArray[np.bool_]:
-    """Return for each of (N,) voxel keys whether it or one of its 26 neighbours is in a cloud: to one or two voxels."""
+    """Return (N,) for each voxel key whether the voxel or one of its 26 neighbours is in the cloud."""
     return np.asarray(_is_near(keys, cloud.keys))
 
 
 def share_near(keys: NDArray[np.int64], cloud: Cloud, sample: int = 400) -> float:
-    """Return the share of voxels that lie on a cloud, from at most about `sample` of them, evenly taken."""
+    """Return the share of voxels that lie on a cloud, estimated from an even sample of about `sample` voxels."""
     if len(keys) == 0:
         return 0.0
     return float(is_near(keys[:: max(1, len(keys) // sample)], cloud).mean())
@@ -99,7 +99,7 @@ def share_near(keys: NDArray[np.int64], cloud: Cloud, sample: int = 400) -> floa
 
 @numba.njit(cache=True, nogil=True)
 def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hits):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Merge two sorted clouds in one walk along both."""
+    """Merge two clouds with sorted keys in one pass."""
     size = len(a_keys) + len(b_keys)
     keys = np.empty(size, dtype=np.int64)
     points = np.empty((size, 3), dtype=np.float32)
@@ -118,7 +118,7 @@ def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hit
             keys[n], hits[n] = a_keys[i], a_hits[i] + b_hits[j]
         elif takes_a:
             keys[n], hits[n] = a_keys[i], a_hits[i]
-            for k in range(3):  # several times as fast as whole rows
+            for k in range(3):  # several times as fast as assigning whole rows
                 points[n, k], colors[n, k] = a_points[i, k], a_colors[i, k]
         else:
             keys[n], hits[n] = b_keys[j], b_hits[j]
@@ -132,7 +132,7 @@ def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hit
 
 @numba.njit(cache=True, nogil=True)
 def _without(keys, points, colors, hits, drop):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Take what is kept of all four arrays in one walk."""
+    """Copy the voxels that are kept, in one pass over all four arrays."""
     count = 0
     for i in range(len(drop)):
         count += not drop[i]
@@ -151,13 +151,13 @@ def _without(keys, points, colors, hits, drop):  # type: ignore[no-untyped-def] 
 @numba.njit(cache=True, nogil=True)
 def _is_near(keys, cloud_keys):  # type: ignore[no-untyped-def] # pragma: no cover
     # A step of one cell along an axis adds a constant to the packed key, and along z neighbours are next to each other
-    # in the sorted keys: nine searches serve 27 cells. Each goes on where its last one ended, which is near by as keys
-    # come sorted.
+    # in the sorted keys: nine searches cover 27 cells. Each search starts where its last one ended, since the queried
+    # keys are sorted.
     near = np.zeros(len(keys), dtype=np.bool_)
     ends = np.zeros(9, dtype=np.int64)
     for i in range(len(keys)):
         for side in range(9):
-            # The cell's own column first: it mostly decides.
+            # The cell's own column first: it usually decides.
             dx, dy = (side + 1) % 3 - 1, (side // 3 + 1) % 3 - 1
             low = keys[i] + (dx << 42) + (dy << 21) - 1
             at = first_not_below(cloud_keys, low, ends[side])

@@ -48,8 +48,8 @@ logger = logging.getLogger(__name__)
 class MapperCore:
     """Holds the map; only `handle` changes it.
 
-    `associator` says which observation of a keyframe is which track (`Tracker`); a core that goes on from a state has
-    none.
+    `associator` replaces the data association by boxes and points (see `Tracker`); a core that is restored from a
+    saved state has none.
     """
 
     def __init__(self, config: MappingConfig, associator: Associator | None = None) -> None:
@@ -59,11 +59,11 @@ class MapperCore:
         self._state = _new_map(config)
 
     def handle(self, event: Event) -> list[Effect]:
-        """Return what is to be done after an event.
+        """Apply an event to the map and return the effects that the caller has to carry out.
 
         Raises:
-            ValueError: the event does not fit, e.g. features of a keyframe that is not pending.
-            InvariantError: the state contradicts itself; looked for where debug messages are logged (`--debug`).
+            ValueError: the event is not expected now, e.g. features of a keyframe that is not pending.
+            InvariantError: an invariant of the state is broken; checked only if debug messages are logged (`--debug`).
         """
         effects = self._handled(event)
         if logger.isEnabledFor(logging.DEBUG):
@@ -133,7 +133,7 @@ class MapperCore:
             state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
 
     def _see_space(self, event: FrameObserved) -> None:
-        """Add what the keyframe saw of free space, structure and floor."""
+        """Add the keyframe's observations of free space, structure and floor to the map."""
         state = self._state
         changed = floor_change(state.submaps.space, event.space.floor_z_m)
         if changed is not None:
@@ -148,7 +148,7 @@ class MapperCore:
         return [*judge_views(state, pending, event, self._config.views), *self._conclude(pending.object_ids)]
 
     def _conclude(self, object_ids: tuple[int | None, ...], *, is_final: bool = False) -> list[Effect]:
-        """Return the requests, the drops and the publication that end every keyframe, and the source."""
+        """Return the effects that end a keyframe or the source: shape requests, dropped views and the publication."""
         state = self._state
         return [
             *request_shapes(state, self._config.requests, state.support_graph(self._config), is_final=is_final),
@@ -161,10 +161,10 @@ class MapperCore:
             ),
         ]
 
-    # ---- what is no keyframe -----------------------------------------------------------------------------------------
+    # ---- other events ------------------------------------------------------------------------------------------------
 
     def _time_jumped(self, event: TimeJumped) -> list[Effect]:
-        """Let no time pass, whatever the stamps say."""
+        """Handle a jump of the stamps: the core's own clock does not advance across it."""
         state = self._state
         state.stamp_ns = None
         state.submaps = interrupted(state.submaps)
@@ -172,10 +172,10 @@ class MapperCore:
         return []
 
     def _pose_jumped(self, event: PoseJumped) -> list[Effect]:
-        """Close the submap. Poses go on in its world, so that what was seen in it is known again when it is seen.
+        """Close the submap. Later poses are in the same world frame, so that its objects can be re-identified.
 
-        The space is judged anew, and until an object is seen again it is judged by nothing: a few centimetres, by
-        which the jump may be wrong, are enough to look through an object, or to put it in a wall.
+        The observed space starts empty again, and an object is not checked against it until it has been seen again:
+        an error of a few centimetres in the jump is enough to see through an object, or to place it inside a wall.
         """
         state = self._state
         distance_m = portable.norm(event.after_from_before[:3, 3])
@@ -187,7 +187,7 @@ class MapperCore:
         return []
 
     def _poses_corrected(self, event: PosesCorrected) -> list[Effect]:
-        """Place submaps anew: everything is kept as the odometry had it, and handed out where it lies."""
+        """Set corrected submap poses. Data stay in the odometry frame; the correction is applied on output."""
         state = self._state
         state.submaps = placed_at(state.submaps, dict(zip(event.submap_ids, event.world_from_submap, strict=True)))
         text = f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew"
@@ -198,7 +198,7 @@ class MapperCore:
     def _source_ended(self) -> list[Effect]:
         state = self._state
         effects = end_tracks(state, self._config, merges=not self._tracker.is_told)
-        state.absorbed = {}  # nothing splits any more
+        state.absorbed = {}  # no track can be split off any more
         return [*effects, *self._conclude((), is_final=True)]
 
     # ---- the map -----------------------------------------------------------------------------------------------------
@@ -208,36 +208,36 @@ class MapperCore:
         return self._snapshots.snapshot(self._state)
 
     def prior(self) -> MapPrior | None:
-        """Return what perception knows beforehand, as the odometry has it, whatever was corrected; None: no keyframe.
+        """Return the map prior for perception, in the odometry frame (without corrections); None before a keyframe.
 
-        The space and the objects that were seen since the odometry last jumped, wherever submaps ended.
+        It has the space and the objects seen since the last jump of the odometry, across submap borders.
         """
         return self._snapshots.prior(self._state)
 
     def view_names(self) -> set[str]:
-        """Return the names of the views that the map has, or would have again after a split."""
+        """Return the names of the views that the tracks have, or that a later split could restore."""
         return self._state.view_names()
 
     def state(self) -> dict[str, object]:
-        """Return all that decides what comes next, by name; later events do not change it."""
+        """Return the complete state by name, from which `from_state` can resume; later events do not change it."""
         return self._state.parts()
 
     @classmethod
     def from_state(cls, config: MappingConfig, state: Mapping[str, Any]) -> MapperCore:
-        """Return a core that goes on from what `state` returned.
+        """Return a core that resumes from what `state` returned.
 
         Raises:
-            ValueError: the state is that of another version.
+            ValueError: the state was written by another version.
         """
         core = cls(config)
         core._state = MapState.of_parts(state, _new_map(config))
         return core
 
     def going_on_after(self, later: MapperCore, lost_views: Collection[str]) -> MapperCore:
-        """Return a core with this one's map that goes on after a later one was left.
+        """Return a core with this earlier map, to continue after the run was rewound from the `later` core to it.
 
-        Objects, jobs and revisions are numbered on from the later one's, so that each number means one thing.
-        `lost_views` have no pixels any more: nothing can be made of them.
+        Ids of objects, job tickets and revisions continue from those of `later`, so that no number is used twice.
+        The pixels of `lost_views` no longer exist; these views are removed.
         """
         core = MapperCore.from_state(self._config, self.state())
         core._state.going_on_after(later._state, lost_views)

@@ -1,4 +1,4 @@
-"""Evidence for the existence of an object, in units of one more sighting from the same place.
+"""Evidence for the existence of an object; the unit is one more sighting from the same viewpoint.
 
 Errors of a segmenter are correlated between nearby viewpoints, so that sightings from there add little; a sighting
 from a new viewpoint is independent evidence. A small or incomplete mask is weaker evidence, and a keyframe that sees
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import Observation
 
-# An object seen from so many places was confirmed long ago: more places are not stored.
+# Maximum number of stored viewpoints: an object seen from this many was confirmed long ago.
 _MOST_PLACES = 12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExistenceConfig(Ranged):
-    """How much evidence a sighting is.
+    """How much evidence one sighting contributes.
 
     Attributes:
-        apart_rad: viewing directions that differ by this are independent; smaller differences count in proportion.
-        apart_ratio: so are viewing distances of this ratio.
+        apart_rad: viewing directions that differ by this angle are independent; smaller angles count in proportion.
+        apart_ratio: viewing distances with this ratio are independent, too.
         fresh: evidence of a sighting from an independent viewpoint.
         again: evidence of one more sighting from the same viewpoint.
-        full_sr: objects that subtend less than this solid angle are weaker evidence ...
-        least: ... but no sighting is worth less than this share.
+        full_sr: sightings of objects that subtend less than this solid angle are weaker evidence, in proportion ...
+        least: ... down to this share of the full evidence.
     """
 
     apart_rad: float = number(0.6, 0.001, 3.15, "rad")
@@ -72,7 +72,7 @@ def sighted(known: Existence, seen: Observation, camera: NDArray[np.float64], co
 
 
 def united(a: Existence, b: Existence) -> Existence:
-    """Return the existence of two merged tracks: that with more evidence."""
+    """Return the existence of a merged track: that of the two with more evidence."""
     return a if a.evidence >= b.evidence else b
 
 
@@ -92,7 +92,7 @@ def _novelty(
         other = middle - place
         other_m = max(portable.norm(other), 1e-6)
         cosine = min(max(portable.dot(way, other) / (reach_m * other_m), -1.0), 1.0)
-        # The chord between two directions; for small angles the angle itself.
+        # The chord between two unit directions: approximately the angle where that is small.
         turned = float(np.sqrt(2.0 - 2.0 * cosine)) / config.apart_rad
         nearer = (max(reach_m, other_m) / min(reach_m, other_m) - 1.0) / (config.apart_ratio - 1.0)
         novelty = min(novelty, max(turned, nearer))
@@ -102,7 +102,7 @@ def _novelty(
 def _sharpness(seen: Observation, distance_m: float, config: ExistenceConfig) -> float:
     """Return the weight of a sighting: by the object's solid angle and the share of its mask with reliable depth."""
     x, y, z = (float(side) for side in 2 * seen.box.half_extents_m)
-    # The mean face of the box that was seen, as one looks at it.
+    # The visible area is approximated by the mean area of the faces of the observed box.
     solid_angle = (x * y + y * z + z * x) / 3 / max(distance_m * distance_m, 1e-6)
     share = min(solid_angle / config.full_sr, 1.0) if config.full_sr > 0 else 1.0
     return max(share * seen.r_depth, config.least)

@@ -1,7 +1,7 @@
-"""What a map cannot know of floor and gravity, or has found out about them, in sentences for people.
+"""Notes for the operator on the floor of a map and on gravity: what is unknown, and what looks wrong.
 
-The tilt comes from all of the map's floor at once: the lowest structure of each column of voxels near its height, and
-a plane through them, fitted again to what lies near it. What is no plane is uneven ground, and has no tilt.
+The tilt is that of a plane fitted to the whole floor: to the lowest structure voxel of each column near the floor's
+height, then again to the inliers. Uneven ground, which is not a plane, has no tilt.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import MapSnapshot, ObservedSpace, Submap
 
-# Columns of voxels are looked at so far above and below the floor: 2 degrees are 0.35 m after 10 m.
+# How far above and below the floor's height columns are searched: a tilt of 2 degrees is 0.35 m over 10 m.
 _REACH_M = 0.45
-# A floor that is told to be tilted is a plane to so many voxels, and so large; less than a degree is a floor.
+# A tilt is reported only for a plane with inliers within this many voxels, of at least this size, over one degree.
 _PLANE_VOXELS, _LEAST_M2, _LEAST_DEG = 0.8, 2.0, 1.0
-# What is smaller may be a table, where no larger floor was ever seen.
+# A smaller horizontal surface may be a table, if no larger floor was ever seen.
 _TABLE_M2 = 2.0
 _ANOTHER_STOREY_M = 2.0
 
 
 def floor_notes(snapshot: MapSnapshot) -> tuple[str, ...]:
-    """Return what there is to say of the floor of a map; nothing where it has one, and that is level."""
+    """Return the notes on the floor of a map; none if the map has one level floor."""
     floors = [submap for submap in snapshot.submaps if submap.observed_space.floor_z_m is not None]
     if not floors:
         if not any(len(submap.observed_space.free) for submap in snapshot.submaps):
@@ -63,7 +63,7 @@ def _height_m(submap: Submap) -> float:
 
 
 def _levels(heights_m: Sequence[float]) -> list[float]:
-    """Return the heights of storeys, each once."""
+    """Return the distinct heights of the storeys."""
     levels: list[float] = []
     for height_m in sorted(heights_m):
         if not levels or height_m - levels[-1] > _ANOTHER_STOREY_M:
@@ -72,7 +72,7 @@ def _levels(heights_m: Sequence[float]) -> list[float]:
 
 
 def tilt_note(space: ObservedSpace) -> str | None:
-    """Return in words by how much the floor of a space is tilted, None where it is level, or no plane."""
+    """Return a note on the tilt of the floor of a space; None if it is level or not a plane."""
     places, voxel_m = _columns(space, _REACH_M), space.voxel_m
     slope = _slope(places, voxel_m)
     if slope is None:
@@ -94,7 +94,7 @@ def _area_m2(space: ObservedSpace) -> float:
 
 
 def _columns(space: ObservedSpace, reach_m: float) -> NDArray[np.float64]:
-    """Return (N, 3) the middle of the lowest structure of each column within reach of the floor, without walls'."""
+    """Return (N, 3) the centres of the lowest structure voxels of columns near the floor, without columns of walls."""
     middles = (cells_of_keys(space.structure) + 0.5) * space.voxel_m
     above_m = middles[:, 2] - (space.floor_z_m or 0.0)
     near = middles[(above_m > -reach_m) & (above_m < reach_m + WALL_M)]
@@ -106,7 +106,7 @@ def _columns(space: ObservedSpace, reach_m: float) -> NDArray[np.float64]:
 
 
 def _slope(places: NDArray[np.float64], voxel_m: float) -> tuple[NDArray[np.float64], float] | None:
-    """Return the rise along x and y of a plane through most of (N, 3) places, and their share; None for too few."""
+    """Return the slope along x and y of a plane fitted to (N, 3) points, and its share of inliers; None if too few."""
     rise, level, near = np.zeros(2), float(np.median(places[:, 2])) if len(places) else 0.0, np.ones(len(places), bool)
     middle = places[:, :2].mean(axis=0) if len(places) else np.zeros(2)
     for reach_m in (_REACH_M, 6 * voxel_m, 3 * voxel_m, 2 * voxel_m, 2 * voxel_m):
@@ -125,7 +125,7 @@ def _slope(places: NDArray[np.float64], voxel_m: float) -> tuple[NDArray[np.floa
 
 
 def _fitted(flat: NDArray[np.float64], z: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
-    """Return the least squares plane z = rise . (x, y) + level; None where the places are on one line."""
+    """Return the least squares plane z = rise . (x, y) + level; None if the points are on one line."""
     x, y = flat[:, 0] - flat[:, 0].mean(), flat[:, 1] - flat[:, 1].mean()
     h = z - z.mean()
     xx, xy, yy, xh, yh = (float((a * b).sum()) for a, b in ((x, x), (x, y), (y, y), (x, h), (y, h)))

@@ -1,7 +1,7 @@
-"""The invariants of the map's state: what holds between its parts after every event.
+"""The invariants of the map's state: relations between its parts that hold after every event.
 
-Each is a sentence and the function that tells where it does not hold. `validate` runs after every event in the tests of
-the core, and in a run with `--debug`.
+Each invariant is a sentence and a function that yields its violations. `validate` runs after every event in the tests
+of the core, and in a run with `--debug`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def validate(state: MapState) -> None:
     """Check every invariant of a state.
 
     Raises:
-        InvariantError: one is broken; its name, and where.
+        InvariantError: an invariant is broken; the message gives its sentence and the violation.
     """
     for name, broken in INVARIANTS.items():
         for found in broken(state):
@@ -113,7 +113,7 @@ def _unkept_views(state: MapState) -> Iterator[str]:
 
 
 def _unneeded_views(state: MapState) -> Iterator[str]:
-    # While features are pending, what they will not need is kept.
+    # While features are pending, pixels of candidate views are kept although no track refers to them yet.
     if state.pending is None:
         yield from (f"{name}, which nothing needs" for name in sorted(state.kept_views - state.view_names()))
 
@@ -204,7 +204,7 @@ INVARIANTS: dict[str, Callable[[MapState], Iterator[str]]] = {
     "an open submap that is alone judges by its own space": _other_judges,
     "an observed space is in order, and no structure is free": _disordered_spaces,
 }
-"""What tells where an invariant is broken, by the sentence that holds."""
+"""The function that yields the violations of each invariant, by the invariant's sentence."""
 
 
 def _twice(text: str, items: Iterable[int]) -> Iterator[str]:

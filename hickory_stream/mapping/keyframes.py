@@ -20,9 +20,9 @@ class KeyframeConfig(Ranged):
     """When a frame is a keyframe.
 
     Attributes:
-        min_interval_s: never sooner after the last one.
-        min_distance_m, min_angle_deg: at least one of both away from the last one ...
-        max_interval_s: ... unless the last one is this old.
+        min_interval_s: minimum time since the last keyframe.
+        min_distance_m, min_angle_deg: minimum translation or rotation since the last keyframe (one suffices) ...
+        max_interval_s: ... not required once this time has passed since the last keyframe.
     """
 
     min_interval_s: float = number(0.25, 0, 3600, "s")
@@ -56,6 +56,6 @@ def is_keyframe(
 
 
 def motion(world_from_first: NDArray[np.float64], world_from_second: NDArray[np.float64]) -> tuple[float, float]:
-    """Return how far a camera went between two poses, in metres, and how far it turned, in radians."""
+    """Return the translation of a camera between two poses, in metres, and its rotation, in radians."""
     distance_m = portable.norm(world_from_second[:3, 3] - world_from_first[:3, 3])
     return distance_m, rotation_angle_rad(portable.matmul(world_from_first[:3, :3].T, world_from_second[:3, :3]))

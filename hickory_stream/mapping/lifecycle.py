@@ -1,9 +1,9 @@
 """The life cycle of a track, as a table: `LIFE_CYCLE` is what the core executes, and what the documentation prints.
 
-A row says: in these phases, when this happens and all guards hold, the track goes to that phase, or ends, and these
-effects are carried out. Of the rows of a phase and an event the first whose guards hold counts; where there is none,
-nothing changes. What guards ask and effects do is in `track_ageing`; times are of the core's own clock, which runs on
-through a jump of the stamps.
+A row says: in these phases, if this event occurs and all guards hold, the track changes to that phase, or ends, and
+these effects are carried out. The first row of a phase and an event whose guards hold applies; if there is none,
+nothing changes. The guards and effects are implemented in `track_ageing`. Times are measured by the core's own clock,
+which a jump of the stamps does not change.
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
     from hickory_stream.records import DropCause
 
-# Evidence is a sum of floats, which may miss a whole number by its last bits.
+# Rounding tolerance: evidence is a sum of floats.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LifecycleConfig(Ranged):
-    """The numbers of the table, and of the guards that it names.
+    """The thresholds of the table and of its guards.
 
     Attributes:
-        confirm_sightings: evidence for a confirmation, in units of `existence`: two good sightings from different
-            viewpoints, or so many from the same one.
-        tentative_s: unconfirmed tracks are kept for so long, so that a second visit can confirm them.
-        dormant_s, archive_s: a confirmed track that was not seen for so long is dormant, or archived.
-        phantom_frames: a track is dropped once so many keyframes have seen through its place since it was last seen.
-        structure_m, structure_m3: a track is structure if its two longest sides are over the one, or its box over the
-            other.
-        structure_share: a track with more of its points than this on tracks that are part of the room is a piece of
-            these.
-        revise_evidence: what a track that is set aside as part of the room has to be seen again, in units of
-            `existence` (so that viewpoints count, not keyframes), before it may be an object after all.
-        wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab that begins at most this high above
-            the floor, ends at least that high, is at least so tall and thinner, is a piece of a wall; so is one longer
-            than `structure_m`, wherever it begins.
-        lintel_foot_m, lintel_top_m: a slab that begins and ends at least that high above the floor is what a wall has
-            over a door.
-        wall_share, wall_hits: of a track that comes to rest with more of its points than this in voxels that so many
-            keyframes saw as structure, and `wall_against` times as many as saw the point as the track's, these points
-            are removed: some mask of the track included a piece of the wall behind it.
+        confirm_sightings: evidence needed for confirmation, in units of `existence`: two good sightings from different
+            viewpoints, or this many from the same one.
+        tentative_s: how long an unconfirmed track is kept, so that a second visit can confirm it.
+        dormant_s, archive_s: a confirmed track that was not seen for this long becomes dormant, or archived.
+        phantom_frames: a track is dropped once this many keyframes have seen through its place since it was last seen.
+        structure_m, structure_m3: a track is structure if its two longest sides exceed the length, or its box exceeds
+            the volume.
+        structure_share: a track with more than this share of its points on tracks that are part of the room is itself
+            part of the room.
+        revise_evidence: evidence, in units of `existence` (so that viewpoints count, not keyframes), that a track must
+            gain after it was set aside as part of the room before it can become an object again.
+        wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab is a piece of a wall if its lower end
+            is at most `wall_foot_m` and its upper end at least `wall_top_m` above the floor, and it is at least
+            `wall_height_m` tall and at most `wall_thickness_m` thick; so is any slab longer than `structure_m`.
+        lintel_foot_m, lintel_top_m: a slab whose lower and upper ends are at least this high above the floor is the
+            piece of wall above a door (lintel).
+        wall_share, wall_hits, wall_against: when a track becomes dormant with more than `wall_share` of its points in
+            voxels that at least `wall_hits` keyframes saw as structure, and `wall_against` times as many as saw the
+            point as the track's, these points are removed: a mask included a piece of the wall behind the object.
         phantom_share: minimum share of a track's voxels that a keyframe observes free to count as seeing through it.
     """
 
@@ -86,7 +86,7 @@ class LifeEvent(StrEnum):
 
 
 class Guard(StrEnum):
-    """What a row asks of a track."""
+    """A condition on a track."""
 
     IS_ROOM = "it is too large, a piece of a wall, or flat and flush with one"
     IN_ROOM = "more than `structure_share` of it lies on tracks that are part of the room"
@@ -115,14 +115,14 @@ class TrackEffect(StrEnum):
 
 
 class End(StrEnum):
-    """Where a track goes that is none any more."""
+    """How a track ends."""
 
     DROPPED = "(dropped)"
     MERGED = "(merged)"
 
 
 class Other(StrEnum):
-    """A phase that another track says."""
+    """A next phase that is determined by another track."""
 
     ITS_PHASE = "that of the other"
 
@@ -134,9 +134,9 @@ ANY = tuple(Phase)
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """A row: `phases` None are those of a track that is not there yet; `to` None is the phase that it is in.
+    """A row of the table.
 
-    `cause` is why a track is dropped.
+    `phases` None: the track does not exist yet. `to` None: the phase does not change. `cause`: why a track is dropped.
     """
 
     phases: tuple[Phase, ...] | None
@@ -194,13 +194,13 @@ LIFE_CYCLE = (
         CONFIRMED, LifeEvent.SOURCE_ENDED, (Guard.KNOWN_HERE, Guard.UNSUPPORTED), End.MERGED, (TrackEffect.MERGE,)
     ),
 )
-"""All that becomes of tracks."""
+"""The rows of the life cycle, in order of precedence."""
 
 
 def transition(phase: Phase | None, event: LifeEvent, holds: Callable[[Guard], bool]) -> Transition | None:
-    """Return the row that applies to a track in a phase, None where nothing changes; guards are asked in their order.
+    """Return the row that applies to a track in a phase, None if nothing changes; guards are evaluated in order.
 
-    `phase` None: the track is not there yet.
+    `phase` None: the track does not exist yet.
     """
     for row in _ROWS[phase, event]:
         if all(holds(guard) for guard in row.guards):

@@ -1,7 +1,7 @@
-"""The state of the map: all that decides what comes next, with one owner for each part.
+"""The state of the map: everything that later decisions depend on, with one owner for each part.
 
-Only the rooms that `MapperCore` calls change it. Tracks, submaps and the vote book are immutable: a state is copied
-without copying them, and what was handed out never changes.
+Only the modules that `MapperCore` calls change it. Tracks, submaps and the vote book are immutable: a copy of the state
+shares them, and published records never change.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PendingFeatures:
-    """The keyframe whose features are being computed: candidates for best view by observation, and where each went."""
+    """The keyframe whose features are being computed: candidate best views and track ids, by observation."""
 
     frame_index: int
     candidates: dict[int, View]
@@ -36,22 +36,22 @@ class PendingFeatures:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class MapState:
-    """The map, and what is known of how it came about.
+    """The map and its history.
 
     Attributes:
-        submaps: where things lie, and the observed space.
+        submaps: the submaps with their poses, and the observed space.
         tracks: the tracks by id.
         votes: how often pairs of tracks were segmented together and apart.
         split_candidates: parts of tracks that keyframes segmented apart, by host.
-        absorbed: the tracks that each track took in, by host.
-        clock_ns: seconds that passed in all, whatever the stamps did; `stamp_ns` is None before a first keyframe and
-            after a jump of the stamps.
+        absorbed: the tracks that were merged into each track, by host.
+        clock_ns: time that has passed in all, in ns, not counting jumps of the stamps.
+        stamp_ns: the stamp of the last keyframe; None before the first one and after a jump of the stamps.
         revision: the number of keyframes.
         next_id, next_ticket: the ids of the next track and of the next shape job.
-        pending: the keyframe whose features were asked for, until they come.
+        pending: the keyframe whose features were requested and have not arrived yet.
         kept_views: the names of the views whose pixels are kept.
-        decisions: what was decided since the last publication.
-        num_masks, num_features: of how many masks, and of how many of them features were asked for.
+        decisions: the decisions since the last publication.
+        num_masks, num_features: the number of masks so far, and of those whose features were requested.
     """
 
     submaps: Submaps
@@ -91,12 +91,12 @@ class MapState:
         )
 
     def view_names(self) -> set[str]:
-        """Return the names of the views that the map has, or would have again after a split."""
+        """Return the names of the views that the tracks have, or that a later split could restore."""
         own = {view.name for track in self.tracks.values() for view in track.views}
         return own.union(views_of(self.absorbed))
 
     def advance_clock(self, stamp_ns: int) -> None:
-        """Let the time pass up to a stamp."""
+        """Advance the clock to a stamp."""
         if self.stamp_ns is not None:
             self.clock_ns += max(0, stamp_ns - self.stamp_ns)
         self.stamp_ns = stamp_ns
@@ -111,7 +111,7 @@ class MapState:
         other_id: int | None = None,
         cause: DropCause | None = None,
     ) -> None:
-        """Note a decision and its reason, for the next publication."""
+        """Record a decision and its reason, for the next publication."""
         decision = Decision(
             kind=kind,
             object_id=object_id,
@@ -123,7 +123,7 @@ class MapState:
         self.decisions.append(decision)
 
     def taken_decisions(self) -> tuple[Decision, ...]:
-        """Return the decisions since the last publication, and forget them."""
+        """Return the decisions since the last publication and clear them."""
         decisions, self.decisions = tuple(self.decisions), []
         return decisions
 
@@ -133,10 +133,10 @@ class MapState:
 
     @classmethod
     def of_parts(cls, parts: Mapping[str, Any], empty: MapState) -> Self:
-        """Return the state that `parts` was taken of; `empty` is that of a new map.
+        """Return the state from which `parts` were taken; `empty` is the state of a new map.
 
         Raises:
-            ValueError: the state is that of another version.
+            ValueError: the state was written by another version.
         """
         expected = {part.name: getattr(empty, part.name) for part in fields(cls)}
         if parts.keys() != expected.keys():
@@ -150,9 +150,10 @@ class MapState:
         )
 
     def going_on_after(self, later: MapState, lost_views: Collection[str]) -> None:
-        """Number objects, jobs and revisions on from a later state that was left, and be without some views.
+        """Prepare this earlier state for continuing after the run was rewound to it from the `later` one.
 
-        So each number means one thing. `lost_views` have no pixels any more: nothing can be made of them.
+        Ids of objects, job tickets and revisions continue from those of `later`, so that no number is used twice.
+        The pixels of `lost_views` no longer exist; these views are removed.
         """
         self.next_id = max(self.next_id, later.next_id)
         self.next_ticket = max(self.next_ticket, later.next_ticket)

@@ -1,4 +1,4 @@
-"""The configuration of the core, by what each part of it decides."""
+"""The configuration of the core: one section for each part."""
 
 from __future__ import annotations
 

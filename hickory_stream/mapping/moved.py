@@ -1,4 +1,4 @@
-"""An object at another place: points, box, views, mesh and superquadrics moved rigidly, nothing computed anew."""
+"""Rigid motion of an object: points, box, views, mesh and superquadrics are transformed, nothing is recomputed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def moved_object(item: TrackedObject, new_from_old: NDArray[np.float64]) -> TrackedObject:
-    """Return an object, with everything that is known of it, in another world; `new_from_old` (4, 4) is rigid."""
+    """Return an object with all its data in another world frame; `new_from_old` (4, 4) is rigid."""
     views = tuple(replace(view, world_from_camera=compose(new_from_old, view.world_from_camera)) for view in item.views)
     best = None if item.best_view is None else views[[v.name for v in item.views].index(item.best_view.name)]
     return replace(
@@ -34,7 +34,7 @@ def moved_object(item: TrackedObject, new_from_old: NDArray[np.float64]) -> Trac
 
 
 def moved_shape(shape: ObjectShape, new_from_old: NDArray[np.float64]) -> ObjectShape:
-    """Return layers 2 to 4 in another world."""
+    """Return layers 2 to 4 of an object in another world frame; `new_from_old` (4, 4) is rigid."""
     return replace(
         shape,
         world_from_object=compose(new_from_old, shape.world_from_object),

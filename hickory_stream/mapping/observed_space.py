@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from hickory_stream.records import SpaceObservation
 
 _SURE_HITS = 2
-# More than any count of keyframes: what `structure_hits` says of voxels of tracks that are part of the room.
+# The value of `structure_hits` in voxels of tracks that are part of the room: more than any count of keyframes.
 _HELD = 255
 # When a count reaches this, both counts of the voxel are halved, so that later keyframes can still outvote it.
 _MOST_VOTES = 240
-# What lies so much lower is no step down, but something else than what was taken for the floor; what was, is no table
-# if it is this large.
+# A surface that lies this much lower is not a step of the floor: the presumed floor was a table, unless it is as large
+# as this area.
 _NO_STEP_M, _NO_TABLE_M2 = 0.3, 6.0
 _STOREY_M = 2.4
 # The range of voxel indices.
@@ -48,13 +48,13 @@ _FAR = 1 << 20
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FlushConfig(Ranged):
-    """When a flat thing is more of the wall around it: sizes, and the share of its border along which the wall goes on.
+    """When a flat object is a part of the wall around it: by sizes and by the share of its border that is in a wall.
 
-    Structure counts from half of `reach_m` to `reach_m` beyond the border (a wall that meets the thing at an edge is
-    not in its plane, and ends before), in the thing's own plane: its middle may lie off the thing's by `max_offset` of
-    half the thickness. Nothing counts up to `foot_m` above the floor, on which everything stands. An upright strip that
-    is thinner than `edge_width_m`, taller than `edge_height_m` and has structure within `edge_reach_m` along most of
-    its height is the edge of a wall or the frame of a door.
+    Structure counts if it lies from half of `reach_m` to `reach_m` beyond the border (nearer structure may be a wall
+    that meets the object at an edge), and in the object's own plane: the middle of the structure may be off the middle
+    of the object by `max_offset` of half its thickness. Structure up to `foot_m` above the floor does not count, since
+    every object stands on the floor. An upright strip that is thinner than `edge_width_m`, taller than `edge_height_m`
+    and has structure within `edge_reach_m` along most of its height is the edge of a wall or the frame of a door.
     """
 
     thickness_m: float = number(0.12, 0, 100, "m")
@@ -71,12 +71,12 @@ class FlushConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceState:
-    """Every voxel in which a surface was seen, and every free one, as sorted keys.
+    """The voxels with an observed surface, and the free voxels, as sorted keys.
 
-    `hits` counts the keyframes that by themselves showed a voxel of `surface` as structure, `misses` those that showed
-    something else there. Structure is what at least two keyframes showed, and more than showed otherwise; it is not in
-    `free`, but in `hidden_free` where rays had passed as well. `room` are the voxels of tracks that are held to be part
-    of the room: structure for all who ask for it, but no vote of a keyframe.
+    `hits` counts the keyframes that showed a voxel of `surface` as structure (without the map prior), `misses` those
+    that showed it as something else. A voxel is structure if it has at least two hits, and more hits than misses.
+    Structure voxels are never in `free`; those that rays had also traversed are in `hidden_free`. `room` are the voxels
+    of tracks that are part of the room: queries treat them as structure, but they do not count as votes of keyframes.
     """
 
     voxel_m: float
@@ -90,7 +90,7 @@ class SpaceState:
 
     @property
     def is_structure(self) -> NDArray[np.bool_]:
-        """Which voxels of `surface` are structure."""
+        """Return which voxels of `surface` are structure."""
         return _is_structure(self.hits, self.misses)
 
 
@@ -107,9 +107,10 @@ def empty_space(voxel_m: float) -> SpaceState:
 
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
-    """Return the space after one more keyframe. The floor follows slowly; it goes down, or to another storey, at once.
+    """Return the space after one more keyframe.
 
-    Where a floor appears below what was taken for it, what was concluded from that is withdrawn (`false_floor`).
+    The floor height is filtered over keyframes, but a drop, or a change of storey, takes effect at once. If a floor
+    appears below the presumed one, structure at the presumed height is withdrawn (`false_floor`).
     """
     false_m = false_floor(state, seen.floor_z_m)
     if false_m is not None:
@@ -124,7 +125,7 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     gained, lost = voters[now & ~before], voters[before & ~now]
     state = replace(state, hits=hits, misses=misses, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m))
     is_hidden = _structure_at(state, seen.free_keys)
-    # What has just become structure is free no more, and what is structure is not made free by rays that graze it.
+    # Voxels that have just become structure are no longer free, and rays that graze structure do not make it free.
     bared = lost[contains(state.hidden_free, lost)]
     hidden = union(gained[contains(state.free, gained)], seen.free_keys[is_hidden])
     free = exchanged(state.free, gained, union(seen.free_keys[~is_hidden], bared))
@@ -134,10 +135,10 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
 
 
 def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
-    """Return the height of the floor so far if it is none, None where it stays one.
+    """Return the height of the presumed floor if the floor now seen refutes it, else None.
 
-    It is none where a floor `seen_m` is seen so much lower that this is no step down, and no other storey, and it is
-    no larger than a table: a second level of a room is larger.
+    It is refuted if a floor `seen_m` is seen too far below it for a step, but not as far as another storey, and its
+    area is no larger than a table's: a second floor level of a room is larger.
     """
     known_m = state.floor_z_m
     if known_m is None or seen_m is None or not _NO_STEP_M < known_m - seen_m < _STOREY_M:
@@ -148,7 +149,7 @@ def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
 
 
 def floor_change(state: SpaceState, seen_m: float | None) -> str | None:
-    """Return in words that the floor becomes another one where `seen_m` is seen, None where it stays the same."""
+    """Return a message if a floor seen at `seen_m` replaces the known floor, None if the floor stays the same."""
     known_m, false_m = state.floor_z_m, false_floor(state, seen_m)
     if known_m is None or seen_m is None:
         return None
@@ -163,13 +164,13 @@ def floor_change(state: SpaceState, seen_m: float | None) -> str | None:
 
 
 def is_another_storey(state: SpaceState, seen_m: float | None) -> bool:
-    """Return whether a floor that is seen is that of another storey."""
+    """Return whether the floor seen at `seen_m` is that of another storey."""
     known_m = state.floor_z_m
     return known_m is not None and seen_m is not None and abs(seen_m - known_m) > _STOREY_M / 2
 
 
 def without_level(state: SpaceState, z_m: float) -> SpaceState:
-    """Return the space in which nothing level at a height is known to be structure: what comes next decides."""
+    """Return the space without structure votes for horizontal surfaces at a height, to be decided again."""
     at = _is_level_at(state, z_m)
     lost = state.surface[at & state.is_structure]
     bared = lost[contains(state.hidden_free, lost)]
@@ -183,7 +184,7 @@ def without_level(state: SpaceState, z_m: float) -> SpaceState:
 
 
 def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
-    """Return which voxels of `surface` are within one of a height, and below no wall: walls go on above."""
+    """Return which voxels of `surface` are within one voxel of a height, except in columns of walls."""
     cells = cells_of_keys(state.surface)
     above_m = (cells[:, 2] + 0.5) * state.voxel_m - z_m
     near = np.flatnonzero((above_m > -1.5 * state.voxel_m) & (above_m < WALL_M))
@@ -200,14 +201,14 @@ def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
 def _voted(
     hits: NDArray[np.uint8], misses: NDArray[np.uint8], is_hit: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the votes with one more of each voxel."""
+    """Return the votes with one more for each of these voxels."""
     hits, misses = hits + is_hit, misses + ~is_hit
     full = np.maximum(hits, misses) >= _MOST_VOTES
     return np.where(full, hits // 2, hits).astype(np.uint8), np.where(full, misses // 2, misses).astype(np.uint8)
 
 
 def _with_surface(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
-    """Return the space in which (N,) sorted voxels have a surface; the new ones have no votes yet."""
+    """Return the space with (N,) sorted voxels added to its surface; new voxels have no votes yet."""
     new = keys[~contains(state.surface, keys)]
     at, none = places(state.surface, new), np.zeros(len(new), dtype=np.uint8)
     return replace(
@@ -219,25 +220,25 @@ def _with_surface(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
 
 
 def with_room(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
-    """Return the space in which these sorted voxels, and no others, are those of tracks that are part of the room."""
+    """Return the space in which exactly these sorted voxels are those of tracks that are part of the room."""
     return state if np.array_equal(state.room, keys) else replace(state, room=keys)
 
 
 def without_room(state: SpaceState) -> SpaceState:
-    """Return the space as keyframes showed it: without tracks that are held to be part of the room."""
+    """Return the space from keyframes alone, without the tracks that were set aside as part of the room."""
     return with_room(state, np.zeros(0, dtype=np.int64))
 
 
 def structure_hits(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return how many keyframes saw each of (N,) voxels as structure; 0 where more saw something else.
+    """Return (N,) how many keyframes saw each voxel as structure; 0 where the misses outnumber the hits.
 
-    255 in voxels of tracks that are part of the room.
+    Voxels of tracks that are part of the room have 255.
     """
     return np.where(contains(state.room, keys), np.uint8(_HELD), _votes_at(state, keys))
 
 
 def _structure_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which of (N,) voxels keyframes showed as structure."""
+    """Return (N,) which voxels are structure by the votes of keyframes."""
     return _votes_at(state, keys) >= _SURE_HITS
 
 
@@ -264,7 +265,7 @@ def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: floa
 
 @numba.njit(cache=True, nogil=True)
 def _share_in(sorted_keys, points, step, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the share of every `step`-th of (N, 3) points, N >= 1, in voxels of sorted keys."""
+    """Return the share of (N, 3) points, N >= 1, in voxels of sorted keys, from every `step`-th point."""
     count, num_in, at = 0, 0, 0
     for i in range(0, len(points), step):
         key = key_of_point(points[i, 0], points[i, 1], points[i, 2], voxel_m)
@@ -292,7 +293,7 @@ def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
     )
     if not around.any() or abs(float(np.median(offset[around]))) > config.max_offset * half[thin] + state.voxel_m / 4:
         return False
-    # Cells of the border itself, each once, however deep the structure is behind it.
+    # Each cell of the border counts once, however many structure voxels lie behind it.
     border = np.unique(np.floor(np.clip(in_plane[around], -wide, wide) / state.voxel_m), axis=0)
     return len(border) * state.voxel_m > config.border_share * 4 * float(wide.sum())
 
@@ -321,7 +322,7 @@ def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float
 def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> NDArray[np.float32]:
     """Return the (N, 3) centres of structure voxels around a box.
 
-    Only what frames saw as structure: a track that is set aside for one reason is no reason to set aside its neighbour.
+    Only votes of keyframes count: a track that was set aside as part of the room must not cause its neighbour to be.
     """
     return centers_of_keys(_near(state.surface[state.is_structure], box, state.voxel_m, reach_m), state.voxel_m)
 
@@ -336,7 +337,7 @@ def _near(keys: NDArray[np.int64], box: OrientedBox, voxel_m: float, reach_m: fl
 
 
 def as_record(state: SpaceState) -> ObservedSpace:
-    """Return the public record: structure, tracks that are part of the room among it, and free space that is none."""
+    """Return the public record: structure, including tracks that are part of the room, and free space outside it."""
     structure = state.surface[state.is_structure]
     return ObservedSpace(
         voxel_m=state.voxel_m,
@@ -347,7 +348,7 @@ def as_record(state: SpaceState) -> ObservedSpace:
 
 
 def known_space(record: ObservedSpace) -> SpaceState:
-    """Return the space of a public record, in which what is structure surely is, and nothing is known of votes."""
+    """Return the space of a public record; it has no votes, so that its structure counts as certain."""
     structure = record.structure
     return replace(
         empty_space(record.voxel_m),

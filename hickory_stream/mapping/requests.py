@@ -1,7 +1,7 @@
-"""Which shapes to ask for, a few at a time: new objects first, then by expected gain per predicted second.
+"""Scheduling of shape jobs: new objects first, then by expected gain per predicted second.
 
-The gain is the increase in S since the last request, from 0 for a new object. Seconds are predicted from the
-configuration, never measured: how fast a machine is must not decide what the map becomes.
+The gain is the increase in S since the last request (since 0 for a new object). Durations are predicted from the
+configuration, never measured, so that the map does not depend on the speed of the machine.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ class RequestConfig(Ranged):
     """The budget of shape jobs.
 
     Attributes:
-        max_in_flight: jobs that are open at a time.
+        max_in_flight: maximum number of open jobs.
         latency_s: a result is committed at the first keyframe this long after its request (playback).
-        first_sightings: an object's first shape is asked for after so many sightings, or as soon as it is out of view:
-            what is still being looked at will be known better in a moment.
-        min_gain: a shape is renewed when new views and new surface add up to this much.
+        first_sightings: an object's first shape is requested after this many sightings, or as soon as it is out of
+            view: while it is in view, better views are likely to follow.
+        min_gain: a shape is renewed when new views and new surface add up to this gain (`gain_of`).
         final_gain: the same when the source has ended.
-        interval_s: not sooner after the last request for the same object.
-        max_failures: after so many failures the object is set aside.
-        job_s, view_s, kilopoint_s: what a job of the chosen reconstructor is predicted to take: for itself, for each
-            view, and for each thousand points of layer 1; as `fused` took on the demo log. Only their ratios matter.
-        replace_by: a waiting or running job is replaced, once, when S has grown by this share, and by more than the
-            share of `latency_s` that has passed since: later, what was begun is worth more than what would be won.
+        interval_s: minimum time between two requests for the same object.
+        max_failures: after this many failures no shape is requested for the object any more.
+        job_s, view_s, kilopoint_s: predicted duration of a job of the chosen reconstructor: fixed, per view, and per
+            thousand points of layer 1; as measured with `fused` on the demo log. Only their ratios matter.
+        replace_by: an open job is replaced, once, if S has grown by this share, and by more than the share of
+            `latency_s` that has passed since the request: a job that is nearly finished is worth keeping.
     """
 
     max_in_flight: int = number(4, 1, 10_000, "jobs")
@@ -57,19 +57,19 @@ class RequestConfig(Ranged):
 def next_requests(
     tracks: Mapping[int, Track], num_open: int, clock_ns: int, *, is_final: bool, config: RequestConfig
 ) -> list[int]:
-    """Return the ids of the objects to ask shapes for now, most urgent first; all of them when the source ended."""
+    """Return the ids of the objects whose shapes to request now, most urgent first; all of them at the end."""
     wanted = [t for t in tracks.values() if _is_wanted(t, clock_ns, is_final=is_final, config=config)]
     free = len(wanted) if is_final else max(0, config.max_in_flight - num_open)
     return [track.id for track in sorted(wanted, key=lambda track: _rank(track, config))[:free]]
 
 
 def next_replacements(tracks: Mapping[int, Track], clock_ns: int, config: RequestConfig) -> list[int]:
-    """Return the ids of the objects whose open job is not worth waiting for any more: there is a much better view."""
+    """Return the ids of the objects whose open job should be replaced, since a much better view has come."""
     return [i for i in sorted(tracks) if _is_outdated(tracks[i], clock_ns, config)]
 
 
 def increase_in_score(track: Track) -> float:
-    """Return by how much the score of the best view has grown since a shape was last asked for; from 0 at first."""
+    """Return the increase in the best view's score since the last shape request (since 0 if there was none)."""
     return max(0.0, best_score(track) - track.shape_state.asked_score)
 
 
@@ -84,9 +84,9 @@ def predicted_s(track: Track, config: RequestConfig) -> float:
 
 
 def gain_of(track: Track) -> float:
-    """Return what a new shape would know more: the share of new views and of new surface; 10 for a first one.
+    """Return the gain of a new shape: the share of new views plus the share of new surface; 10 for a first shape.
 
-    Surface that is gone, to another object or to a wall, counts twice: the shape claims what the object is not.
+    Surface that was removed, given to another object or a wall, counts twice: the present shape is wrong there.
     """
     state = track.shape_state
     if _is_new(track):
@@ -98,7 +98,7 @@ def gain_of(track: Track) -> float:
 
 
 def shape_request(track: Track, *, ticket: int, support_z_m: float | None, due_ns: int) -> RequestShape:
-    """Return the job that makes a shape of a track's solid part and its views, the best one first."""
+    """Return the job that reconstructs a shape from a track's solid part and its views, the best view first."""
     views = sorted(track.views, key=lambda view: (view is not track.best_view, view.frame_index, view.box_px))
     return RequestShape(
         ticket=ticket,
@@ -113,7 +113,7 @@ def shape_request(track: Track, *, ticket: int, support_z_m: float | None, due_n
 
 
 def state_of_request(track: Track, ticket: int, clock_ns: int, *, is_replacement: bool) -> ShapeState:
-    """Return what a track remembers of a job that is asked for now."""
+    """Return the state that a track records for a job that is requested now."""
     return ShapeState(
         open_ticket=ticket,
         asked_clock_ns=clock_ns,
@@ -130,7 +130,7 @@ def _is_new(track: Track) -> bool:
 
 
 def _rank(track: Track, config: RequestConfig) -> tuple[bool, float, float, int]:
-    """Return what requests are ordered by; where S tells nothing, what is new in views and surface does."""
+    """Return the sort key of requests: new objects first, then the increase in S per second, then `gain_of`."""
     return not _is_new(track), -increase_in_score(track) / predicted_s(track, config), -gain_of(track), track.id
 
 
@@ -138,7 +138,7 @@ def _is_wanted(track: Track, clock_ns: int, *, is_final: bool, config: RequestCo
     state = track.shape_state
     if not is_object(track) or state.open_ticket is not None:
         return False
-    # A part that became an object and was not seen again has no view of its own: its points must do.
+    # An object that was split off and not seen again has no view: its shape is made from points alone, at the end.
     if not track.views and not is_final:
         return False
     if state.failures >= config.max_failures:

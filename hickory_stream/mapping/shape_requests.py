@@ -1,4 +1,4 @@
-"""Shape jobs of the tracks: asked for and replaced as `requests` ranks them, and ended."""
+"""Shape jobs of the tracks: requests, replacements (as ranked by `requests`) and their results."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 
 def request_shapes(state: MapState, config: RequestConfig, graph: SupportGraph, *, is_final: bool) -> list[Effect]:
-    """Ask for the shapes that are worth it now, within the budget of jobs; for all that are missing at the end.
+    """Request the most urgent shapes within the budget of open jobs; at the end, all shapes that are missing.
 
-    `graph` says on what an object rests, which is where a completed shape ends.
+    `graph` gives the support surface of an object, at which a completed shape ends.
     """
     num_open = sum(track.shape_state.open_ticket is not None for track in state.tracks.values())
     replaced = [] if is_final else next_replacements(state.tracks, state.clock_ns, config)
@@ -35,7 +35,7 @@ def request_shapes(state: MapState, config: RequestConfig, graph: SupportGraph, 
 
 
 def _requested(state: MapState, track_id: int, config: RequestConfig, graph: SupportGraph) -> list[Effect]:
-    """Ask for the shape of a track, in place of the job that is open."""
+    """Request the shape of a track; an open job of the track is replaced."""
     effects: list[Effect] = []
     track = state.tracks[track_id]
     if (gone := track.shape_state.open_ticket) is not None:
@@ -61,7 +61,7 @@ def _requested(state: MapState, track_id: int, config: RequestConfig, graph: Sup
 
 
 def end_shape(state: MapState, event: ShapeReady | ShapeFailed) -> None:
-    """Note how the job of a track ended, if it is still wanted."""
+    """Store the result of a shape job in its track; a result of a job that is no longer wanted is ignored."""
     track = state.tracks.get(event.object_id)
     if track is None or track.shape_state.open_ticket != event.ticket:
         state.decide("shape", event.object_id, f"job {event.ticket} ended, but is no longer wanted")

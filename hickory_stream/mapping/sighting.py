@@ -1,4 +1,4 @@
-"""A sighting: one observation of a keyframe, and the track that it went to."""
+"""A sighting: one observation of a keyframe, and the track that it was assigned to."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Sighting:
-    """An observation, its cloud and the track that it went to.
+    """An observation, its cloud and the track that it was assigned to.
 
-    `is_part`: it shows only a part of the track, which another observation of the keyframe shows as well. `lies_on` is
-    the share of its points on the track where it was matched by them, else 0. `covered` are the other tracks that it
-    covers, so that the keyframe segments them together with the track.
+    `is_part`: it shows only a part of the track, and another observation of the keyframe is the match of the track.
+    `lies_on`: the share of its points on the track if it was matched by points, else 0. `covered`: other tracks that it
+    covers, which means that the keyframe segments them together with the track.
     """
 
     observation: Observation

@@ -1,4 +1,4 @@
-"""The map as it is handed out: public records of tracks and submaps. What did not change is the same record again."""
+"""Public records of the map: tracks and submaps. Records of what did not change are reused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Snapshots:
-    """Makes the public records of a state, and keeps those that it made last."""
+    """Makes the public records of a state; caches the last ones for reuse."""
 
     def __init__(self, points_m: float) -> None:
         self._points_m = points_m
@@ -45,9 +45,9 @@ class Snapshots:
         )
 
     def prior(self, state: MapState) -> MapPrior | None:
-        """Return what perception knows beforehand, as the odometry has it, whatever was corrected; None: no keyframe.
+        """Return the map prior for perception, in the odometry frame (without corrections); None before a keyframe.
 
-        The space and the objects that were seen since the odometry last jumped, wherever submaps ended.
+        It has the space and the objects seen since the last jump of the odometry, across submap borders.
         """
         if state.revision == 0:
             return None
@@ -57,7 +57,7 @@ class Snapshots:
         submaps = state.submaps
         space = submaps.space
         if len(space.room):
-            # What the map concluded is no evidence: the segmenter sees these tracks anew in every keyframe.
+            # Without tracks that are part of the room: conclusions of the map must not become evidence for themselves.
             return as_record(without_room(space))
         is_one = submaps.first == submaps.open_id
         return self._submap(submaps.states[-1]).observed_space if is_one else as_record(space)
@@ -85,7 +85,7 @@ class Snapshots:
 
 
 def metrics_of(state: MapState) -> tuple[tuple[str, float], ...]:
-    """Return named numbers for plots: tracks by phase, the share of features that were not computed, best scores."""
+    """Return named numbers for plots: tracks by phase, the share of masks without computed features, best scores."""
     counts = [(f"core/{phase}", float(sum(t.phase is phase for t in state.tracks.values()))) for phase in Phase]
     scores = [
         (f"score/{track.id}", track.best_view.score)
@@ -97,5 +97,5 @@ def metrics_of(state: MapState) -> tuple[tuple[str, float], ...]:
 
 
 def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:
-    """Return an object where its submap lies: itself, to the byte, where that was not corrected."""
+    """Return an object at its submap's corrected pose; the unchanged record if the pose was not corrected."""
     return item if np.array_equal(world_from_submap, np.eye(4)) else moved_object(item, world_from_submap)

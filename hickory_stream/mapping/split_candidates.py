@@ -23,15 +23,15 @@ class TrackSplitConfig(Ranged):
     """When a part is split off its host.
 
     Attributes:
-        min_apart: minimum number of keyframes that segment it apart ...
+        min_apart: minimum number of keyframes that segment the part apart ...
         apart_ratio: ... and their minimum ratio to those that segment it together with the host.
-        same_share: two observations are of one candidate if this share of either cloud lies on the other.
+        same_share: two observations belong to one candidate if this share of each cloud lies on the other.
         covered_share: an observation of the host that covers this share of the candidate counts as together ...
         alone_share: ... unless this share of the observation lies on the candidate.
         min_voxels: candidates with fewer voxels are noise.
         min_size_m: a part that is thinner, or less than twice that wide, is a rim or a board of its host.
-        part_inside, part_volume: a part with this share of its box within that of its host, and at most this share of
-            the host's volume, stays with it where it rests on nothing: a panel, a board, a drawer.
+        part_inside, part_volume: a part with at least this share of its box inside the host's box, and at most this
+            share of the host's volume, stays with the host if no support surface is below it: a panel, a drawer.
     """
 
     min_apart: int = number(4, 1, 1_000_000, "keyframes")
@@ -47,7 +47,7 @@ class TrackSplitConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SplitCandidate:
-    """A part of a host: its points, the `frames` that segmented it apart, and how many saw both `together`."""
+    """A part of a host: its points, the `frames` that segmented it apart, and how many segmented both `together`."""
 
     cloud: Cloud
     frames: tuple[int, ...]

@@ -1,4 +1,4 @@
-"""Checks of tracks against room structure and free space: is it structure, which points are, is it seen through."""
+"""Checks of tracks against room structure and free space: whether a track is structure or is seen through."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.observed_space import SpaceState
     from hickory_stream.mapping.track import Track
 
-# A track that was not seen for so long is resting: its extent changes no more.
+# A track that was not seen for this long is at rest: its extent no longer changes.
 _RESTING_NS = 1_000_000_000
-# A track with more of its points in a wall is structure as a whole, not an object with some wall points on it.
+# A track with more than this share of its points in a wall is structure as a whole, not an object with wall points.
 _MOST_IN_WALL = 0.9
 
 
 def why_structure(track: Track, space: SpaceState, clock_ns: int, config: MappingConfig) -> str | None:
-    """Return why a track is no object but structure, None where it may be one."""
+    """Return why a track is structure; None if it may be an object."""
     size = " x ".join(f"{side:.1f}" for side in 2 * track.box.half_extents_m)
     if _is_too_large(track, config.lifecycle):
         return f"{size} m is too large for an object"
@@ -36,7 +36,7 @@ def why_structure(track: Track, space: SpaceState, clock_ns: int, config: Mappin
 
 
 def points_in_wall(track: Track, space: SpaceState, config: MappingConfig) -> NDArray[np.bool_] | None:
-    """Return which (N,) of a track's points lie in structure, None if these are only a narrow strip along a wall."""
+    """Return (N,) which of a track's points lie in structure; None if these are only a narrow strip along a wall."""
     hits = structure_hits(space, keys_of_points(track.cloud.points, space.voxel_m))
     # The back panel of a shelf shares voxels with the wall, but was segmented as the shelf more often than as wall.
     in_wall = (hits >= config.lifecycle.wall_hits) & (hits > config.lifecycle.wall_against * track.cloud.hits)
@@ -52,7 +52,7 @@ def is_seen_through(track: Track, free_keys: NDArray[np.int64], config: MappingC
 def _is_more_wall(track: Track, space: SpaceState, clock_ns: int, config: MappingConfig) -> bool:
     """Return whether a track is flush with structure or an edge of it.
 
-    Asked when it is confirmed or resting, and always of one that was set aside for it.
+    Checked only for tracks that are confirmed or at rest, and for those that were already set aside as structure.
     """
     is_settling = track.phase is Phase.TENTATIVE and is_sure(track, config.lifecycle)
     is_resting = track.phase is Phase.ACTIVE and clock_ns - track.seen_clock_ns > _RESTING_NS

@@ -1,12 +1,12 @@
 """Submaps: parts of the map that can be moved rigidly, each with its share of the observed space.
 
-An object, like a voxel, belongs to the submap in which it was first seen. Everything is kept where the odometry had
-it: a correction is only a place for each submap, applied where the map is handed out. So no shape is ever recomputed,
-and the identity brings back every byte.
+An object, like a voxel, belongs to the submap in which it was first seen. All data stay in the odometry frame: a
+correction only sets the pose of each submap, which is applied when the map is published. So no shape is recomputed,
+and without corrections the published data are the original ones, to the byte.
 
-A submap ends after a stretch of way, where the floor becomes that of another storey, or where the odometry jumped. The
-way changes nothing but whose things are: what is judged by the observed space is judged by all that was seen since the
-last jump.
+A submap ends after a length of the camera's path, when the floor becomes that of another storey, or when the odometry
+jumps. An end by path length only changes which submap owns new objects and voxels: checks against the observed space
+use everything seen since the last jump.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SubmapConfig(Ranged):
-    """When a submap ends beside where the odometry jumps: after `travel_m` of the camera's way."""
+    """When a submap ends (besides jumps of the odometry): after `travel_m` of the camera's path."""
 
     travel_m: float = number(15.0, 0.01, 1e6, "m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SubmapState:
-    """A submap: `space` is what of the observed space is its own; `world_from_submap` is the identity until corrected.
+    """A submap: `space` is the part of the observed space that it owns; `world_from_submap` is its corrected pose.
 
-    The frame of a submap is the world of the odometry.
+    The frame of a submap is the odometry frame: `world_from_submap` is the identity until it is corrected.
     """
 
     id: int
@@ -62,11 +62,12 @@ class SubmapState:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Submaps:
-    """All submaps, the last of which is open, and the `space` seen since the odometry last jumped, which judges.
+    """All submaps, the last of which is open, and the `space` seen since the last jump of the odometry.
 
-    `first` is the number of the first submap since that jump. `owned` (N,) are the sorted keys of the voxels of those
-    that are closed, `owners` (N,) the number of the submap of each. `way_m` is how far the camera has come in the open
-    one, to the place `last_world` (3,), which is None before a first keyframe and after a jump.
+    Tracks are checked against `space`. `first` is the id of the first submap since that jump. `owned` (N,) are the
+    sorted keys of the voxels of closed submaps, `owners` (N,) the id of the submap that owns each. `way_m` is the
+    length of the camera's path in the open submap, up to the position `last_world` (3,), which is None before the first
+    keyframe and after a jump.
     """
 
     states: tuple[SubmapState, ...]
@@ -85,7 +86,7 @@ class Submaps:
 
     @property
     def open_id(self) -> int:
-        """The submap of new objects."""
+        """The id of the open submap, which owns new objects."""
         return len(self.states) - 1
 
     def world_from(self, submap_id: int) -> NDArray[np.float64]:
@@ -94,14 +95,14 @@ class Submaps:
 
 
 def first_submap(voxel_m: float) -> Submaps:
-    """Return one open submap in which nothing was seen."""
+    """Return one open, empty submap."""
     space = empty_space(voxel_m)
     state = SubmapState(id=0, world_from_submap=np.eye(4), space=space)
     return Submaps(states=(state,), space=space, owned=np.empty(0, np.int64), owners=np.empty(0, np.int32))
 
 
 def travelled(submaps: Submaps, place_world: NDArray[np.float64], config: SubmapConfig) -> Submaps:
-    """Return the submaps after the camera has come to a place (3,): with a new one where the way has become long."""
+    """Return the submaps after the camera has moved to (3,); a new one is opened after `travel_m` of its path."""
     step_m = 0.0 if submaps.last_world is None else portable.norm(place_world - submaps.last_world)
     way_m = submaps.way_m + step_m
     if way_m < config.travel_m:
@@ -110,14 +111,14 @@ def travelled(submaps: Submaps, place_world: NDArray[np.float64], config: Submap
 
 
 def interrupted(submaps: Submaps) -> Submaps:
-    """Return the submaps after the stamps have jumped: wherever the camera is next, it did not go there."""
+    """Return the submaps after a jump of the stamps: the way to the next camera position does not count as path."""
     return replace(submaps, last_world=None)
 
 
 def torn(submaps: Submaps) -> Submaps:
-    """Return the submaps after the odometry has jumped: a new one, and nothing known of the space around it.
+    """Return the submaps after a jump of the odometry: a new one is opened, and the observed space starts empty.
 
-    One in which no keyframe has come yet goes on being the open one.
+    If the open submap has no keyframe yet, it stays open instead.
     """
     if submaps.last_world is None and submaps.way_m == 0.0 and not _has_space(submaps.states[-1].space):
         return submaps
@@ -135,14 +136,14 @@ def torn(submaps: Submaps) -> Submaps:
 
 
 def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
-    """Return the submaps after one more keyframe: on another storey in a new one, since each has one floor."""
+    """Return the submaps after one more keyframe; a new one is opened on another storey, since each has one floor."""
     false_m = false_floor(submaps.space, seen.floor_z_m)
     if false_m is None and is_another_storey(submaps.space, seen.floor_z_m):
         submaps = replace(_opened(_closed(submaps)), way_m=0.0)
     if submaps.first == submaps.open_id:
         return _alone(submaps, add(submaps.space, seen))
     if false_m is not None:
-        # No submap keeps what was concluded from it.
+        # Structure at the height of the false floor is withdrawn in all submaps since the last jump.
         kept, open_ones = submaps.states[: submaps.first], submaps.states[submaps.first :]
         without = tuple(replace(state, space=without_level(state.space, false_m)) for state in open_ones)
         submaps = replace(submaps, states=(*kept, *without))
@@ -166,7 +167,7 @@ def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
 
 
 def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
-    """Return the submaps since the odometry last jumped, in which these sorted voxels are of tracks that are room."""
+    """Return the submaps where these sorted voxels belong to tracks that are part of the room (since the last jump)."""
     if np.array_equal(submaps.space.room, keys):
         return submaps
     space = observed_space.with_room(submaps.space, keys)
@@ -205,7 +206,7 @@ def record_of(state: SubmapState) -> Submap:
 
 
 def _closed(submaps: Submaps) -> Submaps:
-    """Return the submaps with everything in the open one its own for good."""
+    """Return the submaps with the voxels of the open one assigned to it permanently."""
     space = submaps.states[-1].space
     keys = np.union1d(np.union1d(space.free, space.surface), space.room)
     owned = np.concatenate([submaps.owned, keys])
@@ -215,7 +216,7 @@ def _closed(submaps: Submaps) -> Submaps:
 
 
 def _opened(submaps: Submaps) -> Submaps:
-    """Return the submaps with one more, which goes on where the last one lies."""
+    """Return the submaps with a new open one at the pose of the last one."""
     last = submaps.states[-1]
     space = replace(empty_space(submaps.space.voxel_m), floor_z_m=submaps.space.floor_z_m)
     state = SubmapState(id=last.id + 1, world_from_submap=last.world_from_submap, space=space)
@@ -223,7 +224,7 @@ def _opened(submaps: Submaps) -> Submaps:
 
 
 def _alone(submaps: Submaps, space: SpaceState) -> Submaps:
-    """Return the submaps where the open one is all that was seen since the last jump: it and the judge are one."""
+    """Return the submaps if only the open one exists since the last jump: its space is the space since the jump."""
     return replace(submaps, space=space, states=(*submaps.states[:-1], replace(submaps.states[-1], space=space)))
 
 
@@ -231,7 +232,7 @@ def _with_spaces(submaps: Submaps, space: SpaceState, changed: Mapping[int, Spac
     states = list(submaps.states)
     for i, own in changed.items():
         states[i] = replace(states[i], space=own)
-    # The floor follows the eye: what was closed keeps the one that was seen there.
+    # Only the open submap follows the current floor: closed ones keep the floor that was seen in them.
     last = states[-1]
     states[-1] = replace(last, space=replace(last.space, floor_z_m=space.floor_z_m))
     return replace(submaps, space=space, states=tuple(states))
@@ -242,7 +243,7 @@ def _has_space(space: SpaceState) -> bool:
 
 
 def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Return the submap of each voxel; the open one has those that are new."""
+    """Return (N,) the id of the submap that owns each voxel; new voxels belong to the open one."""
     owners = np.full(len(keys), submaps.open_id, dtype=np.int32)
     is_owned = contains(submaps.owned, keys)
     owners[is_owned] = submaps.owners[places(submaps.owned, keys[is_owned])]
@@ -255,5 +256,5 @@ def _by_owner(submaps: Submaps, keys: NDArray[np.int64]) -> dict[int, NDArray[np
 
 
 def _named(owners: NDArray[np.int32]) -> list[int]:
-    """Return the submaps that own something, ascending."""
+    """Return the distinct ids of the owners, ascending."""
     return list(np.flatnonzero(np.bincount(owners)).tolist())

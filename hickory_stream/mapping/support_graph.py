@@ -1,7 +1,7 @@
-"""The support graph: what rests on, hangs from or leans on what, what is a part of it, and what it hides.
+"""The support graph: which body rests on, hangs from, leans on, is part of or is occluded by which other body.
 
-Merging, splitting, the life cycle, completion (`rests_on` is where a closed shape ends) and queries ask it. An edge is
-found when it is asked for, from the bodies as they are then; `edges` finds all of them.
+It is used by merging, splitting, the life cycle, shape completion (a closed shape ends at the surface of `rests_on`)
+and queries. An edge is computed when it is queried, from the current bodies; `edges` computes all of them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.support_relations import Body, SupportConfig
     from hickory_stream.mapping.unsupported import UnsupportedConfig
 
-# Bodies whose bounds are farther apart have nothing to do with each other: the longest reach of a relation, a leg's.
+# Bodies whose bounds are farther apart have no relation: this is the longest reach of any relation (a leg's).
 _REACH_M = 0.3
 
 
@@ -45,9 +45,9 @@ class Relation(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Support:
-    """An edge of the graph: `body` is in a relation to `by`, another body, or None: the room, its floor or a wall.
+    """An edge of the graph: the relation of `body` to another body `by`; `by` None is the room, its floor or a wall.
 
-    `height_m` is that of the surface that it rests on. `reason` says by which contact it is a part.
+    `height_m` is the height of the support surface. `reason` describes the contact that makes a body a part.
     """
 
     body: int
@@ -67,7 +67,7 @@ class SupportGraph:
     unsupported: UnsupportedConfig
 
     def rests_on(self, body: Body) -> Support | None:
-        """Return the highest surface that a body rests on: another body's, or the floor; None where none is known."""
+        """Return the highest surface that a body rests on: another body's, or the floor; None if none is known."""
         found: Support | None = None
         for other in self.bodies.values():
             if other.id == body.id or (height_m := height_under(body, other, self.config)) is None:
@@ -80,30 +80,30 @@ class SupportGraph:
         return Support(body=body.id, relation=Relation.RESTS_ON, by=None, height_m=floor_m)
 
     def leans_on(self, body: Body) -> Support | None:
-        """Return the room, where structure is beside a body; None where it stands or hangs free of it."""
+        """Return the edge to the room if structure is beside a body; None if no structure is near it."""
         is_beside = sees_structure(self.space, body.box, body.solid.points, self.unsupported.wall_m)
         return Support(body=body.id, relation=Relation.LEANS_ON, by=None) if is_beside else None
 
     def hangs_from(self, body: Body, others: Iterable[Body] | None = None) -> Support | None:
-        """Return the nearest body that one touches which nothing else supports; None if something does.
+        """Return the edge to the nearest body that an unsupported body touches; None if the body is supported.
 
-        `others` are those that it can hang from; None: all bodies.
+        `others` are the bodies that it can hang from; None: all bodies.
         """
         candidates = self.bodies.values() if others is None else others
         host = attachment_of(body, candidates, self.space, self.unsupported)
         return None if host is None else Support(body=body.id, relation=Relation.HANGS_FROM, by=host.id)
 
     def foot_of(self, a: Body, b: Body) -> Support | None:
-        """Return that the lower of two bodies is the foot of the upper one, None where it is not."""
+        """Return the edge that says that the lower of two bodies is the foot of the upper one, None if it is not."""
         upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
         if not is_on_foot(upper, lower, self.config):
             return None
         return _part(lower, upper, "the lower is the foot of the upper")
 
     def part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:
-        """Return that the smaller body is a leg, the pot or an inner part of the larger one, None where it is not.
+        """Return the edge that says that the smaller body is a leg, pot or inner part of the larger one, or None.
 
-        `near` are the bodies around them, on which the smaller may rest.
+        `near` are the bodies around them, on which the smaller one may rest.
         """
         if is_leg(small, large, self.config):
             return _part(small, large, "the smaller stands under the larger like a leg")
@@ -117,7 +117,7 @@ class SupportGraph:
     def still_part_of(
         self, small: Body, large: Body, near: Iterable[Body], *, inside: float, max_volume: float
     ) -> Support | None:
-        """Return that the smaller of two bodies that were one is still an inner part of the larger, None if it is not.
+        """Return the edge that says that the smaller body, split off the larger one, is an inner part of it, or None.
 
         `inside`: minimum share of its box in the larger one's; `max_volume`: maximum ratio of the two volumes.
         """
@@ -125,13 +125,13 @@ class SupportGraph:
         return _part(small, large, "the smaller was a part inside the larger") if is_part else None
 
     def hidden_by(self, small: Body, large: Body) -> Support | None:
-        """Return that the larger body occludes the upper end of the smaller one, None where it does not."""
+        """Return the edge that says that the larger body occludes the upper end of the smaller one, or None."""
         if not is_hidden_by(small, large, self.config):
             return None
         return Support(body=small.id, relation=Relation.HIDDEN_BY, by=large.id)
 
     def edges(self, of: Collection[int] | None = None) -> tuple[Support, ...]:
-        """Return every relation of some bodies, None: of all. One rests on one surface at most, or hangs from one."""
+        """Return all relations of the bodies `of` (None: of all). A body rests on, or hangs from, at most one other."""
         found: list[Support | None] = []
         for body in (self.bodies[i] for i in sorted(self.bodies if of is None else of)):
             rests = self.rests_on(body)

@@ -1,7 +1,7 @@
 """Pairwise relations of support: a leg under its table, a plant in its pot, a panel in its desk, a cup on a tray.
 
-As long as their contact is occluded, the segmenter sees two masks of one object, so that neither the overlap of their
-clouds nor the votes of keyframes merge the two. How one supports the other does. `SupportGraph` asks these questions.
+While their contact is occluded, the segmenter finds two masks on one object, and neither the overlap of the clouds nor
+the votes of keyframes merge the two. The way in which one supports the other does. `SupportGraph` uses these relations.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.boxes import OrientedBox
     from hickory_stream.mapping.cloud import Cloud
 
-# How many of a body's points are looked for on another one: the share is known to a few per cent.
+# The number of a body's points that are tested for lying on another one: gives the share to a few per cent.
 _SAMPLE = 600
-# The lowest and the highest points of a body are these percentiles, in z.
+# The percentiles of z that stand for the lowest and the highest points of a body.
 _OUTLIERS_PCT = (2, 98)
-# Areas seen from above are counted in cells: two voxels for a ring around a foot, four for a board over a leg.
+# Horizontal areas are counted in cells: of two voxels for a ring around a foot, of four for a board over a leg.
 _RING_CELL_M = 0.02
 _COVER_CELL_M = 0.04
-# Sides of a body's centre on which points under it are counted.
+# The number of sectors around a body's centre in which points under it are counted.
 _SECTORS = 8
 
 
 class Body(Protocol):
-    """What can support and be supported: a track, or an object of a map."""
+    """A node of the support graph: a track, or an object of a map."""
 
     @property
     def id(self) -> int:
@@ -46,11 +46,11 @@ class Body(Protocol):
 
     @property
     def cloud(self) -> Cloud:
-        """All that was seen of it."""
+        """The whole cloud."""
 
     @property
     def solid(self) -> Cloud:
-        """What of that is surely surface."""
+        """The part of the cloud without voxels that are likely to be noise."""
 
     @property
     def box(self) -> OrientedBox:
@@ -67,35 +67,38 @@ class SupportConfig(Ranged):
 
     Attributes:
         min_points: fewer points are no surface, and no foot.
-        beside_m, leg_beside_m, corner_m: points so far beside a box are still over or under it: for most, for a thin
-            leg, and for boxes whose corners were seen badly.
-        level_m: a leg begins at the height at which its table does, within this.
-        leg_slender: a leg is so many times as tall as wide ...
-        leg_inside: ... has this share of its box in that of its table ...
-        leg_gap_m, leg_overlap_m: ... and has points of the table over it, from so far below its top to so far above.
-        thin_leg: a leg with less than this share of the table's area may stand beside what was seen of it.
-        leg_covered: a thicker one must have this share of its own area covered.
-        pot_inside: a pot has this share of its box in that of the plant that stands in it ...
-        pot_slice: ... whose lowest part, by this share of its height, ...
-        pot_under: ... is over the pot with this share of its points.
-        foot_step_m: a seat begins so near the top of its foot, above or below ...
-        foot_height_m: ... and so far above its base ...
-        foot_slice_m, foot_slice: ... with its lowest part, of so much or this share of its height, ...
-        foot_under, foot_covered: ... over the foot with this share of its points, which it covers by that share.
-        part_inside, part_volume, part_slack_m: a part has this share of its box in the other one, made larger by the
-            slack, and at most this share of its volume ...
-        touch_share: ... and touches it with this share of its points;
-        panel_m, panel_width_m, panel_length_m, panel_gap_m: one thinner, wider and longer than these is a panel, which
-            touches across such a gap: depth at its edges is less complete than on its face.
-        ring_m, ring_share: what rests on a surface has some of it around its foot: so far around, this share of it ...
-        ring_below_m, ring_above_m: ... from so far below its lowest points to so far above them ...
-        rise_m: ... and rises so far above it.
-        under_below_m, under_above_m, under_beside_m: points of another body that are under it, in height from so far
-            below its box to so far above ...
-        under_sectors: ... on so many of eight sides of its centre, are the surface that it rests on ...
-        under_quantile: ... at the height that this share of them stays below.
-        lower_m: what supports another begins lower, by this.
-        floor_m: a body that begins so near the floor rests on it.
+        beside_m, leg_beside_m, corner_m: horizontal tolerance within which points beside a box still count as over or
+            under it: in general, for a thin leg, and for boxes whose corners are uncertain.
+        level_m: maximum difference between the heights at which a leg and its table begin.
+        leg_slender: a leg has at least this ratio of height to width ...
+        leg_inside: ... at least this share of its box inside the table's box ...
+        leg_gap_m, leg_overlap_m: ... and points of the table over it, from `leg_overlap_m` below its top to `leg_gap_m`
+            above.
+        thin_leg: a leg with less than this share of the table's area may stand beside the visible part of the table.
+        leg_covered: a thicker leg must have at least this share of its own area covered by the table.
+        pot_inside: a pot has at least this share of its box inside the box of the plant that stands in it ...
+        pot_slice: ... and the lowest part of the plant, by this share of its height, ...
+        pot_under: ... has at least this share of its points over the pot.
+        foot_step_m: maximum vertical distance between the lower end of a seat and the top of its foot ...
+        foot_height_m: ... minimum height of the seat above the base of the foot ...
+        foot_slice_m, foot_slice: ... the lowest part of the seat, by this height or this share of its height, ...
+        foot_under, foot_covered: ... has at least `foot_under` of its points over the foot, and covers at least
+            `foot_covered` of the foot's area.
+        part_inside, part_volume, part_slack_m: a part has at least this share of its box inside the other box (enlarged
+            by the slack), and at most this share of its volume ...
+        touch_share: ... and at least this share of its points touches it.
+        panel_m, panel_width_m, panel_length_m, panel_gap_m: a part that is thinner, wider and longer than these is a
+            panel, which counts as touching across this gap: depth is less complete at its edges than on its face.
+        ring_m, ring_share: a body rests on a surface that is visible in a ring of this width around its foot, over at
+            least this share of the ring ...
+        ring_below_m, ring_above_m: ... from this far below the body's lowest points to this far above them ...
+        rise_m: ... if the body rises at least this far above the surface.
+        under_below_m, under_above_m, under_beside_m: points of another body are under a body if their height is from
+            this far below its box to this far above, and they are at most this far beside it ...
+        under_sectors: ... they are its support surface if they are in at least this many of eight sectors ...
+        under_quantile: ... and the height of the surface is this quantile of their heights.
+        lower_m: a supporting body begins at least this much lower than the body on it.
+        floor_m: a body that begins this near to the floor rests on it.
     """
 
     min_points: int = number(10, 1, 1_000_000, "points")
@@ -144,7 +147,7 @@ class SupportConfig(Ranged):
 
 
 def points_over(small: Body, large: Body, config: SupportConfig) -> NDArray[np.float32]:
-    """Return the points (N, 3) of a larger body closely over a smaller one, whose upper end they occlude."""
+    """Return the points (N, 3) of a larger body that are just above a smaller one, whose upper end they occlude."""
     top = float(small.bounds[1, 2])
     # A thin leg may stand slightly outside of the visible part of the seat.
     beside_m = config.leg_beside_m if _is_thin(small, large, config) else 0.0
@@ -178,7 +181,7 @@ def is_leg(small: Body, large: Body, config: SupportConfig) -> bool:
     above = points_over(small, large, config)
     if len(above) < config.min_points:
         return False
-    # A thick leg must be covered by a board: a speaker beside a shelf only has the side of the shelf above its edge.
+    # A thick leg must be covered by a board: above a speaker beside a shelf there is only the side of the shelf.
     return _is_thin(small, large, config) or _covered_share(small, above) >= config.leg_covered
 
 
@@ -292,7 +295,7 @@ def _touches_across(small: Body, large: Body, config: SupportConfig) -> bool:
 def _stands_on(small: Body, large: Body, config: SupportConfig) -> bool:
     """Return whether the larger body has a horizontal surface around the foot of the smaller one, which rests on it.
 
-    The smaller one occludes the surface right below it. What does not rise above that surface does not rest on it.
+    The smaller one occludes the surface right below it. A body that does not rise above a surface does not rest on it.
     """
     low, high = _ends_m(small.solid)
     around = large.solid.points[small.box.is_over_or_under(large.solid.points, config.ring_m)]
@@ -308,7 +311,7 @@ def _stands_on(small: Body, large: Body, config: SupportConfig) -> bool:
 def height_under(body: Body, other: Body, config: SupportConfig) -> float | None:
     """Return the height of another body's surface under a body, which rests on it; None where there is none.
 
-    It lies on most sides under the box's centre: that of a neighbour beside it does not.
+    The surface must be under the box on most sides of its centre: the surface of a body beside it is not.
     """
     bottom = bottom_of_box_m(body)
     if bottom_of_box_m(other) > bottom - config.lower_m:

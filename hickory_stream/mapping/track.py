@@ -32,10 +32,10 @@ _BOX_POINTS = 10_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackConfig(Ranged):
-    """How a track keeps up with its points.
+    """When the preliminary superquadric (the sketch) of a track is fitted again.
 
     Attributes:
-        sketch_growth: a sketch is made anew when the surely seen points have become more or fewer by this share.
+        sketch_growth: it is fitted again when the number of solid points has changed by this share.
     """
 
     sketch_growth: float = number(0.3, 0, 100, "ratio")
@@ -43,9 +43,9 @@ class TrackConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShapeState:
-    """Where the shape of a track stands: the open ticket, and what was known when the last one was asked for.
+    """The state of a track's shape jobs: the open ticket, and the inputs of the last request.
 
-    `is_replacement`: that one took the place of one that was open.
+    `is_replacement`: the last request replaced an open job.
     """
 
     open_ticket: int | None = None
@@ -61,15 +61,15 @@ class ShapeState:
 class Track:
     """One object as the core holds it.
 
-    `seen_clock_ns` is the core's own clock, which runs on through a jump of the stamps. `solid` is the part of the
-    cloud that is surely surface, of which the box and the `bounds` (2, 3) are made: the least and greatest coordinates
-    of the cloud, for a first look at whether two things can touch. `coverage` holds kept views by the sector they look
-    from. `seen_through` counts keyframes that looked through the place where the object should be, `doubts` those in
-    a row that saw it and more beside it as one. `is_promoted`: it was a part of another track, and is known to be none.
-    `submap_id` is the submap it was born in; `seen_in` the one in which it was last seen.
-    `existence` is how sure it is that there is a thing, `aside_evidence` its evidence when the track was last set aside
-    as part of the room.
-    `sketch` is a superquadric from `sketched_points` points, None while it is tentative and once it has a shape.
+    `seen_clock_ns` is a time of the core's own clock, which a jump of the stamps does not change. `solid` is the cloud
+    without voxels that are likely to be noise; the box and the `bounds` are made from it. `bounds` (2, 3): least and
+    greatest coordinates, for a fast test whether two objects can touch. `coverage` holds the kept views by viewing
+    sector. `seen_through` counts keyframes that saw through the object's place, `doubts` consecutive keyframes that
+    under-segmented it with its surroundings. `is_promoted`: it was split off another track and must not be merged back
+    as a part of it. `submap_id` is the submap in which it was first seen, `seen_in` the one in which it was last seen.
+    `existence` is the evidence that the object exists, `aside_evidence` that evidence when the track was last set aside
+    as part of the room. `sketch` is a superquadric fitted to `sketched_points` points, None while the track is
+    tentative and once it has a shape.
     """
 
     id: int
@@ -118,7 +118,7 @@ def new_track(
     existence: Existence,
     voxel_m: float,
 ) -> Track:
-    """Return a track of a cloud that was first seen at a stamp, in a submap."""
+    """Return a new track with a cloud that was first seen at a stamp, in a submap."""
     return Track(
         id=track_id,
         phase=phase,
@@ -137,12 +137,12 @@ def new_track(
 
 
 def grown(track: Track, seen: Cloud, sightings: int, voxel_m: float) -> Track:
-    """Return the track with a cloud fused into its own, `sightings` in all, and the box that follows."""
+    """Return the track with a cloud fused into its own and the box updated; `sightings` is the new total."""
     return with_cloud(track, fuse(track.cloud, seen), sightings, voxel_m)
 
 
 def with_cloud(track: Track, cloud: Cloud, sightings: int, voxel_m: float) -> Track:
-    """Return the track with another cloud, and the box and bounds that follow."""
+    """Return the track with another cloud, and the box and bounds updated; `sightings` is the new total."""
     sure = solid_part(cloud, sightings)
     return replace(
         track,
@@ -155,7 +155,7 @@ def with_cloud(track: Track, cloud: Cloud, sightings: int, voxel_m: float) -> Tr
 
 
 def sketched(track: Track, config: TrackConfig) -> Track:
-    """Return the track with a superquadric from its points, where it is an object, has no shape and has changed."""
+    """Return the track with its sketch updated, if it is an object without a shape and its points have changed."""
     if not is_object(track) or track.shape is not None:
         return track
     count, before = len(track.solid.points), track.sketched_points
@@ -165,7 +165,7 @@ def sketched(track: Track, config: TrackConfig) -> Track:
 
 
 def without_views(track: Track, names: Collection[str]) -> Track:
-    """Return the track without some of its views; the best of the others is its best view."""
+    """Return the track without the views of these names; the best remaining one becomes its best view."""
     coverage = tuple((sector, view) for sector, view in track.coverage if view.name not in names)
     best = track.best_view
     if best is not None and best.name in names:
@@ -176,7 +176,7 @@ def without_views(track: Track, names: Collection[str]) -> Track:
 
 
 def is_object(track: Track) -> bool:
-    """Return whether a track is an object: confirmed, and no part of the room."""
+    """Return whether a track is an object: confirmed, and not part of the room."""
     return track.phase not in (Phase.TENTATIVE, Phase.ROOM)
 
 

@@ -1,4 +1,4 @@
-"""What becomes of the tracks: carries out the table of their life cycle (`lifecycle.LIFE_CYCLE`) for a state."""
+"""Ageing of tracks: executes the life cycle table (`lifecycle.LIFE_CYCLE`) on a state, with its guards and effects."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, merges: bool) -> list[Effect]:
-    """Let every track age by a keyframe; `merges`: one that is unsupported becomes a part of what it is attached to."""
+    """Age every track by a keyframe; `merges`: an unsupported track is merged into the one that it is attached to."""
     effects: list[Effect] = []
     keep_room(state)  # tracks may have been merged
     for track_id in sorted(state.tracks):
@@ -45,7 +45,7 @@ def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, 
 
 
 def keep_room(state: MapState) -> None:
-    """Let the observed space know the voxels of the tracks that are part of the room, as they are now."""
+    """Update the voxels of the observed space that belong to tracks that are part of the room."""
     voxel_m = state.submaps.space.voxel_m
     aside = [track for track in state.ordered() if track.phase is Phase.ROOM and state.is_judged(track)]
     keys = [keys_of_points(track.solid.points, voxel_m) for track in aside]
@@ -59,7 +59,7 @@ def settle(state: MapState, config: MappingConfig) -> None:
 
 
 def end_tracks(state: MapState, config: MappingConfig, *, merges: bool) -> list[Effect]:
-    """Drop what was never confirmed by the end, and merge what is unsupported."""
+    """Drop the tracks that were not confirmed by the end, and merge unsupported ones."""
     settle(state, config)
     effects: list[Effect] = []
     for track_id in sorted(state.tracks):
@@ -68,7 +68,7 @@ def end_tracks(state: MapState, config: MappingConfig, *, merges: bool) -> list[
 
 
 class Case:
-    """A track to which something happens, and what guards ask of it: each found once, and only if it is asked for."""
+    """A track and the values that guards test; each value is computed at most once, when it is needed."""
 
     def __init__(
         self,
@@ -91,7 +91,7 @@ class Case:
         return self.state.tracks[self._track_id]
 
     def happens(self, event: LifeEvent) -> list[Effect]:
-        """Let something happen to the track, if it is still there: carry out the row of the table that applies."""
+        """Apply an event to the track, if it still exists: execute the row of the table that applies."""
         if self._track_id not in self.state.tracks:
             return []
         row = transition(self.track.phase, event, lambda guard: GUARDS[guard](self))
@@ -115,7 +115,7 @@ class Case:
         return done
 
     def change(self, track: Track) -> None:
-        """Put another version of the track in its place."""
+        """Replace the track by a new version of it."""
         self.state.tracks[self._track_id] = track
 
     def is_unseen_for(self, limit_s: float) -> bool:
@@ -124,12 +124,12 @@ class Case:
 
     @cached_property
     def why_structure(self) -> str | None:
-        """Why the track is no object but structure, None where it may be one."""
+        """Why the track is structure; None if it may be an object."""
         return why_structure(self.track, self.state.submaps.space, self.state.clock_ns, self.config)
 
     @cached_property
     def attachment(self) -> int | None:
-        """The track that this one, unsupported, hangs from; None if it is supported, or near nothing."""
+        """The id of the track that this one hangs from; None if it is supported, or no track is near."""
         if not self._merges:
             return None
         confirmed = (o for o in self.state.tracks.values() if is_object(o))
@@ -144,12 +144,12 @@ class Case:
         return share > self.config.lifecycle.structure_share
 
     def is_revised(self) -> bool:
-        """Return whether the track, set aside, was seen enough since, and is no part of the room now."""
+        """Return whether the track, set aside, has gained enough evidence since and is not part of the room now."""
         seen_since = self.track.existence.evidence - self.track.aside_evidence
         return seen_since >= self.config.lifecycle.revise_evidence and self.why_structure is None
 
     def is_seen_through(self) -> bool:
-        """Return whether the keyframe, which did not see the track, saw through its place."""
+        """Return whether the keyframe did not observe the track, but saw through its place."""
         is_in_sight = self.track.seen_clock_ns == self.state.clock_ns
         return (
             not is_in_sight
@@ -209,7 +209,7 @@ GUARDS: dict[Guard, Callable[[Case], bool]] = {
     Guard.KNOWN_HERE: lambda case: case.state.is_judged(case.track),
     Guard.UNSUPPORTED: lambda case: case.attachment is not None,
 }
-"""What the guards of the table ask of a track; of two that are merged, `track_merging` asks."""
+"""The test of each guard of the table; guards on two tracks that are merged are tested in `track_merging`."""
 
 EFFECTS: dict[TrackEffect, Callable[[Case, Transition], list[Effect]]] = {
     TrackEffect.SET_ASIDE: _set_aside,
@@ -218,4 +218,4 @@ EFFECTS: dict[TrackEffect, Callable[[Case, Transition], list[Effect]]] = {
     TrackEffect.DROP: _drop,
     TrackEffect.MERGE: _merge,
 }
-"""What the effects of the table do."""
+"""The function of each effect of the table."""

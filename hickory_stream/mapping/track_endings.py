@@ -1,4 +1,4 @@
-"""How a track ends: dropped, or merged into another. All that refers to it follows in the same step."""
+"""How a track ends: dropped, or merged into another. Everything that refers to it is updated in the same step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:
-    """Drop a track: it was no object."""
+    """Drop a track that turned out not to be an object."""
     del state.tracks[track.id]
     state.votes = state.votes.without(track.id)
     state.split_candidates.pop(track.id, None)
@@ -42,6 +42,6 @@ def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: Mapp
 
 
 def cancelled(gone: Track) -> list[Effect]:
-    """Return what cancels the shape job of a track, if it has one."""
+    """Return the effect that cancels the open shape job of a track, if it has one."""
     ticket = gone.shape_state.open_ticket
     return [] if ticket is None else [CancelShape(ticket=ticket)]

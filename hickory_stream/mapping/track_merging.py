@@ -1,7 +1,7 @@
-"""Merging of tracks: duplicates, whose points coincide, and fragments, which are segmented as one more than apart.
+"""Merging of tracks: duplicates, whose points coincide, and fragments, which frames mostly segment as one object.
 
-Single frames may be under- or over-segmented. A frame that segments two objects as one must not merge them for ever:
-points that lie on another track are not fused, they count as a vote for a merge.
+Single frames may be under- or over-segmented. One frame that segments two objects as one must not merge them for ever:
+points that lie on another track are not fused; they count as a vote for a merge.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 _FOOT_GAP_M = 0.2
-# Boxes that come so near meet: their things can be taken for one.
+# Boxes with a smaller gap count as touching: a segmenter can take their objects for one.
 _MEET_M = 0.15
 
 
@@ -46,10 +46,11 @@ class MergeConfig(Ranged):
         sure_share: the same for tracks that were seen apart more often than together.
         covers_share: an observation of one track that covers this share of another is a vote for a merge.
         min_votes: minimum number of votes; they must also outnumber the keyframes in which the two were seen apart.
-        sure_votes, sure_ratio: so many votes, and this many for each keyframe that saw them apart, are enough, too:
-            close views over-segment objects more often than distant views under-segment them.
-        neighbor_sightings: an observation's points are left out where they lie on another track that was seen so often.
-        foreign_share: where this share of an observation lies on other tracks, nothing of it is fused.
+        sure_votes, sure_ratio: at least this many votes, and this ratio to the keyframes in which the two were seen
+            apart, suffice as well: close views over-segment objects more often than distant ones under-segment them.
+        neighbor_sightings: an observation's points are not fused where they lie on another track with at least this
+            many sightings.
+        foreign_share: if at least this share of an observation lies on other tracks, none of it is fused.
     """
 
     duplicate_share: float = number(0.5, 0, 1, "share")
@@ -72,7 +73,7 @@ class Votes:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteBook:
-    """The votes of all pairs of tracks (a, b), a < b, that have any."""
+    """The votes of all pairs of tracks (a, b), a < b; pairs without votes are not stored."""
 
     votes: Mapping[tuple[int, int], Votes] = field(default_factory=dict)
 
@@ -81,7 +82,7 @@ class VoteBook:
         return self.votes.get((min(a, b), max(a, b)), Votes())
 
     def plus(self, pairs: Iterable[tuple[int, int]], *, together: int = 0, apart: int = 0) -> VoteBook:
-        """Return the book with one more vote for each pair."""
+        """Return the book with these votes added to each pair."""
         votes = dict(self.votes)
         for a, b in pairs:
             key = (min(a, b), max(a, b))
@@ -111,7 +112,7 @@ def pair_of(a: int, b: int) -> tuple[int, int]:
 
 
 def pairs_of_groups(members: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
-    """Return the pairs of tracks in one group, of (group, track id); group 0 is none."""
+    """Return the pairs of tracks in the same group, from (group, track id) members; group 0 means no group."""
     tracks: dict[int, set[int]] = {}
     for group, track_id in members:
         if group > 0:
@@ -120,7 +121,7 @@ def pairs_of_groups(members: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
 
 
 def pairs_that_meet(bounds: Sequence[NDArray[np.float32]], track_ids: Sequence[int]) -> set[tuple[int, int]]:
-    """Return the pairs of the tracks of observations whose bounds (2, 3) meet, or nearly."""
+    """Return the pairs of tracks whose observations' bounds (2, 3) touch or nearly touch."""
     both = np.array(bounds).reshape(-1, 2, 3)
     low, high = both[:, 0], both[:, 1]
     meet = (low[:, None] <= high[None] + _MEET_M).all(axis=2) & (low[None] <= high[:, None] + _MEET_M).all(axis=2)
@@ -138,7 +139,7 @@ def foreign_points(
         on_other = is_near(cloud.keys, other.cloud)
         if not on_other.any():
             continue
-        # Exactly the same voxel: by neighbouring voxels a track would grow into another one, keyframe by keyframe.
+        # Exactly the same voxel: if neighbours counted, a track would grow into another one, keyframe by keyframe.
         on_own = contains(own.cloud.keys, cloud.keys) if on_own is None else on_own
         foreign |= on_other & ~on_own
         if on_other.sum() >= config.covers_share * min(len(other.solid.keys), len(cloud.keys)):
@@ -162,7 +163,7 @@ def find_pair(
 
 
 def merge(kept: Track, gone: Track, voxel_m: float, view_config: ViewConfig) -> Track:
-    """Return one track with the histories of both."""
+    """Return the merged track, with the id of `kept` and the histories of both."""
     cloud = fuse(kept.cloud, gone.cloud)
     sightings = max(kept.sightings, gone.sightings)
     coverage = dict(kept.coverage)
@@ -188,7 +189,7 @@ def merge(kept: Track, gone: Track, voxel_m: float, view_config: ViewConfig) -> 
 
 
 def _phase_after(kept: Track, gone: Track) -> Phase:
-    """Return the phase of a track that has taken in another one."""
+    """Return the phase of a track after another one was merged into it."""
     asked = {
         Guard.OTHER_SEEN_MORE: gone.sightings > kept.sightings,
         Guard.OTHER_MAYBE_OBJECT: gone.phase is not Phase.ROOM,
@@ -227,9 +228,10 @@ def why_one(
 
 
 def _why_no_room(room: Track, thing: Track, config: MergeConfig) -> str | None:
-    """Return why a track that was set aside as part of the room is one with a thing, None where it is not.
+    """Return why a track that was set aside as part of the room belongs to an object, None if it does not.
 
-    It is where it turned out to be a side of a larger thing: the front of a wardrobe. A thing on a wall is none of it.
+    It does if it turned out to be a side of a larger object, e.g. the front of a wardrobe. A picture does not own the
+    wall behind it: the object must be larger than the track that was set aside.
     """
     if len(room.solid.keys) > len(thing.solid.keys) or intersection_volume_m3(room.box, thing.box, 0.03) <= 0.0:
         return None

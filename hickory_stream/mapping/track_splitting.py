@@ -41,7 +41,7 @@ def split_tracks(state: MapState, event: FrameObserved, hosts: set[int], config:
 def moved_out(
     state: MapState, sightings: list[Sighting], promoted: Mapping[int, int], config: MappingConfig
 ) -> list[Sighting]:
-    """Return the sightings after splits: the mask that showed a split-off object is its first view."""
+    """Return the sightings after splits: masks that showed a split-off part are reassigned to its new track."""
     moved = list(sightings)
     for new_id, host_id in promoted.items():
         for i, sighting in enumerate(sightings):
@@ -56,7 +56,10 @@ def moved_out(
 def _split_off(
     state: MapState, event: FrameObserved, host_id: int, candidate: SplitCandidate, config: MappingConfig
 ) -> int | None:
-    """Make a track of a candidate and remove its points from the host; None where its support says it belongs."""
+    """Make a track of a candidate and remove its points from the host; return its id.
+
+    None if the candidate is too small, or if its support relation to the host says that it is a part of it.
+    """
     split, voxel_m = config.split, config.lattice.points_m
     host = state.tracks[host_id]
     rest = without(host.cloud, is_near(host.cloud.keys, candidate.cloud))
@@ -72,7 +75,7 @@ def _split_off(
         clock_ns=state.clock_ns,
         sightings=num_apart,
         submap_id=state.submaps.open_id,
-        # The keyframes that segmented it apart are its sightings: it is confirmed from the start.
+        # The keyframes that segmented it apart count as its sightings.
         existence=Existence(evidence=float(num_apart), places=event.world_from_camera[None, :3, 3]),
         voxel_m=voxel_m,
     )
@@ -90,14 +93,14 @@ def _split_off(
         return None
     state.next_id += 1
     state.votes = votes
-    # Its points were the host's, so that they lie in the same submap.
+    # Its points came from the host: they are in the host's submap.
     new = replace(new, is_promoted=True, submap_id=host.submap_id)
     text = f"seen apart from #{host_id} in {num_apart} keyframes, as one in {candidate.together}"
     before = recalled(state.absorbed, host_id, cloud, split.same_share)
     if before is None and (before := recalled(state.absorbed, host_id, left.solid, split.same_share)) is not None:
-        # The part is what the host was before, and the rest of it is what was merged into it.
+        # The candidate is the original host, and the remaining points are the track that was merged into the host.
         rest_of_host = left.cloud
-        # Its cloud is that of the keyframes that told it apart; the track was seen as often as it was.
+        # The host keeps its id and sightings, with the candidate's cloud.
         left = replace(with_cloud(host, cloud, num_apart, voxel_m), sightings=host.sightings)
         new = with_cloud(new, rest_of_host, num_apart, voxel_m)
     if before is not None:

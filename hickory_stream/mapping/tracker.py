@@ -1,7 +1,7 @@
-"""The tracker: which observation of a keyframe is which track; births, doubts and votes.
+"""The tracker: data association of a keyframe's observations with tracks; births, doubts and votes.
 
-A keyframe's masks may be wrong. So an observation is not fused where its points lie on another track, and what one
-keyframe segments as one or as two is a vote: splitting and merging (`track_splitting`, `merge_tracks`) count votes.
+A keyframe's masks may be wrong. So points of an observation that lie on another track are not fused, and whether a
+keyframe segments two tracks as one or as two is only a vote, which `track_splitting` and `merge_tracks` count.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 class Tracker:
     """Associates the observations of a keyframe with the tracks of a state, and keeps these up to date.
 
-    `associator` says which observation of a keyframe is which track, one match per observation in their order, and it
-    has the last word: all points of an observation are its track's, and no two tracks are made one. None: by boxes and
-    points, as configured.
+    `associator` gives one match per observation of a keyframe, in their order. Its matches are final: all points of an
+    observation are fused into its track, and tracks are never merged. None: association by boxes and points, as
+    configured.
     """
 
     def __init__(self, config: MappingConfig, associator: Associator | None = None) -> None:
@@ -48,11 +48,11 @@ class Tracker:
 
     @property
     def is_told(self) -> bool:
-        """Whether somebody else has the last word on which tracks there are."""
+        """Whether an external associator decides which tracks exist, so that tracks are never merged."""
         return self._associator is not None
 
     def track(self, state: MapState, event: FrameObserved) -> list[Sighting]:
-        """Give every observation of a keyframe to a track, a new one where it matches none; return where each went."""
+        """Assign every observation of a keyframe to a track, a new one if it matches none; return the sightings."""
         matches = self._matches(state, event)
         self._doubt(state, event, matches)
         sightings = [self._place(state, event, match) for match in matches]
@@ -61,7 +61,7 @@ class Tracker:
         return sightings
 
     def merge_tracks(self, state: MapState, changed: set[int]) -> list[Effect]:
-        """Merge tracks with those that have changed as long as there is a reason to."""
+        """Merge the changed tracks with others until no pair has a reason to merge."""
         if self.is_told:
             return []
         effects: list[Effect] = []
@@ -78,7 +78,7 @@ class Tracker:
         return associate(event.observations, state.tracks, self._config.lattice.points_m, self._config.associate)
 
     def _doubt(self, state: MapState, event: FrameObserved, matches: list[Match]) -> None:
-        """Count doubts: under-segmented observations of each established track; a match of its own resets them."""
+        """Count the under-segmented observations of each established track; a regular match resets its count."""
         config = self._config.associate
         seen = {match.track_id for match in matches}
         for match in matches:
@@ -159,7 +159,7 @@ class Tracker:
         return sighted(known, observation, event.world_from_camera[:3, 3], self._config.existence)
 
     def _neighbors(self, state: MapState, track: Track, observation: Observation) -> list[Track]:
-        """Return the other tracks, seen before, whose boxes reach into an observation's, and may have points of it."""
+        """Return the other established tracks whose boxes overlap an observation's: its points may belong to them."""
         if self.is_told:
             return []
         near = touching(bounds_of(observation.points_world), state.ordered())
@@ -167,11 +167,11 @@ class Tracker:
         return [other for other in near if other.id != track.id and other.sightings >= least]
 
     def _vote(self, state: MapState, sightings: list[Sighting]) -> None:
-        """Count the votes of this keyframe: pairs of tracks that it segments apart or, otherwise, together, each once.
+        """Count the votes of this keyframe: one per pair of tracks that it segments apart or together.
 
-        Apart: two whole observations with boxes that meet. Small things that touch cover each other's rims, so that
-        only a pair that is not seen apart can be seen together. What only the map holds apart was seen together: a vote
-        is what the frame by itself says, or the map would prove itself right.
+        Apart: two whole observations whose boxes touch. A pair counts as together only if it is not apart, since small
+        objects in contact cover each other's rims. A pair that only the map prior separated counts as together: votes
+        come from the frame alone, otherwise the map would confirm itself.
         """
         whole = [sighting for sighting in sightings if not sighting.is_part]
         told = pairs_of_groups([(sighting.observation.group, sighting.track_id) for sighting in whole])
@@ -182,10 +182,10 @@ class Tracker:
         state.votes = state.votes.plus(sorted(apart), apart=1).plus(sorted(together - apart), together=1)
 
     def _note_split_candidates(self, state: MapState, event: FrameObserved, sightings: list[Sighting]) -> None:
-        """Count for split candidates the keyframe's masks: those apart from their track, and those of the whole track.
+        """Update the split candidates with the keyframe's masks: parts segmented apart, and masks of whole tracks.
 
-        A mask is also apart from its track where a mask of another object covers the rest: a mug, where the tray under
-        it is segmented together with the table.
+        A mask is also apart from its track if a mask of another object covers the rest of the track: e.g. a mug whose
+        tray is segmented together with the table.
         """
         apart: list[tuple[int, Cloud]] = []
         whole: list[tuple[int, Cloud]] = []
@@ -203,5 +203,5 @@ def _candidates(match: Match) -> str:
 
 
 def _is_cut(event: FrameObserved, observation: Observation) -> bool:
-    """Return whether the frame by itself has an observation as one with another, from which the map's prior cut it."""
+    """Return whether the map prior cut an observation out of a larger instance that the frame alone segments."""
     return observation.group > 0 and sum(other.group == observation.group for other in event.observations) > 1

@@ -1,4 +1,4 @@
-"""Unsupported tracks: what hangs in the air, away from every wall, belongs to the nearest other track.
+"""Unsupported tracks: a track that floats in the air, away from every wall, belongs to the nearest other track.
 
 Examples are the branches of a plant and the shade of a lamp: the sensor does not see the thin stem that supports them.
 """
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.observed_space import SpaceState
     from hickory_stream.mapping.support_relations import Body
 
-# The lowest points of a track are this percentile, in z, and all up to so far above it.
+# The lowest points of a track: those up to this height above this percentile of z.
 _LOWEST_PCT = 2
 _FOOT_M = 0.05
-# Below them, the space is looked at in these depths: beyond the noise of the foot, and a few voxels deep.
+# The depths below the lowest points at which free space is checked: beyond the noise of the foot, a few voxels deep.
 _BELOW_M = (0.08, 0.13, 0.18)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UnsupportedConfig(Ranged):
-    """When a track is unsupported, and what it is then attached to.
+    """When a track is unsupported, and to which track it is then attached.
 
     Attributes:
         min_height_m: minimum height of its lowest points above the floor; lower tracks may have thin feet.
         free_share: minimum share of the space below its lowest points that was observed free.
-        support_m, support_share: it is supported if more of its lowest points than this share are within this distance
+        support_m, support_share: it is supported if more than this share of its lowest points is within this distance
             of another track.
         wall_m: it is supported if structure is within this distance.
-        attach_m: it belongs to the nearest other track within this distance.
+        attach_m: maximum distance to the track that it is attached to.
     """
 
     min_height_m: float = number(0.25, 0, 100, "m")
@@ -52,7 +52,7 @@ class UnsupportedConfig(Ranged):
 
 
 def attachment_of(body: Body, others: Iterable[Body], space: SpaceState, config: UnsupportedConfig) -> Body | None:
-    """Return the body that an unsupported one is attached to; None if it is supported, or near no other."""
+    """Return the body to which an unsupported body is attached; None if it is supported, or no other body is near."""
     points = body.solid.points
     if space.floor_z_m is None or len(points) == 0:
         return None

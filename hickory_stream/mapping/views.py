@@ -1,11 +1,11 @@
-"""Best views, lazily: S, its bound, the strategies that it is compared with, and the views kept for their direction.
+"""Scores of views: the S-score, its upper bound, alternative strategies, and the choice of one view per direction.
 
     S = ln(1 + n^2 sigma^2) * R_area^alpha * R_depth^beta                    (paper, Eq. of the S-score)
 
-Patch features have unit norm, so that sigma^2, the trace of their covariance, is at most 1; n^2 gives them the length
-that the paper's features have, and S <= ln(1 + n^2) * R_area^alpha * R_depth^beta. The features of a mask are computed
-only where that bound beats the object's best view. What the border of the image cuts is worth less: the rest of the
-object is missing, however large the mask.
+Patch features have unit norm, so that sigma^2, the trace of their covariance, is at most 1. The factor n^2 scales it to
+the norm of the paper's features, so that S <= ln(1 + n^2) * R_area^alpha * R_depth^beta. Features of a mask are
+computed only if this bound beats the object's best view. A view that the image border cuts scores less, since a part of
+the object is missing, however large the mask.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ class ViewConfig(Ranged):
     """How views are chosen.
 
     Attributes:
-        strategy: `s_score`, or one of the paper's four others: the initial view, the largest mask, the largest 2D box,
-            the largest 3D box.
+        strategy: `s_score`, or one of the paper's four baselines: the initial view, the largest mask, the largest 2D
+            box, the largest 3D box.
         alpha, beta: the exponents of S.
-        feature_norm2: n^2 of S. DINOv2 normalises its features to about unit variance in each of their 768 dimensions:
-            ln(1 + sigma^2) tells a rich view from a bare one, and hardly one rich view from another. With n^2 = 1 it is
-            linear in sigma^2, and a small mask with a colourful edge would beat a whole one.
-        cut_worth: the share of S that a view keeps which touches the border of the image.
-        better_by: a kept view of a direction is replaced by one that is better by this factor.
+        feature_norm2: n^2 of S. DINOv2 normalises its features to about unit variance in each of their 768 dimensions,
+            so that ln(1 + n^2 sigma^2) separates textured from textureless views, but saturates among textured ones.
+            With n^2 = 1 it is almost linear in sigma^2, and a small mask with a colourful edge would beat a whole one.
+        cut_worth: factor on S for a view that touches the image border.
+        better_by: a kept view of a direction is replaced by one that is more useful by this factor.
     """
 
     strategy: Strategy = "s_score"
@@ -53,12 +53,12 @@ class ViewConfig(Ranged):
 
 
 def s_score(variance: float, r_area: float, r_depth: float, config: ViewConfig) -> float:
-    """Return S of a view that nothing cuts, from the variance of features of unit norm."""
+    """Return S of a view that the image border does not cut, from the variance of features of unit norm."""
     return float(log1p(config.feature_norm2 * variance) * power(r_area, config.alpha) * power(r_depth, config.beta))
 
 
 def score_bound(view: View, config: ViewConfig) -> float:
-    """Return the most that a view can score, before its features are known; other strategies need no features."""
+    """Return the upper bound of a view's score, without features; other strategies than `s_score` need no features."""
     return score(view, 1.0, config)
 
 
@@ -92,7 +92,7 @@ def better(a: View | None, b: View | None) -> View | None:
 
 
 def sector_of(view: View, center: np.ndarray[tuple[int], np.dtype[np.float64]]) -> int:
-    """Return which of eight sectors around the object a view looks from."""
+    """Return the index of the sector, one of eight around the object, from which a view looks at it."""
     dx, dy = view.world_from_camera[:2, 3] - center[:2]
     return math.floor((arctan2(float(dy), float(dx)) + math.pi) / (2 * math.pi) * _SECTORS) % _SECTORS
 
@@ -108,7 +108,7 @@ def covers_better(view: View, incumbent: View | None, config: ViewConfig) -> boo
 
 
 def view_of(event: FrameObserved, observation: Observation, track_id: int) -> View:
-    """Return an observation of a track as a view, not judged yet."""
+    """Return an observation of a track as a view that has no score yet."""
     return View(
         object_id=track_id,
         frame_index=event.frame_index,
