@@ -39,6 +39,7 @@ MEASURED = Path(__file__).parent / "measured"
 _OPENING, _CLOSING = r"<!-- figures: (?P<name>by row|\w+)(?P<goals>, goals)? -->", "<!-- end of figures -->"
 _OLDER = "\n**The code has changed since.**"
 _OLDER_IN_A_ROW = ", **older than the code**"
+_MOST_IN_A_CELL = 40
 _NEVER = "*Typed before measurements were kept: older than the code. `tools/bench {name} --write-docs` measures it.*"
 _NONE = "*No measurement is kept yet: `tools/bench {name} --write-docs` makes one.*"
 _COMMENT = re.compile(r"<!-- (.*?) -->")
@@ -174,9 +175,16 @@ def _row_with_benchmark(line: str, runs: Sequence[Run], code: str) -> str:
     used = [run for run in runs if not run.values.keys().isdisjoint(_named(line))]
     if not used:
         return _joined([*cells[:-1], f"`tools/bench {_benchmark_of(line)}`, typed before measurements were kept"])
-    told = "; ".join(f"`tools/bench {_benchmark_of(line)}{run.options}`, {run.date}, {run.commit}" for run in used)
+    told = "; ".join(
+        f"`tools/bench {_benchmark_of(line)}{_brief(run.options)}`, {run.date}, {run.commit}" for run in used
+    )
     older = _OLDER_IN_A_ROW if any(run.code != code for run in used) else ""
     return _joined([*cells[:-2], _filled(line, used), told + older])
+
+
+def _brief(options: str) -> str:
+    """Return options as a cell has room for them: a benchmark's own README has them whole."""
+    return options if len(options) <= _MOST_IN_A_CELL else f" {options.split(maxsplit=1)[0]} ..."
 
 
 def _filled(line: str, runs: Sequence[Run]) -> str:
