@@ -1,1 +1,1 @@
-"""From a keyframe to observations: masks, their lift to 3D, patch features, and what the frame says of space."""
+"""From a keyframe to observations: instance masks, their lift to 3D, patch features, free space and structure."""

@@ -42,7 +42,7 @@ def absolute_features(
     large: NDArray[np.int64],
     small: NDArray[np.int64],
 ) -> Makers:
-    """Return by name (K,) the sizes of the regions `large` and `small` of each pair, and how they lie to each other."""
+    """Return by name (K,) the sizes of the regions `large` and `small` of each pair, and their relative position."""
     of_regions = of_both(_of_regions(graph, regions, extents), large, small)
     return {**of_regions, **_of_pairs(regions, pairs, geometry, extents, union, large, small)}
 

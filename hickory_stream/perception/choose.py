@@ -1,4 +1,4 @@
-"""From the configuration to the segmenter and the extractor that it names."""
+"""Construction of the segmenter, the feature extractor and the semantic model that the configuration names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def make_segmenter(config: PerceptionConfig) -> Segmenter:
 
 
 def make_extractor(config: PerceptionConfig) -> FeatureExtractor:
-    """Return what gives patch features; raises `ModelError`."""
+    """Return the extractor of patch features; raises `ModelError`."""
     match config.extractor:
         case "color_texture":
             return ColorTextureDescriptor()
@@ -45,7 +45,7 @@ def make_extractor(config: PerceptionConfig) -> FeatureExtractor:
 
 
 def make_semantics(config: PerceptionConfig) -> SemanticModel | None:
-    """Return the semantic model, None where none is asked for; raises `ModelError`."""
+    """Return the semantic model, None if none is configured; raises `ModelError`."""
     if config.semantics == "none":
         return None
     from hickory_stream.perception.models.library import find_model

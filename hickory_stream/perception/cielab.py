@@ -1,4 +1,4 @@
-"""Colours in CIE Lab, where distances are about as the eye sees them."""
+"""Colours in CIE Lab, where Euclidean distance approximates perceived difference."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A keyframe's depth and structure at low resolution, kept in the journal to explain decisions later.
 
-About 160 cells across, whatever the camera: enough to say where a pixel was and what it was taken for, at a twentieth
-of what a keyframe takes in the journal.
+About 160 cells across for any camera: enough to tell where a pixel was in 3D and whether it was structure, at a
+twentieth of the size of a keyframe in the journal.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _MOST_MM = 65535.0
 
 
 def coarse_frame(depth_m: NDArray[np.float32], structure: NDArray[np.bool_]) -> CoarseFrame:
-    """Return what is kept of (H, W) depth and structure; depth beyond 65 m counts as none."""
+    """Return the low-resolution copy of (H, W) depth and structure; depth beyond 65 m is stored as no return."""
     height, width = depth_m.shape
     stride = max(1, -(-width // _CELLS_ACROSS))
     top, left = min(stride // 2, height - 1), min(stride // 2, width - 1)
@@ -33,7 +33,7 @@ def coarse_frame(depth_m: NDArray[np.float32], structure: NDArray[np.bool_]) -> 
 
 
 def cells_of(coarse: CoarseFrame, pixels: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return (N,) the depth in metres, NaN = no return, and whether it is structure, at the cells of (N, 2) pixels."""
+    """Return (N,) depth in metres, NaN = no return, and (N,) whether it is structure, at the cells of (N, 2) pixels."""
     height, width = coarse.depth_mm.shape
     columns, rows = (np.asarray(pixels) // coarse.stride_px).astype(np.int64).T
     at = np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)
@@ -42,7 +42,7 @@ def cells_of(coarse: CoarseFrame, pixels: NDArray[Any]) -> tuple[NDArray[np.floa
 
 
 def enlarged_cells(cells: NDArray[Any], stride_px: int, size: tuple[int, int]) -> NDArray[Any]:
-    """Return cells (h, w) at the size of the frame (width, height), each pixel as its cell; the last ones go on."""
+    """Return cells (h, w) at the size of the frame (width, height), by nearest neighbour; the last cells extend."""
     rows = np.minimum(np.arange(size[1]) // stride_px, cells.shape[0] - 1)
     columns = np.minimum(np.arange(size[0]) // stride_px, cells.shape[1] - 1)
     return np.asarray(cells[rows][:, columns])

@@ -79,13 +79,13 @@ def _pieces(
 def _two_colors(
     mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ColorSplitConfig
 ) -> NDArray[np.bool_] | None:
-    """Return which pixels of a mask have the one of its two colours, None where it has one."""
+    """Return which pixels of a mask have the first of its two colours; None if the mask has only one colour."""
     side = (config.window_px, config.window_px)
     share = cv2.blur(mask.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
     total = cv2.blur(_within(lab, mask), side, borderType=cv2.BORDER_CONSTANT)
     colors, centered, spread = _window_colors(total, share, mask)
     variances, axes = portable.eigh(spread)
-    # A lower bound of the variance that two means so far apart cause: skip the split early.
+    # Two means at the minimum distance cause at least this variance: with less, the split can be skipped early.
     if variances[2] < 0.02 * config.min_step * config.min_step:
         return None
     along = portable.matmul(centered, axes[:, 2])

@@ -1,8 +1,8 @@
 """A dense patch descriptor from colour alone, with DINOv2's interface: small, documented, without weights.
 
-Per patch of 14 pixels, at half resolution: a soft histogram of colour in Lab (opponent colours and lightness), and one
-of gradient orientation at two scales, less what they are on objects at large: histograms have no negative parts, so
-that without this any two patches were alike. What rests on it (the variance in S, the mean feature of an object) needs
+Per patch of 14 pixels, at half resolution: a soft histogram of colour in Lab (opponent colours and lightness), and soft
+histograms of gradient orientation at two scales, minus their mean over many objects. Histograms are non-negative, so
+that without centring all patches would be similar. Its uses (the variance in S, the mean feature of an object) require
 only unit-norm patch features.
 """
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from hickory_stream.records import MaskFeature, Observation
 
 _LIGHT_BINS, _HUE_BINS, _ORIENTATIONS = 5, 8, 8
-# The mean over the objects of an apartment and a table-top, `tools/descriptor_mean` (seeds 22 and 31).
+# The mean over the objects of a synthetic apartment and a table-top, by `tools/descriptor_mean` (seeds 22 and 31).
 _MEAN = np.array(
     [
         0.047,
@@ -73,20 +73,20 @@ class ColorTextureDescriptor:
     def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return (h, w, 30) float32 features of unit norm, one per patch of 14 pixels; h = ceil(H / 14)."""
         features = self.uncentered(rgb) - _MEAN
-        # The mean of many patches is shorter than one: no patch comes to lie on it.
+        # The mean of many patches is shorter than 1, so that no patch becomes zero.
         return np.asarray(features / np.linalg.norm(features, axis=-1, keepdims=True))
 
     def uncentered(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the same of unit norm before the mean is taken off: square roots of histograms."""
+        """Return the unit-norm features (h, w, 30) before the mean is subtracted: square roots of histograms."""
         height, width, _ = rgb.shape
         rows, columns = -(-height // self.patch_px), -(-width // self.patch_px)
         bottom, right = rows * self.patch_px - height, columns * self.patch_px - width
         padded = cv2.copyMakeBorder(rgb, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
-        # Half the resolution: a quarter of the time, and a patch still has 49 pixels.
+        # Half the resolution takes a quarter of the time, and a patch still has 49 pixels.
         small = cv2.resize(padded, (padded.shape[1] // 2, padded.shape[0] // 2), interpolation=cv2.INTER_AREA)
         lab = lab_of(small)
         light = np.ascontiguousarray(lab[..., 0])
-        # Angles in loops of their own, which are vectorised.
+        # Angles are computed in separate loops, which are vectorised.
         hue = _turns(lab[..., 2].ravel(), lab[..., 1].ravel(), 2 * np.pi).reshape(light.shape)
         fine, coarse = _gradient(light, 0.35), _gradient(light, 0.7)
         pooled = _pooled(lab, hue, *fine, *coarse, self.patch_px // 2)
@@ -97,7 +97,7 @@ class ColorTextureDescriptor:
 
 
 def mask_feature(observation: Observation, features: NDArray[np.float32], patch_px: int) -> MaskFeature:
-    """Return the pooled feature of a mask and the variance of its patches, each patch weighted by its share of mask.
+    """Return the pooled feature of a mask and the variance of its patches, weighted by the share of mask in each patch.
 
     sigma^2 is the trace of the covariance of the unit-norm patch features, at most 1 (issue: S <= ln 2 * ...).
     """
@@ -120,7 +120,7 @@ def mask_feature(observation: Observation, features: NDArray[np.float32], patch_
 
 @numba.njit(cache=True, nogil=True)
 def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (rows, columns) how many pixels each patch has of a mask whose box begins at (x0, y0)."""
+    """Return (rows, columns) the number of mask pixels in each patch, for a mask whose box begins at (x0, y0)."""
     out = np.zeros((rows, columns))
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
@@ -139,7 +139,7 @@ def _gradient(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _turns(y, x, turn):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the angle of each (x, y) in turns of so many radians."""
+    """Return the angle of each (x, y) as a fraction of `turn` radians."""
     out = np.empty(len(y))
     for i in range(len(y)):
         out[i] = arctan2(np.float64(y[i]), np.float64(x[i])) / turn
@@ -150,7 +150,7 @@ def _turns(y, x, turn):  # type: ignore[no-untyped-def] # pragma: no cover
 def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (h, w, 30) soft histograms of patches of `side` pixels: every pixel is shared by the two nearest bins.
 
-    `hue` in turns; of the gradients at two scales x, y and the direction in half turns.
+    `hue` is in turns; the gradients at the fine and coarse scales are given by x, y and their direction in half turns.
     """
     rows, columns = lab.shape[0] // side, lab.shape[1] // side
     out = np.zeros((rows, columns, _LIGHT_BINS + _HUE_BINS + 1 + 2 * _ORIENTATIONS), np.float32)
@@ -180,11 +180,11 @@ def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):  
 
 @numba.njit(cache=True, nogil=True)
 def _add(bins, first, count, turns, weight):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Share a weight between the two of `count` cyclic bins, from `first` on, that are nearest to so many turns."""
+    """Share a weight between the two of `count` cyclic bins, from index `first`, nearest to an angle in turns."""
     position = (turns - np.floor(turns)) * count
     low = int(position)
     rest = position - low
-    # Both wrap around at most once; a division would take as long as all else here.
+    # Both wrap around at most once; a modulo would take as long as the rest of this function.
     here = low if low < count else low - count
     bins[first + here] += weight * (1.0 - rest)
     bins[first + (here + 1 if here + 1 < count else 0)] += weight * rest

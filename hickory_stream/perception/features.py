@@ -11,40 +11,40 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Makers = Mapping[str, "Callable[[], NDArray[np.float64]]"]
-"""What makes each feature (K,), by its name."""
+"""The function that computes each feature (K,), by the feature's name."""
 
 
 class Features(Mapping[str, "NDArray[np.float64]"]):
-    """The features (K,) of K pairs by name, each made at most once."""
+    """The features (K,) of K pairs by name, each computed at most once, on first access."""
 
     def __init__(self, makers: Makers) -> None:
         self._makers = dict(makers)
         self._made: dict[str, NDArray[np.float64]] = {}
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """Return the feature of a name; raises `KeyError` where there is none."""
+        """Return the feature with this name; raises `KeyError` if there is none."""
         made = self._made.get(name)
         if made is None:
             made = self._made[name] = self._makers[name]()
         return made
 
     def __iter__(self) -> Iterator[str]:
-        """Yield the names, also of what was not asked for yet."""
+        """Yield the names of all features, computed or not."""
         return iter(self._makers)
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of features."""
         return len(self._makers)
 
     def __or__(self, more: Mapping[str, NDArray[np.float64]]) -> Features:
-        """Return these features and others; what was made is not made again."""
+        """Return the union of these features and others; computed ones are not computed again."""
         out = Features({**self._makers, **{name: partial(more.__getitem__, name) for name in more}})
         out._made = {name: made for name, made in self._made.items() if name not in more}
         return out
 
 
 def of_both(makers: Makers, large: NDArray[np.int64], small: NDArray[np.int64]) -> Makers:
-    """Return the makers of features of the regions `large` and `small` (K,) of pairs, from those of (n,) regions."""
+    """Return makers of the features of both regions, `large` and `small` (K,), of pairs, from those of (n,) regions."""
     regions = Features(makers)
     out: dict[str, Callable[[], NDArray[np.float64]]] = {}
     for name in makers:

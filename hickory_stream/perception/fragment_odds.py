@@ -1,7 +1,7 @@
-"""Odds of the affinity network summed over fragments: between every two, and within each.
+"""Log-odds of the affinity network, summed between every two fragments and within each fragment.
 
-The odds of pixels are bytes, their sums over the pixels of two fragments are integers: those of groups of fragments
-follow from those of their members, exactly and in any order.
+The log-odds of pixels are bytes and their sums integers: the sums of a group of fragments follow from those of its
+members, exactly and in any order.
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ if TYPE_CHECKING:
     from hickory_stream.perception.pixel_network import PixelOdds
 
 LEVELS = (-2.0, 0.0, 2.0)
-"""Log-odds that part those of pixels into levels, of which the counts stand for their distribution."""
+"""Bin edges of pixel log-odds; the counts per bin (level) approximate their distribution."""
 _NUM_NEAR = 2
-"""So many of the distances, the least, are near: across a seam rather than from inside to inside."""
+"""The number of shortest distances that count as near: across a contact rather than between interiors."""
 _NUM_DISTANCES = len(DISTANCES_PX)
 _NUM_LEVELS = len(LEVELS) + 1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FragmentOdds:
-    """Sums over n fragments and K pairs a < b of them; row 0 of the fragments is nothing. All int64.
+    """Sums over n fragments (row 0 is background) and over K pairs a < b of fragments. All int64.
 
-    Odds are those of the bytes, counted from even odds, D distances one by one. Of a pair: `sums` (K, D) over its pairs
-    of pixels, and `levels` (K, D, 4) how many of these are below, between and above `LEVELS`. Of a fragment: `inner`
-    (n, D) and `num_inner` (n, D), over the pairs of pixels within it; `thing` and `num_pixels` (n,).
+    Log-odds are bytes minus the byte of even odds, separately for each of D pixel distances. Of a pair of fragments:
+    `sums` (K, D) over its pairs of pixels, and `levels` (K, D, 4), the number of these below, between and above
+    `LEVELS`. Of a fragment: `inner` and `num_inner` (n, D), sum and number over the pairs of pixels within it; `thing`
+    and `num_pixels` (n,), the sum of the log-odds of being an object and the number of pixels.
     """
 
     a: NDArray[np.int64]
@@ -51,7 +52,7 @@ class FragmentOdds:
         is_inner = a == b
         key = np.minimum(a, b) * count + np.maximum(a, b)
         keys, place = np.unique(key[~is_inner], return_inverse=True)
-        # What was between two members is within their group.
+        # Pairs between two members of a group are within the group.
         both, num_within = np.concatenate([numbers, a[is_inner]]), self.levels[is_inner].sum(axis=2)
         return FragmentOdds(
             a=keys // count,
@@ -78,17 +79,17 @@ class FragmentOdds:
 
 
 def mean_log_odds(sums: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return mean log-odds of sums of bytes counted from even odds; NaN where nothing was counted."""
+    """Return mean log-odds from sums of bytes relative to even odds; NaN where the count is 0."""
     return np.where(counts > 0, sums / (ODDS_UNIT * np.maximum(counts, 1)), np.nan)
 
 
 def near_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sum over the near ones of values by distance (K, D, ...)."""
+    """Return (K, ...) the sum of values (K, D, ...) over the near distances."""
     return np.asarray(values[:, :_NUM_NEAR].sum(axis=1))
 
 
 def far_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sum over the far ones of values by distance (K, D, ...)."""
+    """Return (K, ...) the sum of values (K, D, ...) over the far distances."""
     return np.asarray(values[:, _NUM_NEAR:].sum(axis=1))
 
 
@@ -124,7 +125,7 @@ def _summed(values: NDArray[np.int64], place: NDArray[np.int64], count: int) -> 
 
 @numba.njit(cache=True, nogil=True)
 def _sums(labels, odds, offsets, num_distances, level_of, count):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return for every two labels, the lesser first, sums and levels; of each label the same within it, and things."""
+    """Return the sums and levels of every pair of labels (lower first), and of each label, and the object log-odds."""
     height, width = labels.shape
     sums = np.zeros((count * count, num_distances), dtype=np.int32)
     levels = np.zeros((count * count, num_distances, 4), dtype=np.int32)

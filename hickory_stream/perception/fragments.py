@@ -187,7 +187,7 @@ def _join(depth, points, normals, sigma, structure, supports, creases, step, gap
 @numba.njit(cache=True, nogil=True)
 def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_share):  # type: ignore[no-untyped-def] # pragma: no cover
     a, b = supports[y, x], supports[yy, xx]
-    if a != b:  # what stands on a plane and what hangs below it is decided over whole fragments, in `join`
+    if a != b:  # whether objects on and below a plane are one is decided for whole fragments, in `join`
         return False
     za, zb = depth[y, x], depth[yy, xx]
     nearer = min(za, zb)

@@ -36,12 +36,12 @@ class GeometricConfig(Ranged):
 
     Attributes:
         min_area_px: masks with fewer working pixels are rejected ...
-        min_side_sigmas: ... and so are those whose area is less than a square with a side of so many sigmas of depth:
-            they cannot be told from noise.
+        min_side_sigmas: ... and so are those whose area is less than a square with a side of this many sigmas of depth:
+            they cannot be distinguished from noise.
         occluded_area_px: a mask with fewer working pixels ...
         occluded_share: ... and more of its outline than this behind nearer surfaces is rejected.
         max_extent_m: longer masks are rejected as structure.
-        support_area_m2: minimum visible area of a support plane ...
+        support_area_m2: minimum visible area of a support plane (horizontal surface of an object) ...
         support_area_px: ... and minimum number of working pixels of a connected region of it.
     """
 
@@ -70,9 +70,9 @@ class Fragments:
 
 
 class GeometricSegmenter:
-    """Segments frames by geometry and colour; it has no state but its configuration.
+    """Segments frames by geometry and colour; stateless.
 
-    `trees` rate pairs of regions; None: those of the package.
+    `trees` estimate whether a pair of regions is one object; None: the trees of the package.
     """
 
     def __init__(self, config: GeometricConfig, trees: Trees | None = None) -> None:
@@ -80,11 +80,11 @@ class GeometricSegmenter:
         self._trees = trees or embedded_trees(config.join.forest)
 
     def prepare(self, frame: Frame) -> Surface:
-        """Return the surface of a frame: what takes longest of it, and needs no map."""
+        """Return the surface of a frame: the slowest part of segmentation, which does not depend on the map."""
         return surface_of(frame, self._config.surface)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the structure of a frame; `prior` is what the map knows."""
+        """Return the instances and the structure of a frame; `prior` is the map so far."""
         pieces = self.fragments(frame, prior, prepared)
         join = self._config.join
         owners = fragment_owners(pieces.labels, pieces.surface, prior, join.map_prior)
@@ -96,8 +96,8 @@ class GeometricSegmenter:
     ) -> Segmentation:
         """Return the segmentation of a frame whose fragments were merged into masks.
 
-        `structure_odds` (n + 1,) are log-odds that masks 0..n are part of the room, if anything else tells: those over
-        even odds are rejected.
+        `structure_odds` (n + 1,) are log-odds, e.g. of a network, that masks 0..n are part of the room: masks with
+        positive log-odds are rejected.
         """
         labels, rejected = _usable(pieces.surface, joined.labels, self._config, structure_odds)
         size, factor = (frame.camera.width, frame.camera.height), pieces.surface.factor
@@ -116,12 +116,12 @@ class GeometricSegmenter:
         return self.divided(surface, self.room(surface, prior))
 
     def room(self, surface: Surface, prior: MapPrior | None) -> RoomStructure:
-        """Return the room structure in a frame; `prior` is what the map knows so far."""
+        """Return the room structure in a frame; `prior` is the map so far."""
         space = None if prior is None else prior.space
         return room_structure_of(surface, space, self._config.structure, self._config.support_area_m2)
 
     def divided(self, surface: Surface, room: RoomStructure) -> Fragments:
-        """Return the over-segmentation of a surface without its structure."""
+        """Return the over-segmentation of a surface, excluding structure."""
         config, floor_z_m = self._config, room.floor_z_m
         heights = np.array([p.z_m for p in room.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
         supports = support_labels(surface, heights, min_pixels=config.support_area_px)
@@ -183,7 +183,7 @@ def _why_not(
 def _side_and_sigma_m(
     surface: Surface, labels: NDArray[np.int32], label: int, pixels: int, box: NDArray[np.int64]
 ) -> tuple[float, float]:
-    """Return the side of a square that covers as much of the view as a mask does, and the sigma of depth, there."""
+    """Return the side of a square with the area of a mask at its depth, and the sigma of depth there, in m."""
     x0, y0, x1, y1 = box
     inside = labels[y0:y1, x0:x1] == label
     # Every pixel of a fragment has a depth.

@@ -1,6 +1,6 @@
-"""Gradients of an image after a Gaussian blur, in single precision and one order of terms.
+"""Gradients of an image after a Gaussian blur, in single precision and with a fixed order of operations.
 
-OpenCV's filters of floating-point images fuse products and sums where the processor can, and not elsewhere.
+OpenCV's floating-point filters use fused multiply-add only on processors that have it: results would differ.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def gradients(image: NDArray[np.float32], sigma_px: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return (h, w) the differences along x and y of a blurred image (h, w), by Sobel's operator.
 
-    Beyond its border the image is mirrored at the outermost pixel.
+    The image is extended beyond its border by reflection at the outermost pixel.
     """
     radius = max(1, round(4 * sigma_px))
     weights = portable.gaussian_weights(sigma_px, radius).astype(np.float32)

@@ -1,13 +1,14 @@
 """Ground that is not one level plane: slopes, waves, kerbs, steps and ramps, on a grid of heights.
 
-The lowest upward surface of each cell of a grid is grown into regions that one could walk over without a step: between
-neighbouring cells the slope is limited (local slopes: Himmelsbach et al. 2010; regions of a height map: Douillard et
-al. 2011). A region is ground if it is that of the floor, or goes on what was ground before; what lies a step higher
-than ground and is wide enough to stand on is ground, too, and so is what lies lower. Nothing that stands on the ground
-passes: its sides are steeper than the slope, its top is higher than a step or too small. (A cloth that falls on the
-scene from below, Zhang et al. 2016, tells no box from a platform either: it needs the same two limits.)
+The lowest upward-facing surface of each grid cell is grown into regions without steps: between neighbouring cells the
+slope is limited (local slopes: Himmelsbach et al. 2010; regions of a height map: Douillard et al. 2011). A region is
+ground if it is at the height of the floor, or mostly on structure that the map knows as ground. A region that is one
+step above the ground and wide enough to stand on is ground, too, and so is one that is up to two steps below. Objects
+on the ground are not: their sides are steeper than the slope limit, and their tops are higher than a step or too small.
+(Cloth simulation from below, Zhang et al. 2016, cannot separate a box from a platform either: it needs the same two
+limits.)
 
-A floor that is level gives the same as one plane, so that this decides only where the ground is uneven.
+A level floor gives the same result as one plane, so that this grid is used only where the ground is uneven.
 """
 
 from __future__ import annotations
@@ -28,15 +29,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroundConfig(Ranged):
-    """What can be walked on.
+    """Which surfaces are ground (traversable on foot).
 
     Attributes:
-        cell_m: side of a cell of the grid of heights.
-        slope: greatest slope between neighbouring cells, as a ratio: a ramp of 20 degrees.
-        step_m: greatest height of a step or a kerb.
-        level_m2: least area of a level that is a step higher than the ground beside it.
-        gap_m: greatest distance between such a level and that ground: what stands between them hides the edge.
-        off_plane_m, off_plane_m2: there is one plane unless so much ground lies so far off it.
+        cell_m: side of a cell of the height grid.
+        slope: maximum slope between neighbouring cells, as a ratio: a ramp of 20 degrees.
+        step_m: maximum height of a step or a kerb.
+        level_m2: minimum area of a level that is a step higher than the ground beside it.
+        gap_m: maximum horizontal distance between such a level and that ground: an object may occlude the edge.
+        off_plane_m, off_plane_m2: the ground is uneven if at least this area is this far from one plane.
     """
 
     cell_m: float = number(0.2, 0.02, 10, "m")
@@ -62,7 +63,7 @@ class Ground:
 
 _UPWARD = 0.8
 _LEAST_PX = 3
-# The ground under a thing is taken from the cells around it, up to so many cells away.
+# The ground under an object is interpolated from the cells around it, up to this many cells away.
 _FILLED_CELLS = 4
 
 
@@ -75,15 +76,15 @@ def uneven_ground(
     below_camera_m: float,
     least_m2: float,
 ) -> Ground | None:
-    """Return the ground of a frame where it is not one level plane, else None.
+    """Return the ground of a frame if it is uneven; None if it is one level plane.
 
     Args:
-        surface: that of the frame.
-        known: (h, w) which pixels lie in voxels that are structure by the map.
-        floor_z_m: height of the floor as one plane, None where it is not known.
-        config: what can be walked on.
-        below_camera_m: least distance of the ground below the camera.
-        least_m2: least area of a region of ground that is no level a step higher.
+        surface: the surface of the frame.
+        known: (h, w) which pixels lie in structure voxels of the map.
+        floor_z_m: height of the floor as one plane, None if it is unknown.
+        config: which surfaces are ground.
+        below_camera_m: minimum distance of the ground below the camera.
+        least_m2: minimum area of a region of ground (levels a step higher have `level_m2`).
     """
     camera_z = float(surface.world_from_camera[2, 3])
     grid = _heights_of(surface, known, camera_z - below_camera_m, config)
@@ -105,7 +106,7 @@ def uneven_ground(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """The lowest upward surface of each cell (nx, ny): its height (NaN without one), noise, share known as structure.
+    """The lowest upward-facing surface of each cell (nx, ny): height (NaN if none), noise, share known as structure.
 
     `low_m` (2,) is the corner of the first cell.
     """
@@ -125,7 +126,7 @@ def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float, co
     cell = np.float32(config.cell_m)
     low = np.floor(at[:, :2].min(axis=0) / cell) * cell
     size = tuple(int(n) for n in np.floor((at[:, :2].max(axis=0) - low) / cell) + 1)
-    # Noise of depth is mostly along the ray: as much of it is vertical as the ray is.
+    # Depth noise is along the ray: its vertical part is in proportion to the vertical component of the ray.
     eye = surface.world_from_camera[:3, 3].astype(np.float32)
     z, slack, share = _lowest(at, surface.sigma_m[usable], known[usable], eye, low, cell, size[0], size[1])
     return _Grid(z, slack, share, low)
@@ -166,7 +167,7 @@ def _lowest(points, sigma, known, eye, low, cell, nx, ny):  # type: ignore[no-un
 
 @numba.njit(cache=True, nogil=True)
 def _regions(z, slack, rise):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (nx, ny) the number of the region of each cell, from 1, 0 without a height: neighbours within a slope."""
+    """Return (nx, ny) the region of each cell, from 1 (0: no height): connected cells within the slope limit."""
     nx, ny = z.shape
     out = np.zeros((nx, ny), dtype=np.int32)
     queue = np.empty((nx * ny, 2), dtype=np.int32)
@@ -197,12 +198,12 @@ def _regions(z, slack, rise):  # type: ignore[no-untyped-def] # pragma: no cover
 def _is_ground(
     regions: NDArray[np.int32], grid: _Grid, floor_z_m: float | None, config: GroundConfig, least_m2: float
 ) -> NDArray[np.bool_]:
-    """Return (nx, ny) which cells are ground: regions of the floor, and what is a step away from ground."""
+    """Return (nx, ny) which cells are ground: regions of the floor, and regions one step away from ground."""
     cells = np.bincount(regions.ravel())
     cells[0] = 0
     large = np.flatnonzero(cells * config.cell_m * config.cell_m >= least_m2)
     ground = _first_regions(regions, grid, floor_z_m, large)
-    # However little of it is in view: what goes on structure a step away is ground that was seen before.
+    # A region on known structure one step away was ground in earlier keyframes: it needs no minimum area in this one.
     before = _known_regions(regions, grid, cells)
     left = sorted(({int(i) for i in large} | before) - ground)
     is_ground = np.isin(regions, sorted(ground))
@@ -216,14 +217,15 @@ def _is_ground(
     return is_ground
 
 
-# A region goes on known ground if that much of it is structure by the map; it is at the floor if some cells of it are.
+# Minimum shares of a region that is structure in the map (to start from it; to know it surely as ground), and how many
+# cells of it must be at the height of the floor.
 _KNOWN_SHARE, _SURELY_KNOWN = 0.25, 0.6
 _AT_FLOOR_M = 0.06
 _AT_FLOOR_CELLS = 3
 
 
 def _known_regions(regions: NDArray[np.int32], grid: _Grid, cells: NDArray[np.int64]) -> set[int]:
-    """Return the regions of some cells of which most is structure by the map."""
+    """Return the regions of at least a few cells that are mostly structure in the map."""
     known = np.bincount(regions.ravel(), weights=grid.known.ravel(), minlength=len(cells))
     return {int(i) for i in np.flatnonzero((cells >= _AT_FLOOR_CELLS) & (known >= _SURELY_KNOWN * cells))} - {0}
 
@@ -231,7 +233,7 @@ def _known_regions(regions: NDArray[np.int32], grid: _Grid, cells: NDArray[np.in
 def _first_regions(
     regions: NDArray[np.int32], grid: _Grid, floor_z_m: float | None, large: NDArray[np.int64]
 ) -> set[int]:
-    """Return the large regions at the height of the floor, else those that go on what is structure; lowest first."""
+    """Return the large regions at the height of the floor; if there are none, the lowest one on known structure."""
     if len(large) == 0:
         return set()
     if floor_z_m is not None:
@@ -249,23 +251,23 @@ def _first_regions(
 def _is_a_step_away(
     region: NDArray[np.bool_], ground: NDArray[np.bool_], was_ground: bool, grid: _Grid, config: GroundConfig
 ) -> bool:
-    """Return whether a region begins a step above or below ground that is near, or goes on at its slope.
+    """Return whether a region begins at most a step above, or two below, ground that is near.
 
-    A level above it has room to stand, unless it was ground before.
+    A higher level must have the minimum area, unless it was known as ground before.
     """
     at, there = np.argwhere(region), np.argwhere(ground)
     rise_m, gap_m = _nearest_step(at, there, grid.z_m, np.float32(config.cell_m))
     if not gap_m <= config.gap_m:
         return False
     most_m = config.step_m + 0.1 * gap_m
-    # What lies lower than the ground is ground, if it is no deeper than one can step.
+    # A lower region is ground whatever its area, if it is at most two steps below.
     has_room = len(at) * config.cell_m * config.cell_m >= config.level_m2
     return bool(-2 * most_m <= rise_m <= most_m and (rise_m < 0 or was_ground or has_room))
 
 
 @numba.njit(cache=True, nogil=True)
 def _nearest_step(at, there, z, cell):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the mean rise from ground cells to the cells of a region that are nearest to them, and that distance."""
+    """Return the mean rise from the ground to the cells of a region that are nearest to it, and their distance."""
     nearest = np.float32(np.inf)
     for i in range(len(at)):
         for j in range(len(there)):
@@ -283,7 +285,7 @@ def _nearest_step(at, there, z, cell):  # type: ignore[no-untyped-def] # pragma:
 
 @numba.njit(cache=True, nogil=True)
 def _filled(z, steps):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return heights (nx, ny) with the mean of its known neighbours in each unknown cell, `steps` times."""
+    """Return heights (nx, ny) with unknown cells filled by the mean of their known neighbours, `steps` times."""
     out = z.copy()
     for _ in range(steps):
         before = out.copy()
@@ -304,9 +306,9 @@ def _filled(z, steps):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _above(points, z, low, cell, step):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) the height of points above the ground: between cells of one level it is interpolated.
+    """Return (h, w) the height of points above the ground, interpolated between cells of one level.
 
-    At the edge of a step the higher side counts, also in a cell that has both: the face of a kerb is no thing.
+    At the edge of a step the higher level counts, also in a cell that contains both: the face of a kerb is ground.
     """
     height, width, _ = points.shape
     nx, ny = z.shape
@@ -338,7 +340,7 @@ def _above(points, z, low, cell, step):  # type: ignore[no-untyped-def] # pragma
                 for m in range(max(j - 1, 0), min(j + 2, ny)):
                     if not np.isnan(z[k, m]):
                         least, most = min(least, z[k, m]), max(most, z[k, m])
-            # Over three cells a slope rises, too: by as much as over two, and a half more.
+            # The slope itself rises over three cells by one and a half times its rise over two.
             if most - least > np.float32(1.5) * step:
                 ground = most
             out[y, x] = points[y, x, 2] - ground

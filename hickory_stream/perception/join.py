@@ -1,8 +1,8 @@
 """Region merging: fragments are merged into instances in rounds, by learned trees.
 
-A round rates all pairs of regions that touch, nearly touch or are bridged behind an occluder, and merges those pairs of
-which each is the other's likeliest partner. The next round rates the merged regions. Planes that continue behind an
-occluder are merged without asking the trees.
+A round rates all pairs of regions that touch, nearly touch or are bridged behind an occluder, and merges the pairs in
+which each region is the most probable partner of the other. The next round rates the merged regions. Regions whose
+planes continue behind an occluder are merged without the trees.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ class JoinConfig(Ranged):
     Attributes:
         forest: the trees that rate pairs; `mixed`, from a `probability` of 0.5, makes fewer false objects in unfamiliar
             rooms and finds fewer objects.
-        probability: minimum probability for a merge; over a half, since the map repairs over-segmentation more easily
+        probability: minimum probability for a merge; above 0.5, since the map repairs over-segmentation more easily
             than under-segmentation.
         rounds: maximum number of rounds.
         reach_px: pixels are neighbours across fewer than this many unlabelled pixels.
         gap_m: maximum distance of fragments that are rated without touching in the image.
         bridging: when a plane continues behind an occluder.
-        map_prior: what the objects of the map say.
+        map_prior: how the objects of the map lower the probability of a merge.
     """
 
     forest: Forest = "sizes"
@@ -60,7 +60,7 @@ class JoinConfig(Ranged):
 
 
 class Groups:
-    """A partition of labels 0..n - 1 that only grows coarser; a group is named by its lowest label."""
+    """A partition of labels 0..n - 1 into groups that can only be united; a group is named by its lowest label."""
 
     def __init__(self, count: int) -> None:
         self._parent = list(range(count))
@@ -72,7 +72,7 @@ class Groups:
             self._parent[max(ra, rb)] = min(ra, rb)
 
     def numbers(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return (n,) the groups numbered without gaps in the order of their names, and the names (groups,)."""
+        """Return (n,) the group of each label, numbered 0, 1, ... in the order of names, and the names (groups,)."""
         roots = np.array([self._root(i) for i in range(len(self._parent))])
         names, numbers = np.unique(roots, return_inverse=True)
         return numbers, names
@@ -87,7 +87,8 @@ class Groups:
 class Joined:
     """Instance labels (h, w) 1..n, 0 = none, numbered in the order of their first fragments.
 
-    `labels` with what the map knew; `alone` without it, unions of the others; None: the same.
+    `labels` are joined with the map prior, `alone` without it: each instance of `alone` is a union of instances of
+    `labels`. `alone` None: the same as `labels`.
     """
 
     labels: NDArray[np.int32]
@@ -96,7 +97,7 @@ class Joined:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Round:
-    """The input of a round: `numbers` (n,) the region of each fragment, `pairs` (K, 2) of regions, their features."""
+    """The input of a round: `numbers` (n,), the region of each fragment; `pairs` (K, 2) of regions; `features`."""
 
     numbers: NDArray[np.int64]
     pairs: NDArray[np.int64]
@@ -113,9 +114,9 @@ def join_fragments(
     owners: FragmentOwners | None = None,
     odds: FragmentOdds | None = None,
 ) -> Joined:
-    """Return the fragments `labels` (h, w) as the rounds join them, with the map and without.
+    """Return the fragments `labels` (h, w) joined into instances, with the map prior and without.
 
-    `owners` are what the map says of them, `odds` those of a network, if any.
+    `owners`: the map objects on which the fragments lie, if any; `odds`: the log-odds of a network, if any.
     """
     graph = region_graph_of(surface, labels, supports, room, config)
     if graph is None:
@@ -124,13 +125,13 @@ def join_fragments(
     together = numbers.astype(np.int32)[labels]
     if owners is None:
         return Joined(labels=together)
-    # What the map holds apart is one thing or not by this frame alone: its rounds go on without the map.
+    # For the result of this frame alone, the rounds continue from there without the map prior.
     alone = _last(rounds(graph, trees.probabilities, config, odds, start=numbers))
     return Joined(labels=together, alone=alone.astype(np.int32)[labels])
 
 
 def _last(steps: Iterator[Round]) -> NDArray[np.int64]:
-    """Return the region of each fragment after the last round; there is always one."""
+    """Return (n,) the region of each fragment after the last round; there is at least one round."""
     *_, last = steps
     return last.numbers
 
@@ -162,10 +163,10 @@ def rounds(
     owners: FragmentOwners | None = None,
     start: NDArray[np.int64] | None = None,
 ) -> Iterator[Round]:
-    """Yield the rounds of merging by the `probabilities` of features, from single fragments to the final regions.
+    """Yield the rounds of merging, from single fragments to the final regions; `probabilities` rates features of pairs.
 
-    The `odds` of a network, if any, are among the features (`odds_features`); `owners` are what the map says of the
-    fragments, if anything; `start` (n,) are regions to begin with instead.
+    `odds`: the log-odds of a network, added to the features (`odds_features`), if any; `owners`: the map prior, if any;
+    `start` (n,): initial regions of the fragments, None for single fragments.
     """
     groups = Groups(len(graph.regions.pixels))
     if start is not None:
@@ -176,7 +177,7 @@ def rounds(
         pairs, features = pair_features(graph, numbers, len(names))
         features |= odds_features(None if odds is None else odds.of_groups(numbers, len(names)), pairs, len(names))
         yield Round(numbers=numbers, pairs=pairs, features=features)
-        # Certain, but too rare in the training data for the trees to learn it.
+        # Bridged regions are surely one object, but too rare in the training data for the trees to learn it.
         proven = is_bridged(
             features["bridged_level"],
             features["bridged_upright"],
@@ -193,7 +194,7 @@ def rounds(
 
 
 def _closest(pairs: NDArray[np.int64], probability: NDArray[np.float64], count: int, least: float) -> NDArray[np.int64]:
-    """Return the (M, 2) pairs that are likely enough, and the likeliest one of both of their regions."""
+    """Return the (M, 2) pairs of at least the `least` probability that are the most probable pair of both regions."""
     best = np.zeros(count)
     for side in (0, 1):
         np.maximum.at(best, pairs[:, side], probability)

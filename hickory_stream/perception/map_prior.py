@@ -1,9 +1,9 @@
-"""The map as a prior of region merging: fragments on two objects that the map knows are less likely to be one thing.
+"""The map as a prior of region merging: fragments on two different map objects are less likely to be one object.
 
-A frame by itself often sees a small thing and what it lies on as one. Where other frames told the two apart, the map
-has them as two objects, and Bayes' rule adds the log-odds of that to those of the frame. Two things keep the map from
-proving itself right: what the frame would have joined by itself counts as seen together (`Joined.alone`), and what the
-map has as one object is no evidence against a seam.
+A single frame often under-segments a small object and its support surface. Where earlier frames separated the two, the
+map has two objects, and by Bayes' rule the log-odds of that prior are added to those of the frame. Two rules keep the
+map from confirming itself: fragments that the frame alone would have joined still count as seen together
+(`Joined.alone`), and a single map object is no evidence for joining fragments on it.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _SURE = 1e-6
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapPriorConfig(Ranged):
-    """What the map's objects say of fragments.
+    """How map objects lower the probability that two regions are one object.
 
     Attributes:
-        apart_odds: log-odds against one thing for regions on two objects; 0: the map says nothing.
-        min_sightings: objects that were seen less often say nothing.
-        min_share: a region lies on an object with at least this share of its pixels.
+        apart_odds: log-odds against a merge for regions on two different objects; 0: no prior.
+        min_sightings: objects with fewer sightings are ignored.
+        min_share: a region lies on an object if at least this share of its pixels does.
     """
 
     apart_odds: float = number(3.0, 0, 8, "log-odds")
@@ -48,7 +48,7 @@ class MapPriorConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FragmentOwners:
-    """How many sampled pixels of each fragment (n,) there are, and how many (n, objects) lie on each known object."""
+    """The number of sampled `pixels` (n,) of each fragment, and `on_object` (n, objects), those on each map object."""
 
     pixels: NDArray[np.int64]
     on_object: NDArray[np.int64]
@@ -57,7 +57,7 @@ class FragmentOwners:
     def against(
         self, probability: NDArray[np.float64], pairs: NDArray[np.int64], numbers: NDArray[np.int64], count: int
     ) -> NDArray[np.float64]:
-        """Return the probabilities (K,) of pairs (K, 2) of `count` regions with the prior; `numbers` as in `Round`."""
+        """Return the probabilities (K,) of pairs (K, 2) of `count` regions after the prior; `numbers` as in `Round`."""
         owner = self._owners(numbers, count)
         a, b = owner[pairs[:, 0]], owner[pairs[:, 1]]
         differ = (a >= 0) & (b >= 0) & (a != b)
@@ -79,7 +79,7 @@ class FragmentOwners:
 def fragment_owners(
     labels: NDArray[np.int32], surface: Surface, prior: MapPrior | None, config: MapPriorConfig
 ) -> FragmentOwners | None:
-    """Return on which objects of the map the fragments `labels` (h, w) lie; None where the map says nothing of them."""
+    """Return on which map objects the fragments `labels` (h, w) lie; None if fewer than two objects are near."""
     if prior is None or config.apart_odds == 0:
         return None
     sampled = labels[::_STRIDE_PX, ::_STRIDE_PX]
@@ -99,7 +99,7 @@ def fragment_owners(
 
 
 def _objects_near(points: NDArray[np.float32], prior: MapPrior, config: MapPriorConfig) -> list[TrackedObject]:
-    """Return the objects that say something and reach into the bounds of the points, the smallest first."""
+    """Return the objects with enough sightings whose bounds overlap those of the points, the smallest first."""
     if len(points) == 0:
         return []
     low, high = points.min(axis=0) - prior.points_m, points.max(axis=0) + prior.points_m
@@ -116,8 +116,8 @@ def _objects_near(points: NDArray[np.float32], prior: MapPrior, config: MapPrior
 def _owners_of_points(
     points: NDArray[np.float32], objects: Sequence[TrackedObject], voxel_m: float
 ) -> NDArray[np.int64]:
-    """Return (N,) the object in whose voxel each point lies, else one in a voxel beside it, the first; -1 for none."""
-    # Points come in the order of their voxels, or nearly: a stable sort then takes one walk along them.
+    """Return (N,) the first object with a voxel at each point, else with one beside it; -1 for none."""
+    # Points are nearly sorted by voxel: a stable sort is fast on them.
     keys = [np.sort(keys_of_points(item.points_world, voxel_m), kind="stable") for item in objects]
     ends = np.cumsum([len(k) for k in keys])
     found: NDArray[np.int64] = _first_with(np.ascontiguousarray(points), np.concatenate(keys), ends, float(voxel_m))
@@ -126,7 +126,7 @@ def _owners_of_points(
 
 @numba.njit(cache=True, nogil=True)
 def _first_with(points, keys, ends, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Look a point's voxel up in the sorted keys of each object in turn, then the six beside it."""
+    """Look up a point's voxel in the sorted keys of each object in turn, then its six face neighbours."""
     steps = np.array([0, 1, -1, 1 << 21, -(1 << 21), 1 << 42, -(1 << 42)], dtype=np.int64)
     owners = np.full(len(points), -1, dtype=np.int64)
     for i in range(len(points)):

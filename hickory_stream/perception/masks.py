@@ -1,4 +1,4 @@
-"""The mask pipeline: from overlapping masks, however they were found, to the instances of a frame.
+"""The mask pipeline: from overlapping masks of any segmentation network to the instances of a frame.
 
 Masks that are too small, structure, duplicates, or parts of another mask are rejected with a reason. A smaller mask
 inside a larger one is an object of its own if it protrudes from the surface around it, like a cup on a table, or lies
@@ -61,7 +61,7 @@ class MaskConfig(Ranged):
         stands_out_m: a mask inside another one is an object of its own if it protrudes from the surface around it by
             this, plus three sigma of depth ...
         flat_area_m2: ... or if it is flat on a horizontal surface and has at least this area.
-        visible_share: a mask with less than this share left uncovered by smaller masks is a group of these.
+        visible_share: a mask of which smaller masks leave less than this share uncovered is a group of these masks.
         max_extent_m: longer masks are structure.
         occluded_share: a small mask with more of its outline than this behind nearer surfaces is rejected.
     """
@@ -112,7 +112,7 @@ def why_no_object(
     x0, y0, x1, y1 = box
     window = surface.points_world[y0:y1, x0:x1], labels[y0:y1, x0:x1]
     extent = float(_extent_m(*window, label))
-    if extent > max_extent_m:  # only then is it worth the time to leave outliers out
+    if extent > max_extent_m:  # the robust extent, without outliers, is slower: computed only if it matters
         part = window[0][window[1] == label]
         part = part[np.isfinite(part[:, 2])]
         extent = float(np.ptp(np.percentile(part, [3, 97], axis=0), axis=0).max())
@@ -132,7 +132,7 @@ def _extent_m(points, labels, label):  # type: ignore[no-untyped-def] # pragma: 
 
 
 def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
-    """Return (count,) the share of each label's outline with a nearer neighbour: where it is occluded."""
+    """Return (count,) the share of each label's outline that borders on a nearer surface, which occludes it."""
     outline, occluded = _outlines(depth_m, labels, count)
     return np.asarray(occluded / np.maximum(outline, 1))
 
@@ -257,11 +257,11 @@ def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surfac
         return False
     ring = (cv2.dilate(part.astype(np.uint8), kernel) > 0) & ~part & whole & known
     if np.count_nonzero(ring) < _LEAST_RING:
-        # The larger mask has no surface around it, so that it is a group of objects, unless both are nearly the same.
+        # The larger mask shows no surface around the inner one: it is a group of objects, unless both nearly coincide.
         return share < _WHOLE_SHARE
     normal, offset = _plane_of(points[ring].astype(np.float64))
     distance = np.abs(portable.matmul(points[seen], normal) - offset)
-    # 30 % of it suffice: the rim of a bowl, or the body of a cup behind its handle.
+    # It suffices if 30 % of the mask protrude: the rim of a bowl, or the body of a cup behind its handle.
     if np.quantile(distance, 0.7) > config.stands_out_m + 3 * float(np.median(sigma_m[seen])):
         return True
     return bool(abs(normal[2]) > 0.95 and _area_m2(points, seen, surface) > config.flat_area_m2)
@@ -335,7 +335,7 @@ def _count_shared(boxes, starts, pixels, stride):  # type: ignore[no-untyped-def
 
 
 def _painted(masks: Sequence[InstanceMask], order: Sequence[int], shape: tuple[int, ...]) -> NDArray[np.int32]:
-    """Return labels i + 1, the masks painted over one another in this order."""
+    """Return labels i + 1 of the masks, painted in this order, later ones over earlier ones."""
     labels = np.zeros(shape, dtype=np.int32)
     for i in order:
         x0, y0, x1, y1 = masks[i].box_px
@@ -344,7 +344,7 @@ def _painted(masks: Sequence[InstanceMask], order: Sequence[int], shape: tuple[i
 
 
 def _why_no_objects(labels: NDArray[np.int32], surface: Surface, config: MaskConfig) -> list[tuple[int, str]]:
-    """Return the labels that are no objects by their geometry, with the reason."""
+    """Return the labels that are rejected as objects by their geometry, with the reason."""
     factor, (height, width) = surface.factor, surface.depth_m.shape
     middle = factor // 2
     small = np.ascontiguousarray(labels[middle::factor, middle::factor][:height, :width])

@@ -1,4 +1,4 @@
-"""The segmenter with a network of its own: fragments by geometry, joined by trees that know the network's odds."""
+"""The segmenter with the packaged affinity network: geometric fragments, joined by trees that use its log-odds."""
 
 from __future__ import annotations
 
@@ -25,14 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NetworkJoinConfig(Ranged):
-    """How the network's odds are used.
+    """How the network's log-odds are used.
 
     Attributes:
-        learned_probability: the trees that know them, the forest `odds`, join two groups from this probability of being
-            one thing.
-        structure_shift: what is added to the network's log-odds that a mask is part of the room, which is rejected
-            where the sum is over 0: less believes the network less, -8 never.
-        split: when the network divides fragments that geometry and colour left whole.
+        learned_probability: minimum probability for a merge by the trees that use the network's odds (forest `odds`).
+        structure_shift: added to the network's log-odds that a mask is part of the room; the mask is rejected if the
+            sum is positive. Lower values reject fewer masks, -8 none.
+        split: when the network divides fragments that geometry and colour did not divide.
     """
 
     learned_probability: float = number(0.35, 0, 1, "probability")
@@ -42,16 +41,16 @@ class NetworkJoinConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Prepared:
-    """What is found in a frame without the map: its surface, and what the network says of its pixels."""
+    """The results of a frame that need no map: its surface, and the network's log-odds for its pixels."""
 
     surface: Surface
     odds: PixelOdds
 
 
 class NetworkSegmenter:
-    """A `Segmenter` with a network: it has no state but its configuration.
+    """A `Segmenter` with the affinity network; stateless.
 
-    `trees` tell what is one thing; None: those of the package.
+    `trees` estimate whether a pair of regions is one object; None: the trees of the package.
     """
 
     def __init__(
@@ -69,7 +68,7 @@ class NetworkSegmenter:
         return Prepared(surface=surface, odds=self._network.odds(surface, None))
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the structure of a frame; `prior` is what the map knows."""
+        """Return the instances and the structure of a frame; `prior` is the map so far."""
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
         pieces = self.fragments(frame, prior, found)
         owners = fragment_owners(pieces.labels, pieces.surface, prior, self._join.map_prior)
@@ -81,11 +80,11 @@ class NetworkSegmenter:
         return self._geometric.segmentation(frame, pieces, joined, structure_odds)
 
     def segmentation(self, frame: Frame, pieces: Fragments, joined: Joined) -> Segmentation:
-        """Return what is said of a frame whose fragments were joined into masks."""
+        """Return the segmentation of a frame whose fragments were joined into masks."""
         return self._geometric.segmentation(frame, pieces, joined)
 
     def fragments(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Fragments:
-        """Return the pieces that a frame falls into, before any are joined."""
+        """Return the over-segmentation of a frame, before any fragments are joined."""
         found = prepared if isinstance(prepared, Prepared) else self.prepare(frame)
         pieces = self._geometric.divided(found.surface, self._geometric.room(found.surface, prior))
         return replace(pieces, labels=divided_by_odds(pieces.labels, found.odds, self._config.split))

@@ -1,4 +1,4 @@
-"""Masks lifted to 3D: the filtered points of each instance in the world, its box, and the cheap factors of S."""
+"""Lifting of masks to 3D: filtered world points of each instance, its box, and R_area and R_depth of its S-score."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class ObserveConfig(Ranged):
 
     Attributes:
         min_depth_m, max_depth_m: the range of reliable returns.
-        agree_sigmas: beside a step of depth, as far as the sensor says, a return counts only if it is within so many
-            sigmas of the one next to it further inside.
-        min_neighbors: minimum number of the 24 returns around one that are within `agree_sigmas` of it.
+        agree_sigmas: near the rim of a mask a return counts only if it is within this many sigmas of depth of its
+            neighbour further inside the mask.
+        min_neighbors: a return needs at least this many of its 24 neighbours within `agree_sigmas` of its depth.
         min_returns: a mask with fewer returns is rejected ...
         min_points: ... and so is one whose returns lie in fewer cells.
         max_box_m: maximum side of an object's box.
@@ -56,7 +56,7 @@ class ObserveConfig(Ranged):
 def observe(
     frame: Frame, segmentation: Segmentation, config: ObserveConfig, lattice: Lattice
 ) -> tuple[tuple[Observation, ...], tuple[RejectedMask, ...]]:
-    """Return the observations of a frame in the order of their labels, and the masks that gave none, with reasons."""
+    """Return the observations of a frame in the order of their labels, and the rejected masks with reasons."""
     observations: list[Observation] = []
     rejected: list[RejectedMask] = list(segmentation.rejected)
     alone = segmentation.alone
@@ -99,7 +99,7 @@ def _masks(instances: NDArray[np.int32]) -> list[tuple[tuple[int, int, int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Lifted:
-    """A mask in 3D: (N, 3) points and colours, the points without outliers, and R_depth, its share with depth."""
+    """A mask in 3D: (N, 3) points and colours, the inlier points, and R_depth, the share of its pixels with depth."""
 
     points: NDArray[np.float32]
     colors: NDArray[np.uint8]
@@ -110,7 +110,7 @@ class _Lifted:
 def _lift(
     frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], config: ObserveConfig, voxel_m: float
 ) -> _Lifted | str:
-    """Return a mask in 3D, or the reason why it cannot be lifted."""
+    """Return a mask lifted to 3D, or the reason why it cannot be lifted."""
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
     depth = frame.depth_m[y0:y1, x0:x1]
@@ -142,9 +142,9 @@ def _lift(
 
 @numba.njit(cache=True, nogil=True)
 def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N, 3) the camera's points and colours of reliable depth in `inner`, and how much of it `mask` has.
+    """Return (N, 3) camera-frame points and colours of reliable depth in `inner`, and the number of those in `mask`.
 
-    `u` (w,) and `v` (h,) are where the rays of columns and rows pass at a depth of 1.
+    `u` (w,) and `v` (h,) are normalised image coordinates: those of the rays of columns and rows at a depth of 1.
     """
     height, width = mask.shape
     points, colors = np.empty((height * width, 3), dtype=np.float32), np.empty((height * width, 3), dtype=np.uint8)
@@ -174,7 +174,7 @@ def voxel_means(
 
 @numba.njit(cache=True, nogil=True)
 def _means_of_groups(groups, order, points, colors):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Average the points of each group, summed as they come; `order` says which group comes first, second ..."""
+    """Return the mean point and colour of each group, summed in the order of points; `order` is the order of groups."""
     sums, counts = np.zeros((len(order), 6)), np.zeros(len(order), dtype=np.int64)
     for i in range(len(groups)):
         group = groups[i]
@@ -208,7 +208,7 @@ def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
 def _agreeing(
     depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame, config: ObserveConfig
 ) -> NDArray[np.bool_]:
-    """Return the mask without rim pixels of another surface, or of a mixture of two surfaces."""
+    """Return the mask without rim pixels that belong to another surface or mix two surfaces (flying pixels)."""
     edge_px = frame.sensor.edge_px(frame.camera.fx)
     inner = _eroded(mask, edge_px)
     law = frame.sensor.law
@@ -219,7 +219,7 @@ def _agreeing(
 
 @numba.njit(cache=True, nogil=True)
 def _with_agreeing(depth, mask, inner, law, sigmas):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return `inner` grown within the mask by pixels whose depth is within so many sigmas of a neighbour's."""
+    """Return `inner` grown within the mask by pixels whose depth is within `sigmas` sigmas of a neighbour's."""
     height, width = mask.shape
     out = inner.copy()
     for y in range(height):
@@ -238,7 +238,7 @@ def _with_agreeing(depth, mask, inner, law, sigmas):  # type: ignore[no-untyped-
 def _supported(
     depth: NDArray[np.float32], inner: NDArray[np.bool_], frame: Frame, config: ObserveConfig
 ) -> NDArray[np.bool_]:
-    """Return which returns have enough neighbours of the same surface in the image, at any distance."""
+    """Return (h, w) which returns have enough image neighbours on the same surface, whatever their depth."""
     supported: NDArray[np.bool_] = _with_support(
         depth, inner, frame.sensor.law, config.agree_sigmas, config.min_neighbors
     )
@@ -261,8 +261,8 @@ def _with_support(depth, inner, law, sigmas, least):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True)
 def _has_company(depth, inner, y, x, gate, least):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether at least so many of the 24 returns around a pixel are within a gate of its depth."""
-    count = -1  # it is within the gate of itself
+    """Return whether at least `least` of the 24 returns around a pixel are within `gate` of its depth."""
+    count = -1  # the loop also counts the pixel itself
     for yy in range(max(0, y - 2), min(depth.shape[0], y + 3)):
         for xx in range(max(0, x - 2), min(depth.shape[1], x + 3)):
             count += inner[yy, xx] & (abs(depth[yy, xx] - np.float64(depth[y, x])) <= gate)
@@ -272,7 +272,7 @@ def _has_company(depth, inner, y, x, gate, least):  # type: ignore[no-untyped-de
 
 
 def _group(alone: NDArray[np.int32], box_px: tuple[int, int, int, int], mask: NDArray[np.bool_]) -> int:
-    """Return the instance, as the frame by itself has it, of which a mask is a part: that of its first pixel."""
+    """Return the instance of the frame without the map prior that contains a mask: that at the mask's first pixel."""
     x0, y0, _, _ = box_px
     y, x = np.unravel_index(int(mask.argmax()), mask.shape)
     return int(alone[y0 + y, x0 + x])

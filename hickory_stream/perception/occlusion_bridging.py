@@ -2,8 +2,8 @@
 
 From a fragment's occluded border, its plane is extrapolated along the image row or column, behind nearer surfaces and
 missing returns. If it becomes visible again in another fragment, the line bridges the two; if a surface behind the
-plane is seen first, the plane has ended. One shared plane proves nothing, since objects of equal height stand side by
-side: a horizontal and a vertical plane that both continue do.
+plane is seen first, the plane has ended. One shared plane is no proof that both are one object, since objects of equal
+height can stand side by side. A horizontal and a vertical plane that both continue are.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BridgingConfig(Ranged):
-    """When a plane continues behind an occluder, and when two regions are one object for it.
+    """When a plane continues behind an occluder, and when this makes two regions one object.
 
     Attributes:
         gap_m: maximum length of the extrapolation.
         tolerance_m: maximum distance of a point from the plane, plus 3 sigma of depth.
         min_lines: minimum number of rows and columns (every other one is scanned) that bridge two regions ...
         min_share: ... and the same as a share of the square root of the smaller region's pixels.
-        other_lines: minimum number of lines that bridge a horizontal plane, and of those that bridge a vertical one.
+        other_lines: minimum number of lines for each of the two kinds of plane, horizontal and vertical.
     """
 
     gap_m: float = number(0.5, 0, 100, "m")

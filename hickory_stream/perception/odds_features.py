@@ -1,8 +1,8 @@
 """Features of pairs of regions from a network's odds, from which trees estimate whether the two are one object.
 
-Mean log-odds between the two at every distance and their spread, the same within each of them (where a network is
-unsure within an object, its doubts at the contact mean little), the difference to the best partner of either, and
-whether each is an object at all. NaN where the network has no odds.
+They are: mean log-odds between the two regions at every pixel distance, and their spread; the same within each region
+(where the network is uncertain within an object, low odds at a contact mean little); the difference to the best partner
+of either region; and the log-odds that each is an object. NaN where the network has no output.
 """
 
 from __future__ import annotations

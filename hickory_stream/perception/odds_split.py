@@ -1,9 +1,9 @@
-"""Fragments fall apart where the network of affinities says so: what is flush, coplanar and of one colour.
+"""Splitting of fragments by the affinity network, where objects are flush, coplanar and of one colour.
 
-The mutex watershed (Wolf et al. 2018) inside each fragment: the surest word first, neighbouring pixels join, and pixels
-that are apart and of two things forbid it for the groups that they are in by then. There is no seed and no threshold
-but that between the two words. Whether the pieces are one thing after all is decided with all else that is known of
-them, in `join`.
+This is the mutex watershed (Wolf et al. 2018) inside each fragment. Edges are processed in order of decreasing
+confidence: an attractive edge joins two neighbouring pixels, a repulsive edge between distant pixels forbids joining
+the groups that they belong to by then. There are no seeds; the only threshold separates attraction from repulsion.
+`join` decides later, with all other cues, whether the pieces are one object.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class SplitConfig(Ranged):
     """When the network divides a fragment.
 
     Attributes:
-        odds_shift: what is added to log-odds: more divides less, 8 nothing.
-        min_pixels: smaller pieces, in pixels of the network's output, go to the neighbour that they have most in common
-            with; of smaller fragments nothing is divided.
+        odds_shift: added to the log-odds of being one object: higher values split less, 8 never.
+        min_pixels: minimum size of a piece in pixels of the network's output; smaller pieces are merged with the
+            neighbour of the greatest summed odds, and smaller fragments are not split.
     """
 
     odds_shift: float = number(8.0, -8, 8, "log-odds")
@@ -41,10 +41,10 @@ class SplitConfig(Ranged):
 
 
 def divided_by_odds(labels: NDArray[np.int32], odds: PixelOdds, config: SplitConfig) -> NDArray[np.int32]:
-    """Return (h, w) fragments 1..n of which some are divided; the first piece of each keeps its number."""
+    """Return (h, w) fragments 1..n, some of them split; the first piece of a fragment keeps its number."""
     zero = ODDS_ZERO - round(ODDS_UNIT * config.odds_shift)
     if zero <= 0:
-        return labels  # no byte is less
+        return labels  # no byte is below zero: there is no repulsion
     few = np.ascontiguousarray(labels[::2, ::2])
     pieces = _mutex_watershed(few, odds.odds, np.array(OFFSETS), _PER_DISTANCE, zero)
     pieces = _without_specks(few, pieces, odds.odds, np.array(OFFSETS[:_PER_DISTANCE]), config.min_pixels)
@@ -53,9 +53,9 @@ def divided_by_odds(labels: NDArray[np.int32], odds: PixelOdds, config: SplitCon
 
 @numba.njit(cache=True, nogil=True)
 def _by_sureness(labels, odds, offsets, num_near, zero):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the pixels and offsets of what is said within labels, the surest first, by counting sort.
+    """Return the edges within labels, as pixel and offset index, the most confident first, by counting sort.
 
-    Of neighbours what joins them, of pixels farther apart what divides them.
+    They are attractive edges between neighbours and repulsive edges between pixels farther apart.
     """
     height, width = labels.shape
     starts = np.zeros(258, dtype=np.int64)
@@ -87,11 +87,11 @@ def _by_sureness(labels, odds, offsets, num_near, zero):  # type: ignore[no-unty
 
 @numba.njit(cache=True, nogil=True)
 def _mutex_watershed(labels, odds, offsets, num_near, zero):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) the name of each pixel's piece: one of its pixels."""
+    """Return (h, w) the piece of each pixel, named by the flat index of one of its pixels."""
     height, width = labels.shape
     said = _by_sureness(labels, odds, offsets, num_near, zero)
     parent = np.arange(height * width)
-    # Of each group the pixels that it must not be joined with: linked lists, put one after the other on joining.
+    # For each group, the pixels that it must not be joined with: linked lists, concatenated when groups are joined.
     first, last = np.full(height * width, -1), np.full(height * width, -1)
     length = np.zeros(height * width, dtype=np.int64)
     others, following = np.empty(2 * len(said), dtype=np.int32), np.full(2 * len(said), -1)
@@ -136,7 +136,7 @@ def _mutex_watershed(labels, odds, offsets, num_near, zero):  # type: ignore[no-
 
 @numba.njit(cache=True, nogil=True)
 def _without_specks(labels, pieces, odds, offsets, min_pixels):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the pieces with those that are too small given to a neighbour of the same label, the smallest first."""
+    """Return the pieces after merging those that are too small with a neighbour of the same label, smallest first."""
     height, width = labels.shape
     size = height * width
     area = np.zeros(size, dtype=np.int64)
@@ -146,7 +146,7 @@ def _without_specks(labels, pieces, odds, offsets, min_pixels):  # type: ignore[
                 area[pieces[y, x]] += 1
     parent = np.arange(size)
     for limit in range(1, min_pixels):
-        # For each small piece the neighbour with the greatest sum of odds over their seam.
+        # For each small piece, the neighbour with the greatest sum of odds over their contact.
         names = np.zeros(size, dtype=np.int64)
         count = 0
         for i in range(size):
@@ -190,7 +190,7 @@ def _without_specks(labels, pieces, odds, offsets, min_pixels):  # type: ignore[
 
 @numba.njit(cache=True, nogil=True)
 def _renamed(labels, few, pieces, count):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) new labels: a pixel is of the piece of the nearest pixel of the network with its old label."""
+    """Return (h, w) new labels: each pixel takes the piece of the nearest network pixel with the same old label."""
     height, width = labels.shape
     names = np.zeros(few.size, dtype=np.int32)
     has_name = np.zeros(count + 1, dtype=np.bool_)

@@ -129,8 +129,8 @@ def _relations(
 ) -> Makers:
     """Return relative poses and the shape of the union of two regions: ratios, angles, multiples of sigma.
 
-    "Before" is the sine of the elevation of one region's centroid over the other's plane: positive for both regions of
-    a concave pair, negative for both of a convex one (Stein et al. 2014).
+    The features "before" are the sine of the elevation of one region's centroid over the other's plane: positive for
+    both regions of a concave pair, negative for both of a convex one (Stein et al. 2014).
     """
     normal = regions.normals / np.maximum(np.linalg.norm(regions.normals, axis=1), 1e-9)[:, None]
     most = regions.planes.argmax(axis=1)

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 class PairGeometry:
     """The regions `large` and `small` of K pairs; all arrays (K, 3), along the axes of the world.
 
-    `aside_m`: from the centroid of the large region to that of the small one. Of their boxes, `overlap_m` is the
-    overlap, negative for a gap, and `inset_m` the distance of the small box to the nearer end of the large one,
-    negative where it protrudes. `contact_m` and `contact_spread_m` are mean and standard deviation of the contact,
+    `aside_m`: vector from the centroid of the large region to that of the small one. `overlap_m`: overlap of their
+    boxes, negative for a gap. `inset_m`: distance of the small box to the nearer end of the large one, negative where
+    it protrudes. `contact_m`, `contact_spread_m`: mean and standard deviation of the contact pixels' positions,
     undefined for regions that do not touch.
     """
 
@@ -36,7 +36,7 @@ class PairGeometry:
 def pair_geometry(
     regions: Regions, pairs: RegionPairs, large: NDArray[np.int64], small: NDArray[np.int64]
 ) -> PairGeometry:
-    """Return how the regions `large` and `small` (K,) of K pairs lie to each other."""
+    """Return the relative geometry of the regions `large` and `small` (K,) of K pairs."""
     center = regions.place / np.maximum(regions.pixels, 1)[:, None]
     touch = np.maximum(pairs.touch, 1)[:, None]
     contact_m = pairs.contact / touch

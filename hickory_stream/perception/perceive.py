@@ -43,10 +43,11 @@ class PerceptionConfig:
     """The segmenter, the lifting of masks to 3D, and the observed space.
 
     Attributes:
-        segmenter: `network` divides and joins with a network of our own, whose weights come with the package; without
-            it, `geometric` joins by trees alone; `fastsam` is a network in the folder of models.
-        extractor: what gives patch features: `color_texture` needs no weights; `dinov2` is a network.
-        semantics: whose classes masks are rejected by: `none`, `oneformer`, or another `graph` of scores or class ids.
+        segmenter: `network` splits and joins fragments with the affinity network of the package; `geometric` joins
+            them by trees alone; `fastsam` is a network in the folder of models.
+        extractor: the source of patch features: `color_texture` needs no weights; `dinov2` is a network.
+        semantics: the semantic model whose classes reject masks: `none`, `oneformer`, or another `graph` that gives
+            scores or class ids.
     """
 
     segmenter: Literal["geometric", "network", "fastsam"] = "network"
@@ -65,7 +66,7 @@ class PerceptionConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Perceived:
-    """What a keyframe shows."""
+    """The results of perception for a keyframe."""
 
     segmentation: Segmentation
     observations: tuple[Observation, ...]
@@ -94,10 +95,10 @@ def perceive(
     *,
     lattice: Lattice,
 ) -> Perceived:
-    """Return what a keyframe shows.
+    """Return the results of perception for a keyframe.
 
-    `prior` is what the map knows so far, `lattice` its voxel sizes; `prepared` is what the segmenter's `prepare` gave
-    for this frame, None if it was not called.
+    `prior` is the map so far, `lattice` its voxel sizes; `prepared` is the result of the segmenter's `prepare` for this
+    frame, None if it was not called.
     """
     segmentation = segmenter.segment(frame, prior, prepared)
     observations, rejected = observe(frame, segmentation, config.observe, lattice)

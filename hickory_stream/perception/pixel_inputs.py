@@ -1,10 +1,10 @@
-"""What the network of affinities sees of a frame, in eight bits: geometry first, colour beside it.
+"""The input channels of the affinity network, in eight bits: geometry and colour.
 
-Depth-led, after UOIS-Net (Xie et al. 2021) and UCN (Xiang et al. 2020), whose networks were trained on synthetic
-clutter and hold on real scenes. Nothing depends on the camera: normals are told in the frame of gravity and of the
-camera's heading; steps and creases as second differences of inverse depth, which are zero on every plane, in units of
-its noise, which a stereo camera has the same everywhere. Scale and height are told as well, but the network was trained
-to do without either, and without colour.
+Geometry leads, after UOIS-Net (Xie et al. 2021) and UCN (Xiang et al. 2020), whose networks were trained on synthetic
+clutter and generalise to real scenes. The channels are independent of the camera: normals are in the frame of gravity
+and the camera's heading; depth steps and creases are second differences of inverse depth, which vanish on planes, in
+units of its noise, which is uniform for a stereo camera. Scale and height are channels, too, but the network was
+trained to work without either of them, and without colour.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ CHANNELS = (
 )
 NUM_INPUTS = len(CHANNELS)
 ZERO = 128
-"""The byte that means nothing; a channel's -1 and 1 are `UNIT` away from it."""
+"""The byte for 0 and for unknown values; the values -1 and 1 of a channel are `UNIT` below and above it."""
 UNIT = 64
 MULTIPLE_PX = 32
-"""The network's sides are multiples of this; what is beyond the frame is `ZERO`."""
+"""Height and width of the network's input are multiples of this; pixels beyond the frame are `ZERO`."""
 
 
 def pixel_inputs(surface: Surface, floor_z_m: float | None) -> NDArray[np.uint8]:
@@ -67,14 +67,14 @@ def pixel_inputs(surface: Surface, floor_z_m: float | None) -> NDArray[np.uint8]
 
 
 def _heading(world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return (2,) where the camera looks on the level; where it looks straight down, where its top points."""
+    """Return (2,) the horizontal viewing direction; for a camera that looks straight down, that of the image's top."""
     forward = world_from_camera[:2, 2] - 0.2 * world_from_camera[:2, 1]
     return np.asarray(forward / max(portable.norm(forward), 1e-9), dtype=np.float32)
 
 
 @numba.njit(cache=True, nogil=True)
 def _byte(value):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return a byte for a value, of which what is over 2 (1.98) or under -2 is cut."""
+    """Return the byte of a value, which is clipped to -2..1.98."""
     scaled = np.float32(128.5) + np.float32(64.0) * value
     return np.uint8(min(max(scaled, np.float32(0.0)), np.float32(255.0)))
 
@@ -109,7 +109,7 @@ def _geometry(depth, points, normals, sigma, heading, focal_px, floor_z_m, out):
             out[5, y, x] = _byte(_bend(depth, sigma, y, x, 1, 0))
             out[6, y, x] = _byte(_bend(depth, sigma, y, x, 0, 4))
             out[7, y, x] = _byte(_bend(depth, sigma, y, x, 4, 0))
-            # Metres a pixel: from 1 mm to 5 cm.
+            # Metres per pixel: from 1 mm to 5 cm.
             out[8, y, x] = _byte(np.float32(log(depth[y, x] / focal_px)) + np.float32(5.0))
             if not np.isnan(floor_z_m):
                 out[9, y, x] = _byte((points[y, x, 2] - floor_z_m) / np.float32(0.75) - one)

@@ -1,9 +1,9 @@
-"""The network of affinities: of every pixel, with which others around it is it one thing, and is it a thing at all.
+"""The affinity network: for every pixel, which pixels around it are of the same object, and whether it is on an object.
 
 Affinities to neighbours at growing distances, as in Wolf et al. 2018 (mutex watershed) and Lee et al. 2017; the network
-(`tools/train_network`) is a U-Net of a megabyte whose weights come with the package. It is eight-bit throughout: its
-sums are of integers and exact, a product with a scale and one rounding make bytes of them again, so that any processor
-gives the same bytes (`tests/perception/test_pixel_network.py` holds it against integer arithmetic in NumPy).
+(`tools/train_network`) is a U-Net of one megabyte whose weights come with the package. It is quantised to eight bits
+throughout: sums are exact integers, which one scale factor and one rounding convert back to bytes, so that every
+processor gives the same bytes (`tests/perception/test_pixel_network.py` compares it with integer arithmetic in NumPy).
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ if TYPE_CHECKING:
 
 EMBEDDED = "weights/affinities.onnx"
 DISTANCES_PX = (1, 3, 9, 27)
-"""Of the neighbours, in the pixels of the output, which are two of the surface's."""
+"""Distances to the neighbours, in output pixels; one output pixel is two pixels of the surface."""
 OFFSETS = tuple((dy * d, dx * d) for d in DISTANCES_PX for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)))
-"""(down, right) from a pixel to the neighbour of which each of the first outputs tells; the last output is `THING`."""
+"""The offset (down, right) from a pixel to its neighbour, for each affinity output; the last output is `THING`."""
 THING = len(OFFSETS)
 NUM_OUTPUTS = THING + 1
 ODDS_ZERO = 128
 ODDS_UNIT = 16
-"""Log-odds in bytes: `ODDS_ZERO` is even odds, `ODDS_UNIT` more is one more in the logarithm."""
+"""Log-odds as bytes: `ODDS_ZERO` is log-odds 0 (even odds), and `ODDS_UNIT` steps are log-odds 1."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PixelOdds:
-    """(NUM_OUTPUTS, h, w) bytes: log-odds at half the surface's size, pixel (i, j) that of the surface's (2 i, 2 j)."""
+    """(NUM_OUTPUTS, h, w) bytes: log-odds at half resolution; pixel (i, j) is pixel (2 i, 2 j) of the surface."""
 
     odds: NDArray[np.uint8]
 
 
 class PixelNetwork:
-    """The network, loaded; on one thread of the processor, whatever else runs where.
+    """The loaded network; it always runs on one CPU thread, whatever other networks use.
 
     Args:
-        path: the graph; None: that of the package.
+        path: the ONNX graph; None: the one in the package.
 
     Raises:
         ModelError: the graph is missing, damaged or of another kind.
@@ -72,7 +72,7 @@ class PixelNetwork:
             raise self._network.mismatch("affinity", expected)
 
     def odds(self, surface: Surface, floor_z_m: float | None) -> PixelOdds:
-        """Return what the network says of a surface; raises `ModelError`."""
+        """Return the network's log-odds for a surface; raises `ModelError`."""
         height, width = surface.depth_m.shape
         found = self._network.run(pixel_inputs(surface, floor_z_m)[None])[0][0]
         return PixelOdds(odds=np.ascontiguousarray(found[:, : (height + 1) // 2, : (width + 1) // 2]))

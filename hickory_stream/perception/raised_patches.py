@@ -1,7 +1,7 @@
 """Patches raised off a floor or wall plane by less than the depth noise of a pixel: a lamp's foot, a shelf's back.
 
-A single pixel cannot be separated from the plane, but the mean depth over a window has a fraction of the noise. The
-depth of a real camera has low-frequency waves as high as such a patch, so that a patch must also differ in colour from
+A single pixel cannot be separated from the plane, but the mean depth over a window has a fraction of the noise. Depth
+of real cameras also has low-frequency errors as high as such a patch, so that a patch must differ in colour, too, from
 the plane around it.
 """
 
@@ -65,7 +65,7 @@ def raised_patches(
     surface: Surface,
     config: RaisedPatchConfig,
 ) -> NDArray[np.bool_]:
-    """Return (h, w) which pixels of `structure` are in raised patches of every plane near them: pixels of objects."""
+    """Return (h, w) which pixels of `structure` belong to objects: those raised off every plane near them."""
     things = (~structure & np.isfinite(surface.depth_m)).astype(np.uint8)
     off, on = np.zeros(structure.shape, dtype=bool), np.zeros(structure.shape, dtype=bool)
     for plane in planes:
@@ -116,7 +116,7 @@ def _raised(
 def _borders_objects(
     patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_floor: bool, config: RaisedPatchConfig
 ) -> bool:
-    """Return whether enough of a patch's outline borders on things."""
+    """Return whether enough of a patch's outline borders on objects."""
     outline = (cv2.dilate(patch.astype(np.uint8), _NEXT) > 0) & ~patch
     touch = int(things[outline].sum())
     return touch >= config.min_border_px if is_floor else touch > config.min_border_share * int(outline.sum())

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hickory_stream.perception.region_graph import Regions
 
 LEAST_M = 0.01
-"""Lower bound of sizes: ratios to anything smaller would be ratios to noise."""
+"""Lower bound of sizes, so that ratios of sizes are not dominated by noise."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -83,7 +83,7 @@ def _heights(regions: Regions, bottom_m: float) -> tuple[NDArray[np.float64], ND
 def _axes(
     pixels: NDArray[np.float64], place: NDArray[np.float64], products: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return (n, 3) the standard deviations of each region's points along its main axes, the least first."""
+    """Return (n, 3) the standard deviations of each region's points along its principal axes, the smallest first."""
     per = np.maximum(pixels, 1)[:, None]
     mean, second = place / per, products / per
     covariance = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]

@@ -29,7 +29,7 @@ _CONCAVE = 0.15
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Regions(RegionSums):
-    """With the `outline` in pixels, how much of it the image border cuts (`cut`), and the number of fragments."""
+    """Region sums and the `outline` in pixels, the part of it on the image border (`cut`), and the fragment count."""
 
     outline: NDArray[np.float64]
     cut: NDArray[np.float64]

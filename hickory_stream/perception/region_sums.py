@@ -116,8 +116,8 @@ def _labelled(labels, supports, points):  # type: ignore[no-untyped-def] # pragm
 def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, count):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (count, 24) sums and (count, 3) least and greatest coordinates; `places` and `points` of labelled pixels.
 
-    Columns: 1, area, depth, lab, squares of lab (in single precision, as they come), place, its products, normals,
-    sigma, difference of colour to the right neighbour of the same label, how many there are.
+    Columns: 1, area, depth, lab, squares of lab (in single precision), position, products of positions, normals, sigma,
+    colour difference to the right neighbour of the same label, number of such neighbours.
     """
     sums = np.zeros((count, 24))
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)

@@ -63,7 +63,7 @@ def room_structure_of(
     if ground is not None:
         floor_z_m = ground.middle_z_m
     shown, planes_near = structure_mask(surface, areas_m2, floor_z_m, ground, config)
-    # Raised patches are taken off the map's structure, too: its voxels are coarser than such a patch.
+    # Raised patches are removed from the map's structure, too: its voxels are coarser than such a patch.
     structure = shown | known
     off = raised_patches(planes_near, structure, surface, config.raised_patches)
     return RoomStructure(
@@ -72,7 +72,7 @@ def room_structure_of(
 
 
 def _known_structure(surface: Surface, prior: ObservedSpace | None) -> NDArray[np.bool_]:
-    """Return (h, w) the pixels in structure voxels of the map: a wall of which a frame shows little is still one."""
+    """Return (h, w) the pixels in structure voxels of the map: these find a wall of which the frame shows little."""
     if prior is None or len(prior.structure) == 0:
         return np.zeros(surface.depth_m.shape, dtype=bool)
     mask: NDArray[np.bool_] = _in_voxels(surface.points_world, prior.structure, prior.voxel_m)
@@ -81,7 +81,7 @@ def _known_structure(surface: Surface, prior: ObservedSpace | None) -> NDArray[n
 
 @numba.njit(cache=True, nogil=True)
 def _in_voxels(points, sorted_keys, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) which points lie in voxels of sorted keys, NaN in none; neighbours mostly share a voxel."""
+    """Return (h, w) which points lie in voxels of sorted keys; False for NaN. Neighbours mostly share one look-up."""
     height, width, _ = points.shape
     mask = np.zeros((height, width), dtype=np.bool_)
     last, at, is_in = np.int64(-1), 0, False

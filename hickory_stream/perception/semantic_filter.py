@@ -1,6 +1,6 @@
-"""Filtering of any segmenter's masks by a semantic model: walls and people are no objects.
+"""Filtering of any segmenter's masks by a semantic model: masks of walls and people are rejected.
 
-It only takes away. The pixels of structure become structure of the frame, as far as no object claims them.
+The filter never adds objects. Pixels of structure classes outside of the remaining masks become structure.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Segmenter, SemanticModel
     from hickory_stream.records import Frame, MapPrior, SemanticImage
 
-# The classes of ADE20K and COCO that the paper leaves out, by any of their names.
+# The classes of ADE20K and COCO that the paper excludes, by any of their names.
 STRUCTURE = (
     *("wall", "floor", "ceiling", "ground", "earth", "grass", "road", "route", "sidewalk", "pavement", "stairs"),
     *("stairway", "steps", "door", "double door", "screen door", "window", "windowpane", "curtain", "column", "pillar"),
-    # No "glass": ADE20K calls a tumbler so.
+    # Without "glass", the name of a drinking glass in ADE20K.
     *("building", "edifice", "house", "fence", "sky", "light", "light source"),
 )
 DYNAMIC = ("person", "animal", "car", "dog", "cat", "bicycle", "bike", "motorbike", "minibike")
@@ -35,13 +35,13 @@ DYNAMIC = ("person", "animal", "car", "dog", "cat", "bicycle", "bike", "motorbik
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FilterConfig(Ranged):
-    """Which classes are no objects.
+    """Which classes are excluded as objects.
 
     Attributes:
         structure: names of classes that are part of the room; their pixels become structure.
-        dynamic: names of classes that move of themselves; their pixels are nothing at all.
-        share: a mask with at least this share of it on one of these classes is rejected ...
-        iou: ... and one that overlaps the whole of such a class so much.
+        dynamic: names of classes that move by themselves; their pixels are neither object nor structure.
+        share: a mask is rejected if at least this share of it is on one of these classes ...
+        iou: ... or if its IoU with all pixels of such a class is at least this.
     """
 
     structure: tuple[str, ...] = STRUCTURE
@@ -52,17 +52,17 @@ class FilterConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExcludedClasses:
-    """The ids of classes that are no objects."""
+    """The ids of the excluded classes."""
 
     structure: frozenset[int]
     dynamic: frozenset[int]
 
 
 class FilteredSegmenter:
-    """A `Segmenter` whose masks were shown to a semantic model.
+    """A `Segmenter` whose masks are filtered by a semantic model.
 
     Raises:
-        ConfigError: a class that was asked for by name is not in the model's table.
+        ConfigError: a class that the configuration names is not in the model's table.
     """
 
     def __init__(self, segmenter: Segmenter, model: SemanticModel, config: FilterConfig) -> None:
@@ -72,7 +72,7 @@ class FilteredSegmenter:
         self._excluded = excluded_classes(model.labels, config)
 
     def prepare(self, frame: Frame) -> tuple[object, SemanticImage]:
-        """Return what needs no map: that of the segmenter, and the classes of the pixels."""
+        """Return the results that need no map: the segmenter's own, and the classes of the pixels."""
         return self._segmenter.prepare(frame), self._model.classify(np.asarray(frame.rgb))
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
@@ -85,11 +85,11 @@ class FilteredSegmenter:
 def excluded_classes(labels: tuple[str, ...], config: FilterConfig) -> ExcludedClasses:
     """Return the ids of the classes that a configuration names.
 
-    A label may list several names (`door, double door`): one is enough, and case does not matter. The names of the
-    default need not all be in a table.
+    A label may list several names (`door, double door`): one is enough, and case does not matter. Names of the default
+    configuration may be missing from a model's table.
 
     Raises:
-        ConfigError: another name is not, or none is.
+        ConfigError: a name that is not a default one is missing from the table, or all names are.
     """
     structure, missing_structure = _ids_of(labels, config.structure)
     dynamic, missing_dynamic = _ids_of(labels, config.dynamic)
@@ -105,7 +105,7 @@ def excluded_classes(labels: tuple[str, ...], config: FilterConfig) -> ExcludedC
 def without_classes(
     segmentation: Segmentation, semantics: SemanticImage, excluded: ExcludedClasses, config: FilterConfig
 ) -> Segmentation:
-    """Return a segmentation without the instances that lie on excluded classes; those are rejected, with the class."""
+    """Return a segmentation in which the instances on excluded classes are rejected, with the class as the reason."""
     instances = segmentation.instances.copy()
     rejected = list(segmentation.rejected)
     count = len(semantics.labels)

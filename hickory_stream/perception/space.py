@@ -1,6 +1,6 @@
 """Space observed by a keyframe: the free voxels that its rays traverse, and the voxels on structure.
 
-Planning, visibility checks and the removal of false objects rely on it, so that it errs towards unknown: a ray stops
+Path planning, visibility checks and the removal of false objects rely on it, so that it is conservative: a ray stops
 one voxel before its return, and pixels without a return are ignored.
 """
 
@@ -41,7 +41,7 @@ class SpaceConfig(Ranged):
 def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig, lattice: Lattice) -> SpaceObservation:
     """Return the free and structure voxels of a frame."""
     stride = config.stride_px
-    # At the centre of each cell; even an image smaller than a cell has one ray.
+    # One ray at the centre of each cell; an image that is smaller than a cell still has one.
     top, left = min(stride // 2, frame.camera.height - 1), min(stride // 2, frame.camera.width - 1)
     depth = frame.depth_m[top::stride, left::stride]
     structure = segmentation.own_structure[top::stride, left::stride]
@@ -68,7 +68,7 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig,
 
 
 def _dense_returns(frame: Frame, config: SpaceConfig) -> NDArray[np.float64]:
-    """Return (N, 3) the returns in the world at half the stride, so that rays beside a pole do not make it free."""
+    """Return (N, 3) world points of the returns at half the stride: rays beside a pole must not free its voxels."""
     step = max(1, config.stride_px // 2)
     camera = frame.camera
     points = _returns(frame.depth_m, step, camera.fx, camera.fy, camera.cx, camera.cy, config.max_depth_m)
@@ -93,9 +93,9 @@ def _returns(depth, step, fx, fy, cx, cy, farthest):  # type: ignore[no-untyped-
 def _free_keys(
     origin: NDArray[np.float64], ends: NDArray[np.float64], returns: NDArray[np.float64], voxel_m: float
 ) -> NDArray[np.int64]:
-    """Return the sorted keys of the voxels without a return that rays to (N, 3) ends cross, up to one before the end.
+    """Return the sorted keys of the voxels traversed by rays to (N, 3) end points, except those with a return.
 
-    One bit per voxel of the box around all rays: the order of bits is that of keys.
+    Rays stop one voxel before their end. There is one bit per voxel of the box around all rays, in the order of keys.
     """
     if len(ends) == 0:
         return np.empty(0, dtype=np.int64)
@@ -117,7 +117,7 @@ _STEP_X, _STEP_Y, _ = (int(step) for step in keys_of_cells(np.eye(3)) - keys_of_
 
 @numba.njit(cache=True, nogil=True)
 def _mark_crossed(words, low, sides, origin, ends, voxel):  # type: ignore[no-untyped-def] # pragma: no cover
-    # In units of a voxel, stepping 0.7 of one along the ray.
+    # Coordinates are in voxels; the step along a ray is 0.7 voxels.
     start_x, start_y, start_z = origin[0] / voxel, origin[1] / voxel, origin[2] / voxel
     longest = 0
     for i in range(3):

@@ -1,8 +1,8 @@
 """Detection of room structure in a frame: the floor, walls and ceiling.
 
-The floor is the lowest wide horizontal surface; a wall or a ceiling is a plane with all of the room on one side. A
-cupboard's front is as flat as a wall, but has surface behind it. So has a wall with an open door: that one is
-recognised by its height, and limited to the stretches in which it is visible.
+The floor is the lowest wide horizontal surface; a wall or a ceiling is a plane with all of the room on one side. The
+front of a cupboard is as flat as a wall, but there is surface behind it. A wall with an open door has surface behind
+it, too: it is recognised by its height, and limited to the sections in which it is visible.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ class StructureConfig(Ranged):
         behind_share: maximum share of the frame's surface behind a wall.
         tolerance_m: maximum distance from a plane, plus 3 sigma of depth, of pixels that belong to it.
         floor_below_camera_m: minimum distance of a floor below the camera.
-        storey_m: nobody carries a camera so high: where it is higher above the map's floor, it was lifted to another
-            one, and a floor so much lower than the map's is that of the storey below.
-        wall_height_m, wall_foot_m, wall_cut_m, wall_width_m: a vertical plane that is seen from below `wall_foot_m`
-            above the floor to `wall_height_m`, or beyond `wall_cut_m` to the edge of the image, and is so wide, is a
-            wall even where something is seen behind it ...
-        furniture_depth_m, backing_m2: ... but for a parallel surface of this area this close behind it: then it is the
-            front of a cupboard, and that is the wall.
-        ground: what can be walked on where the ground is not one level plane.
+        storey_m: minimum height of a storey: a camera higher than this above the map's floor is on another storey, and
+            a floor this much lower than the map's floor is that of the storey below.
+        wall_height_m, wall_foot_m, wall_cut_m, wall_width_m: a vertical plane is a wall, even with surface behind it,
+            if it is at least `wall_width_m` wide, is visible below `wall_foot_m` above the floor, and reaches up to
+            `wall_height_m`, or to `wall_cut_m` and the upper image border ...
+        furniture_depth_m, backing_m2: ... unless there is a parallel surface of this area at most this far behind it:
+            then it is the front of a cupboard, and the surface behind it is the wall.
+        ground: which surfaces are ground where the ground is not one level plane.
         raised_patches: which pixels within the tolerance of a plane belong to objects.
     """
 
@@ -88,8 +88,8 @@ class HorizontalPlane:
 class Wall:
     """A vertical plane, normal . p = offset, with the horizontal unit normal (2,) into the room.
 
-    `cells` are the sorted numbers of the stretches of `_STRETCH_M` along it in which it was seen; None for a wall that
-    ends the space: what lies behind that one is no object either.
+    `cells` are the sorted indices of the sections, `_STRETCH_M` long, in which the wall is visible; None for a wall
+    that bounds the room: everything behind it is structure, too.
     """
 
     normal: NDArray[np.float32]
@@ -117,7 +117,7 @@ _SEEN_M2 = 0.03
 
 
 def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return (N,) the index of the stretch along a wall of each of (N, 2) points."""
+    """Return (N,) the index of the section along a wall of each of (N, 2) points."""
     sideways = along(at, np.array([-normal[1], normal[0]], dtype=np.float32))
     return np.floor(sideways / _STRETCH_M).astype(np.int64)
 
@@ -158,7 +158,7 @@ def horizontal_planes(
         smooth[max(0, peak - 4) : peak + 5] = 0.0
 
 
-# A plane that is no more than this above the map's floor is that floor.
+# A plane that is at most this far above the map's floor is that floor.
 _AT_FLOOR_M = 0.06
 
 
@@ -167,8 +167,8 @@ def floor_height_m(
 ) -> float | None:
     """Return the floor's height in this frame, or that of the map if the frame shows no floor.
 
-    The map's height keeps a table that fills the view from being taken for the floor: only a lower floor replaces it,
-    unless the camera is a storey above: then the widest plane below it is.
+    Only a lower plane replaces the map's floor, so that a table that fills the view is not taken for the floor. If the
+    camera is a storey above the map's floor, the floor is the largest plane below the camera.
     """
     camera_z = float(surface.world_from_camera[2, 3])
     below = [
@@ -180,7 +180,7 @@ def floor_height_m(
         return below[0].z_m if below else None
     if camera_z - known_m > config.storey_m:
         return max(below, key=lambda plane: (plane.area_m2, -plane.z_m)).z_m if below else known_m
-    # Over a railing one sees the floor of the storey below.
+    # A floor as much as a storey lower is that of the storey below, seen over a railing.
     lower = [plane.z_m for plane in below if known_m - config.storey_m < plane.z_m <= known_m + _AT_FLOOR_M]
     return lower[0] if lower else known_m
 
@@ -192,7 +192,7 @@ def structure_mask(
     ground: Ground | None,
     config: StructureConfig,
 ) -> tuple[NDArray[np.bool_], list[NearPlane]]:
-    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and which are near floor and walls.
+    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and the pixels near floor and walls.
 
     The floor is the level plane at `floor_z_m`, or the `ground` where that is uneven.
     """
@@ -268,7 +268,7 @@ def _walls(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Upright:
-    """N pixels of upright surface: their places `at` (N, 2), heights, depth's sigma, area, direction (N, 2) and bin."""
+    """N pixels of vertical surface: positions `at` (N, 2), heights, depth sigma, area, direction (N, 2) and its bin."""
 
     pixels: NDArray[np.int64]
     at: NDArray[np.float32]
@@ -298,12 +298,12 @@ def _behind(
     normal: NDArray[np.float32],
     offset: float,
 ) -> float:
-    """Return the area of the surface that is behind a plane by more than the noise."""
+    """Return the area of the surface that lies behind a plane by more than the noise."""
     return float(weight_below(weight, along(at, normal), np.float32(offset - 0.12), sigma).sum())
 
 
 def _seen_cells(at: NDArray[np.float32], weight: NDArray[np.float64], normal: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return the stretches of a wall of which enough is visible."""
+    """Return the sections of a wall of which enough is visible."""
     cells, inverse = np.unique(_stretches(at, normal), return_inverse=True)
     return np.asarray(cells[np.bincount(inverse, weights=weight) > _SEEN_M2])
 
@@ -382,5 +382,5 @@ def _peaks(offsets: NDArray[np.float32], weight: NDArray[np.float64], min_area_m
         peak = first + int(np.argmax(smooth[first : first + 4]))
         near = np.abs(offsets - (low + (peak + 0.5) * bin_m)) < 1.5 * bin_m
         peaks.append(float(np.average(offsets[near], weights=weight[near])))
-        first = peak + 6  # the slope of this peak is no other
+        first = peak + 6  # the flank of this peak is not another peak
     return peaks

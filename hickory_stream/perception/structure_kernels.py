@@ -157,7 +157,7 @@ def weight_below(weight, along, offset, noise):  # type: ignore[no-untyped-def] 
 
 @numba.njit(cache=True, nogil=True)
 def on_wall(distance, facing, tolerance, is_end):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (h, w) which pixels are near a wall and face like it, or very near; if it `is_end`, also all behind."""
+    """Return (h, w) which pixels are near and parallel to a wall, or very near; with `is_end`, also all behind it."""
     height, width = distance.shape
     out = np.empty((height, width), dtype=np.bool_)
     for y in range(height):

@@ -1,8 +1,7 @@
 """Support of regions: which region rests on a horizontal surface of which other one, and which is unsupported.
 
-Gravity is vertical in the world and nearly so in the image, so that a support is looked for below the lower outline of
-a region. Only the lowest part of the outline, the foot, counts: the slats of a chair's back are unsupported, its posts
-are not.
+Gravity is vertical in the world and nearly so in the image, so that the support surface is searched below the lower
+outline of a region. Only the lowest part of the outline, the foot, counts.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ _FOOT_SHARE = 0.35
 class SupportContacts:
     """Pixel counts along the lower outline of each region's foot (row = region).
 
-    `outline` (count,): all of it, including where the image border cuts it; `free` (count,): a farther surface below,
-    so unsupported; `on` (count, count + 1): touches a horizontal surface of that region, the last column for room
-    structure. The rest touches a steep surface or is occluded.
+    `outline` (count,): all pixels, including those on the image border; `free` (count,): those with a farther surface
+    below, which are unsupported; `on` (count, count + 1): those that touch a horizontal surface of the column's region
+    (last column: room structure). The rest touches a steep surface or is occluded.
     """
 
     outline: NDArray[np.int64]

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SurfaceConfig(Ranged):
-    """How the surface is taken from depth.
+    """How the surface is computed from depth.
 
     Attributes:
         width_px: width at which frames are segmented; larger frames are reduced by a whole factor.
@@ -99,7 +99,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
 def _reduce_depth(
     depth: NDArray[np.float32], factor: int, height: int, width: int, nearest_m: float, farthest_m: float
 ) -> NDArray[np.float32]:
-    """Take the lower median of the valid depths of each block: no depth is invented, and what is thin survives."""
+    """Return the lower median of the valid depths of each block: always a measured depth, and thin objects survive."""
     out: NDArray[np.float32]
     if factor == 2:
         out = _median_of_four(depth, height, width, nearest_m, farthest_m)
@@ -132,7 +132,7 @@ def _median_of_blocks(depth, factor, height, width, nearest, farthest):  # type:
 
 @numba.njit(cache=True, nogil=True)
 def _median_of_four(depth, height, width, nearest, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Do the same for blocks of two by two, the usual ones, without branches: it is vectorised."""
+    """Return the same as `_median_of_blocks` for blocks of 2 x 2, the usual ones, without branches: vectorised."""
     out = np.empty((height, width), dtype=np.float32)
     none = np.float32(np.inf)
     for y in range(height):
@@ -152,10 +152,10 @@ def _median_of_four(depth, height, width, nearest, farthest):  # type: ignore[no
 
 @numba.njit(cache=True, nogil=True)
 def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Remove pixels that fewer than three of their eight neighbours agree with, to 4 % of the depth.
+    """Remove flying pixels: those with fewer than three of their eight neighbours within 4 % of their depth.
 
-    Flying pixels lie between two surfaces; a pixel that nothing is before may be part of a thin thing, and two suffice.
-    Each neighbour is looked at for a whole row, so that the innermost loop is vectorised.
+    Flying pixels lie between two surfaces. A pixel without a nearer neighbour may be part of a thin object and needs
+    only two neighbours. Neighbours are processed a row at a time, so that the innermost loop is vectorised.
     """
     height, width = depth.shape
     padded = np.full((height + 2, width + 2), np.float32(np.nan), dtype=np.float32)
@@ -172,7 +172,7 @@ def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no 
                 agreeing[x] += agrees
                 nearer[x] += (row[x] < z) & (not agrees)
         for x in range(width):
-            # It agrees with itself.
+            # The pixel itself is counted, too.
             is_flying = (agreeing[x] < 4) & ((nearer[x] > 0) | (agreeing[x] < 3))
             out[y, x] = np.float32(np.nan) if is_flying else depth[y, x]
     return out
@@ -182,14 +182,14 @@ def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no 
 def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # pragma: no cover
     """Fit 1/z = a du + b dv + c over each window; (a, b, c) gives the plane's normal in the camera frame.
 
-    Two fits: to everything within 3 % of the depth, then to what lies within 3 sigma of the first plane. The sums of a
-    whole row are taken offset by offset, so that the innermost loop runs along the row and is vectorised. Inverse
-    depths count from the pixel's own: single precision is enough for what is left.
+    Two fits: to all pixels within 3 % of the depth, then to those within 3 sigma of the first plane. The sums of a
+    whole row are accumulated offset by offset, so that the innermost loop runs along the row and is vectorised. Inverse
+    depths are relative to the centre pixel's, so that single precision is enough.
     """
     height, width = depth.shape
     out = np.full((height, width, 3), np.nan, dtype=np.float32)
     padded_width = width + 2 * radius
-    # What has no return, or lies beyond the image, is at an inverse depth that no gate reaches.
+    # Pixels without a return, or beyond the image, get an inverse depth outside of every gate.
     inverses = np.full((height + 2 * radius, padded_width), np.float32(-1e6), dtype=np.float32)
     for y in range(height):
         for x in range(width):
@@ -210,7 +210,7 @@ def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # prag
             if own[x] < 0 or np.isnan(out[y, x, 0]):
                 out[y, x, :] = np.nan
                 continue
-            # The plane in absolute (u, v): 1/z = a U + b V + (c - a u - b v); it looks at the camera with a minus sign.
+            # The plane in absolute (u, v): 1/z = a U + b V + (c - a u - b v); negated, its normal faces the camera.
             nx, ny = planes[0, x], planes[1, x]
             nz = own[x] + planes[2, x] - nx * u[x] - ny * v[y]
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
@@ -221,7 +221,7 @@ def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # prag
 
 @numba.njit(cache=True, nogil=True)
 def _sum_windows(inverses, y, own, planes, sums, radius, step_u, step_v, share, floor):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Fill the nine sums of a row's windows: n, u, v, d, uu, uv, vv, ud, vd of what the gate lets in."""
+    """Fill the nine sums of a row's windows: n, u, v, d, uu, uv, vv, ud, vd over the pixels within the gate."""
     width = len(own)
     sums[:] = np.float32(0.0)
     for dy in range(-radius, radius + 1):
@@ -248,7 +248,10 @@ def _sum_windows(inverses, y, own, planes, sums, radius, step_u, step_v, share, 
 
 @numba.njit(cache=True, nogil=True)
 def _solve_planes(sums, planes, out, is_first):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Solve the windows of a row; `out` stays NaN where the first fit has no solution; without a second, it stands."""
+    """Solve the windows of a row for the first or the second fit.
+
+    `out` stays NaN if the first fit has no solution, and keeps the first fit if the second has none.
+    """
     for x in range(sums.shape[1]):
         n, su, sv, sd = sums[0, x], sums[1, x], sums[2, x], sums[3, x]
         if n < 6:

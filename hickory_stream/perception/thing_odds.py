@@ -1,4 +1,4 @@
-"""Whether a mask is a thing or part of the room, by the word of a network on all of its pixels."""
+"""Whether a mask is an object or part of the room, by the affinity network's log-odds over its pixels."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 def thing_log_odds(labels: NDArray[np.int32], odds: PixelOdds) -> NDArray[np.float64]:
-    """Return (n + 1,) the mean log-odds of being a thing of the masks 0..n of an image (h, w).
+    """Return (n + 1,) the mean log-odds that each mask 0..n of an image (h, w) is an object.
 
-    NaN where a mask has no pixel that the network, at half the size, has an output for.
+    NaN for a mask without a pixel in the network's output, which has half the resolution.
     """
     few = labels[::2, ::2].ravel()
     count = int(labels.max(initial=0)) + 1
     from_even = odds.odds[THING].ravel().astype(np.float64) - ODDS_ZERO
-    sums = np.bincount(few, weights=from_even, minlength=count).astype(np.int64)  # of whole numbers: exact
+    sums = np.bincount(few, weights=from_even, minlength=count).astype(np.int64)  # sums of integers: exact
     return mean_log_odds(sums, np.bincount(few, minlength=count))

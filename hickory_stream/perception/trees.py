@@ -1,6 +1,6 @@
 """Boosted trees that estimate whether two regions are one object: read from the package, evaluated with Numba.
 
-`tools/train_segmenter` grows them and writes them with a card that says from what, and how well they do.
+`tools/train_segmenter` trains them and writes them together with a card on their training data and accuracy.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Forest = Literal["sizes", "mixed", "odds"]
-"""`sizes` knows metres, heights and colours as such; `mixed` is its average with one of ratios, sigmas and angles.
-
-`odds` knows what the network of affinities says of a pair, too, or that it says nothing.
+"""The forests: `sizes` uses absolute features (metres, heights, colours); `mixed` averages it with one that uses only
+relative features (ratios, sigmas, angles); `odds` also uses the features of the affinity network, which may be NaN.
 """
 EMBEDDED: dict[Forest, str] = {
     "sizes": "weights/join.npz",
@@ -37,11 +36,11 @@ EMBEDDED: dict[Forest, str] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Trees:
-    """A forest whose leaves add up to a log-odds; the nodes of all trees in one row, all arrays (nodes,).
+    """A forest whose leaf values add up to log-odds; the nodes of all trees are concatenated, all arrays (nodes,).
 
-    `features`: the names of the inputs in order; `roots` (trees,) the first node of each tree; `baseline` the log-odds
-    without any tree. Node i asks whether input `feature[i]` is at most `threshold[i]` and goes on at `left[i]`, else at
-    `right[i]`; a NaN goes left where `nan_left[i]`. A leaf has feature -1 and adds `value[i]`.
+    `features`: the names of the inputs in order; `roots` (trees,): the first node of each tree; `baseline`: log-odds to
+    which the leaf values are added. The descent continues from node i at `left[i]` if input `feature[i]` is at most
+    `threshold[i]`, else at `right[i]`; for NaN at `left[i]` if `nan_left[i]`. A leaf has feature -1 and a `value[i]`.
     """
 
     features: tuple[str, ...]
@@ -55,7 +54,7 @@ class Trees:
     value: NDArray[np.float32]
 
     def probabilities(self, inputs: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return (K,) the probability that each pair is one thing; `inputs` holds (K,) of every feature by name."""
+        """Return (K,) the probability that each pair is one object; `inputs` has every feature (K,) by name."""
         rows = np.array([inputs[name] for name in self.features]).T.copy()
         odds = self.baseline + _sums_of_leaves(
             rows, self.roots, self.feature, self.threshold, self.left, self.right, self.nan_left, self.value
@@ -73,7 +72,7 @@ class Trees:
 
 
 def averaged(one: Trees, other: Trees) -> Trees:
-    """Return the trees whose log-odds are the mean of those of two forests; each may ask for inputs of its own."""
+    """Return trees whose log-odds are the mean of two forests'; the forests may use different inputs."""
     names = tuple(dict.fromkeys((*one.features, *other.features)))
     forests, shift = [], 0
     for trees in (one, other):
@@ -109,7 +108,7 @@ def load_trees(path: Path) -> Trees:
     """Return the trees in a file.
 
     Raises:
-        ModelError: the file is not there or holds no such trees.
+        ModelError: the file does not exist or does not contain such trees.
     """
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
@@ -143,7 +142,7 @@ def _check(trees: Trees, path: Path) -> None:
 @numba.njit(cache=True, nogil=True)
 def _sums_of_leaves(rows, roots, feature, threshold, left, right, nan_left, value):  # type: ignore[no-untyped-def] # pragma: no cover
     out = np.zeros(len(rows))
-    # A tree stays in the cache while all rows go down it; a row's leaves come in the order of the trees all the same.
+    # A tree stays in the cache while all rows descend it; each row still adds its leaves in the order of the trees.
     for root in roots:
         for i in range(len(rows)):
             node = root

@@ -7,7 +7,7 @@ from hickory_stream.compiled import numba
 
 @numba.njit(cache=True, nogil=True)
 def find_root(parent, i):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the root of `i`; what lies on the way to it is halved."""
+    """Return the root of `i`, with path halving."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]

@@ -1,1 +1,1 @@
-"""Layers 2 to 4: a mesh from what was kept of an object, superquadrics from the mesh, and their inflation."""
+"""Layers 2 to 4: a mesh from an object's kept views and points, superquadrics fitted to it, and their inflation."""

@@ -1,4 +1,4 @@
-"""A Gaussian blur of a voxel block with portable weights: SciPy's are from `exp`, whose last bit is the processor's."""
+"""Gaussian blur of a voxel block with portable weights: SciPy's use `exp`, whose last bit depends on the processor."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def gaussian_blurred(
     values: NDArray[np.float32], sigma_voxels: float, mode: Literal["reflect", "nearest"] = "reflect"
 ) -> NDArray[np.float32]:
-    """Return what `scipy.ndimage.gaussian_filter` does, cut off at four standard deviations."""
+    """Return the result of `scipy.ndimage.gaussian_filter`, truncated at four standard deviations."""
     radius = int(4 * sigma_voxels + 0.5)
     weights = portable.gaussian_weights(sigma_voxels, radius)
     for axis in range(values.ndim):

@@ -1,4 +1,4 @@
-"""One job of a shape worker: from the kept views and points of an object to its layers 2, 3 and 4."""
+"""A shape job: from the kept views and points of an object to its layers 2, 3 and 4."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ShapeConfig:
     reconstructor: ReconstructorName = "fused"
     fused: FusedConfig = field(default_factory=FusedConfig)
     single_view: SingleViewConfig = field(default_factory=SingleViewConfig)
-    # A reconstruction is known to about a centimetre: a finer grid would describe its noise, and take longer.
+    # A reconstruction is accurate to about a centimetre: a finer grid would fit its noise, and take longer.
     fit: FitConfig = field(default_factory=lambda: FitConfig(cells=40))
     inflate: InflateConfig = field(default_factory=InflateConfig)
 
@@ -49,7 +49,7 @@ def make_reconstructor(name: ReconstructorName, config: ShapeConfig) -> Reconstr
 
 
 def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: ShapeConfig) -> BuiltShape | NoShape:
-    """Return layers 2 to 4 of an object, or the reason of the first step that found none."""
+    """Return layers 2 to 4 of an object, or the reason why one of the steps failed."""
     started = time.perf_counter()
     reconstruction = reconstructor.reconstruct(inputs)
     if isinstance(reconstruction, NoShape):
@@ -80,7 +80,7 @@ def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: Shape
 
 
 def _usable(reconstruction: Reconstruction) -> Reconstruction:
-    """Return the reconstruction with what is surface of its mesh; raise ValueError where nothing can be made of it."""
+    """Return the reconstruction with its mesh cleaned up (`usable`); raise ValueError if the mesh is unusable."""
     if not np.isfinite(reconstruction.world_from_object).all():
         raise ValueError("a mesh whose place is not finite")
     return replace(reconstruction, mesh=usable(reconstruction.mesh))

@@ -1,9 +1,9 @@
 """The certificate of layer 4: does it contain the object and its margin? Checked from the result alone.
 
-It knows nothing of how the primitives were grown. Every triangle, bisected as needed, must lie in one primitive with
-the ball of the margin around each of its points: since a primitive is convex, it is enough that the balls around the
-three corners do. Every point of layer 1 likewise. Of the inside, every cell of a lattice must lie in one primitive,
-split as needed, unless all of it is within the margin of the surface, which is covered already.
+The check is independent of how the primitives were grown. Every triangle, bisected as needed, must lie in one primitive
+together with a ball of the margin's radius around each of its points: since a primitive is convex, the balls around the
+three corners suffice. The same holds for every point of layer 1. The interior is divided into cells of a lattice; each,
+split as needed, must lie in one primitive, unless all of it is within the margin of the surface, which is covered.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ if TYPE_CHECKING:
 
     from hickory_stream.geometry.superquadric import Superquadrics
 
-# What ln G must stay below its limit by: several orders above the rounding of the evaluation.
+# By how much ln G must stay below its limit: several orders of magnitude above the rounding error of its evaluation.
 NUMERICAL_MARGIN = 1e-9
 # How often a triangle is bisected before it counts as uncovered.
 _MAX_BISECTIONS = 18
 _HALF_DIAGONAL = float(np.sqrt(0.75))
-# A cell of the inside is split in eight this often, less one.
+# The maximum depth of the split of an interior cell into eight, plus one.
 _CELL_LEVELS = 4
-# Seams are few cells. Where more than this are open, whole parts are, and splitting them would not help.
+# Only cells at seams between primitives need splitting. If more than this are uncovered, whole parts are uncovered, and
+# splitting would not help.
 _MOST_SPLIT = 2000
 # The fewest and the most cells along the longest side.
 _CELLS = (16, 96)
@@ -39,11 +40,12 @@ _EIGHTHS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Certificate:
-    """What was checked, and what of it lies in no primitive.
+    """The numbers of checked and of uncovered elements.
 
-    `num_triangles` of the mesh, `num_pieces` after bisection, `num_points` of layer 1, `num_cells` of the inside; how
-    many of them are uncovered (triangles are counted whole); `max_g` bounds G of what is covered. `shell_m` is the
-    thickness of what was not looked at under the surface: 0 for margins from two hundredths of the longest side.
+    `num_triangles` of the mesh, `num_pieces` after bisection, `num_points` of layer 1, `num_cells` of the interior, and
+    how many of them are uncovered (triangles are counted whole). `max_g` is an upper bound of G over what is covered.
+    `shell_m` is the thickness of the layer under the surface that was not checked: 0 for margins of at least 2 % of the
+    longest side.
     """
 
     num_triangles: int
@@ -64,10 +66,10 @@ class Certificate:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Inside:
-    """The cells inside the solid, without those that the margin covers.
+    """The cells inside the solid, without those that are within the margin of the surface.
 
-    (N, 3) centres, half a side, and the (N,) signed distances of the centres, cut off; `margin_m` is the margin,
-    `shell_m` how much deeper the cells begin.
+    (N, 3) centres, half the side of a cell, and (N,) truncated signed distances of the centres. `margin_m` is the
+    margin, `shell_m` the thickness of the unchecked layer between the margin and the cells.
     """
 
     centers: NDArray[np.float64]
@@ -110,11 +112,11 @@ def certify(
 
 
 def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, r_safe_m: float) -> Inside:
-    """Return what of the inside of a used surface (`used_surface`) is to be covered besides it and its margin.
+    """Return the interior of a used surface (`used_surface`) that must be covered, besides the surface and its margin.
 
-    Every cell is either as a whole inside the solid, or all of it is within two half diagonals of the surface. The
-    lattice is as fine as it takes for the margin to cover the latter, up to a limit; a margin below that leaves a thin
-    shell under the surface, `shell_m`, that is not looked at. Overlapping parts are one solid; a plane has no inside.
+    Every cell is either entirely inside the solid, or entirely within two half diagonals of the surface. The lattice is
+    chosen fine enough that the margin covers the latter cells, up to a limit; a smaller margin leaves a thin layer
+    under the surface unchecked (`shell_m`). Overlapping parts are one solid; a plane has no interior.
     """
     extent = np.ptp(vertices_world, axis=0) if len(faces) else np.zeros(3)
     if not extent.min() > 1e-6 * extent.max():
@@ -127,7 +129,7 @@ def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, 
     half_diagonal = _HALF_DIAGONAL * step
     covered_by_margin = np.abs(grid.values) + half_diagonal <= min(r_safe_m, grid.band_m)
     deep = np.flatnonzero((grid.values <= -half_diagonal) & ~covered_by_margin)
-    # A solid stays within its bounds; the winding numbers of a torn mesh need not.
+    # Restricted to the bounds: winding numbers of an open mesh can be large outside of them.
     centers = grid.points(deep)
     low, high = vertices_world.min(axis=0) + 0.49 * step, vertices_world.max(axis=0) - 0.49 * step
     is_within = ((centers >= low) & (centers <= high)).all(axis=1)
@@ -142,10 +144,10 @@ def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, 
 
 
 def uncovered_cells(primitives: Superquadrics, inside: Inside, g: float) -> NDArray[np.float64]:
-    """Return the (N, 4) centres and halves of what of the cells lies in no primitive.
+    """Return (N, 4) the centres and half sides of the cells, or parts of cells, that lie in no primitive.
 
-    A cell that is not in one primitive as a whole is split in eight, a few times: at the seam of two primitives each
-    part lies in one of them. Parts within the margin are dropped.
+    A cell that is not entirely in one primitive is split into eight, up to a few times: at the seam of two primitives
+    each part lies in one of them. Parts within the margin of the surface are dropped.
     """
     log_g = float(log(g)) - NUMERICAL_MARGIN
     left = np.column_stack([inside.centers, inside.distances_m])
@@ -162,7 +164,7 @@ def uncovered_cells(primitives: Superquadrics, inside: Inside, g: float) -> NDAr
 
 def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[np.float64]:
     """Return (M, 4) the eighths of cells, with bounds of their distances, that may reach beyond the margin."""
-    # From one centre to the next the distance changes by no more than the way between them.
+    # The distance function is 1-Lipschitz: between two centres it changes by at most their distance.
     way = half * np.sqrt(3)
     parts = cells[:, None, :3] + half * _EIGHTHS[None]
     farthest = np.repeat(cells[:, 3] - way, 8)
@@ -171,7 +173,7 @@ def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[
 
 @numba.njit(cache=True, nogil=True)
 def _ball_in(point, k, exponents, axes, poses, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return an upper bound of ln G over a ball in primitive k; infinity where it may stick out."""
+    """Return an upper bound of ln G over a ball in primitive k; infinity if the ball may protrude from it."""
     dx, dy, dz = point[0] - poses[k, 0, 3], point[1] - poses[k, 1, 3], point[2] - poses[k, 2, 3]
     x = abs(poses[k, 0, 0] * dx + poses[k, 1, 0] * dy + poses[k, 2, 0] * dz)
     y = abs(poses[k, 0, 1] * dx + poses[k, 1, 1] * dy + poses[k, 2, 1] * dz)
@@ -280,7 +282,7 @@ def _cells(centers, half, exponents, axes, poses, log_g):  # type: ignore[no-unt
                 continue
             e1, e2 = exponents[k, 0], exponents[k, 1]
             limit = 0.5 * e1 * log_g
-            # The box around the turned cell holds it, and reaches up to three halves far: most cells need no more.
+            # Cheap test first, sufficient for most cells: the axis-aligned box around the rotated cell.
             around = log_gauge(x + reach[k, 0], y + reach[k, 1], z + reach[k, 2], axes[k], e1, e2)
             if around <= limit or _holds_corners(center, half, axes[k], e1, e2, poses[k], limit):
                 out[n] = False
@@ -291,7 +293,7 @@ def _cells(centers, half, exponents, axes, poses, log_g):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True)
 def _holds_corners(center, half, axes, e1, e2, pose, limit):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether a primitive holds the eight corners of a cell: convex, it then holds all of it."""
+    """Return whether a primitive contains the eight corners of a cell, and so, being convex, all of the cell."""
     for corner in range(8):
         dx = half if corner & 1 else -half
         dy = half if corner & 2 else -half

@@ -1,8 +1,8 @@
 """Shape completion: which of the unobserved voxels belong to the object.
 
-An unknown voxel is taken as solid when looking around from it mostly meets the object and hardly ever free space: the
-inside of a box whose back was never seen fills up, the shadow behind a leg does not. Where a wide thing was seen to end
-in the air, nothing is filled below: it stands on what was seen of its feet.
+An unknown voxel is taken as solid if most rays from it hit the object and hardly any reach free space: the inside of a
+box whose back was never seen is filled, the occluded space behind a leg is not. Below a wide object whose lower edge
+was seen in the air (a table), nothing is filled: it stands on its visible feet.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
     from hickory_stream.shapes.tsdf import Evidence
 
 UNKNOWN, FREE, SOLID = 0, 1, 2
-# Of what comes down to the support the lowest voxels may be blurred into it.
+# The lowest voxels of an object may be merged with its support surface by blur.
 _DOWN = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CompletionConfig(Ranged):
-    """How unseen space is completed.
+    """How unobserved space is completed.
 
-    Of the 26 directions around an unknown voxel at least `min_hit_share` must meet the object, and those that meet free
-    space may be at most `max_free_ratio` times as many, times the share of the object's box that was not seen free.
-    What ends within `max_support_gap_m` above the support is continued down to it, through what nobody saw.
-    What is wide, `min_feet_area_m2` from above, stands on feet where its surface ends in the air along `min_edge` of
-    its outline, not above `max_clear` of its height, and in `edge_ratio` times as many places as it comes down to the
-    support: nothing is filled under the median height of that edge, however far under it anybody looked. Of what is
-    smaller, a side that flares out looks the same.
-    `min_piece_share`: a separate piece smaller than this share of the largest is dropped.
+    Of the 26 directions around an unknown voxel at least `min_hit_share` must hit the object, and the number that reach
+    free space may be at most `max_free_ratio` times the hits, times the share of the object's box not observed free.
+    Columns that end within `max_support_gap_m` above the support surface are continued down to it through unknown
+    voxels. An object with a horizontal area of at least `min_feet_area_m2` stands on feet if its surface ends in the
+    air along `min_edge` of its outline, at most at `max_clear` of its height, and in `edge_ratio` times as many places
+    as reach the support: nothing is then filled below the median height of that edge. Smaller objects are excluded,
+    since a side that flares out looks the same. `min_piece_share`: separate pieces smaller than this share of the
+    largest are dropped.
     """
 
     min_hit_share: float = number(0.08, 0, 1, "share")
@@ -53,7 +53,7 @@ class CompletionConfig(Ranged):
 def classify(evidence: Evidence, surface_cells: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Return UNKNOWN, FREE or SOLID per voxel.
 
-    `surface_cells` (N, 3) hold points of layer 1: they are solid where no view says otherwise.
+    `surface_cells` (N, 3) contain points of layer 1: they are solid unless a view observed them as free.
     """
     states = np.full(evidence.near.shape, UNKNOWN, np.uint8)
     is_near = evidence.near > evidence.free
@@ -77,13 +77,13 @@ def solid_of(
 ) -> NDArray[np.bool_]:
     """Return the completed solid.
 
-    Unseen voxels are filled within `fillable` only; `support_index` is the lowest layer above the support, `max_gap` in
-    voxels; what `is_wide` may stand on feet.
+    Unknown voxels are filled within `fillable` only; `support_index` is the lowest layer above the support surface,
+    `max_gap` is in voxels; only an object that `is_wide` may stand on feet.
     """
     states = states.copy()
     states[:, :, : support_index or 0] = UNKNOWN
     enclosed = np.zeros(states.shape, dtype=bool)
-    # The more of the box was seen free, the less of what was not seen is likely to be solid.
+    # The more of the box was observed free, the less likely are unknown voxels to be solid.
     share = float((states[fillable] != FREE).mean())
     hits, frees = look_around(states)
     max_free_ratio = config.max_free_ratio * share
@@ -95,7 +95,7 @@ def solid_of(
     solid = (states == SOLID) | ((states == UNKNOWN) & enclosed)
     solid = _without_hair(solid, states)
     if support_index is not None and clear is None:
-        # A column under a stray voxel must not become a spike on the floor.
+        # A column under an outlier voxel must not become a spike on the floor.
         solid = _without_hair(_down_to_support(solid, states, support_index, max_gap), states)
     return _large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), config.min_piece_share)
 
@@ -106,7 +106,7 @@ def _under_edge(
     support_index: int,
     config: CompletionConfig,
 ) -> NDArray[np.bool_] | None:
-    """Return the space under what stands on feet, but for the feet that were seen; None for what does not."""
+    """Return the space under an object that stands on feet, without its visible feet; None if it has no feet."""
     observed = states == SOLID
     i, j = np.nonzero(observed.any(axis=2))
     lowest = observed.argmax(axis=2)[i, j]
@@ -141,7 +141,7 @@ def look_around(states: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray
 
 
 def _without_hair(solid: NDArray[np.bool_], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Remove completed voxels that a majority filter would not keep; what was observed stays."""
+    """Remove completed voxels that a majority filter would not keep; observed voxels stay."""
     share = ndimage.uniform_filter(solid.astype(np.float32), 3, mode="constant")
     return np.asarray((states == SOLID) | ((states == UNKNOWN) & (share > 0.5)))
 

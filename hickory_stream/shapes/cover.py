@@ -16,7 +16,7 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.portable_kernels import exp, exp_each, log, log1p
 
-# Lines per side of the net over the octant: (n + 1)(n + 2) / 2 directions.
+# Subdivisions n per side of the net of directions over the octant: (n + 1)(n + 2) / 2 directions.
 _NET = 5
 # tan(k pi / 4 / 5)^0.86: about equal steps of angle along the sides make the facets nearly equal.
 _STEPS = (0.0, 0.204999481350814, 0.380300934986841, 0.559967288272018, 0.759774117910865, 1.0)
@@ -77,7 +77,7 @@ def log_gauge_of_ball(x, y, z, radius, axes, e1, e2, limit, net, factor):  # typ
 def least_axes(points, before, e1, e2, limit):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the semi-axes of about the least volume, none below `before`, with ln h <= limit at (N, 3) points >= 0.
 
-    A simplex search over the two ratios. Its result is exact in what it promises: the scale comes from the worst point.
+    A simplex search over the two ratios of the axes. Containment is exact: the scale follows from the worst point.
     """
     logs = np.empty((len(points), 3))
     for n in range(len(points)):
@@ -172,7 +172,7 @@ def extremes(points, directions):  # type: ignore[no-untyped-def] # pragma: no c
 
 @numba.njit(cache=True, nogil=True)
 def with_net(points, radii, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the points that stand for balls: (N, 3) centres >= 0 moved along the net; bare where the radius is 0."""
+    """Return the points that represent balls: (N, 3) centres >= 0 moved along the net; only the centre for radius 0."""
     out = np.empty((len(points) * len(net), 3))
     count = 0
     for n in range(len(points)):
@@ -185,7 +185,7 @@ def with_net(points, radii, net, factor):  # type: ignore[no-untyped-def] # prag
 
 @numba.njit(cache=True, nogil=True)
 def worst_balls(points, radii, axes, e1, e2, limit, net, factor, most):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return up to `most` of the balls that stick out, spread over all that do, and how many these are."""
+    """Return up to `most` of the balls that protrude, evenly spread over all of these, and their number."""
     out = np.empty(len(points), np.int64)
     count = 0
     for n in range(len(points)):

@@ -1,10 +1,10 @@
 """Layer 3: Marching-Primitives, a mesh as a few superquadrics.
 
-As in Liu et al. (2023) primitives are fitted one by one to a truncated signed distance, and what a primitive explains
-is taken away at once. Two things differ. Candidates grow from deep seeds as well as from connected components, since
-thin parts that touch have one component at every level; and a candidate is judged by what it adds to the intersection
-over union with the object, which also says when to stop. All lengths are in cells of the grid, so that no tolerance
-depends on the size of the object or on the unit.
+As in Liu et al. (2023) primitives are fitted one by one to a truncated signed distance field, and the volume explained
+by a primitive is removed from it at once. There are two differences. Candidates grow from deep seeds as well as from
+connected components, since thin parts that touch form one component at every level; and a candidate is scored by its
+increase of the intersection over union with the object, which also gives the stopping criterion. All lengths are in
+cells of the grid, so that no tolerance depends on the size of the object or on the unit.
 """
 
 from __future__ import annotations
@@ -230,7 +230,7 @@ def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig
 
 
 def best_candidate(field: FitField, config: FitConfig) -> NDArray[np.float64] | None:
-    """Return the primitive that gains most of what is left; None where nothing is left to begin with."""
+    """Return the primitive with the highest gain on the unexplained volume; None if there is nothing to start from."""
     starts = starting_rows(field, config.num_seeds)
     starts = _best_by_gain(field, starts, config.num_candidates, config.fine_samples)
     return _refined_best(field, starts, config) if starts else None
@@ -241,12 +241,12 @@ def _refined_best(field: FitField, starts: list[NDArray[np.float64]], config: Fi
     coarse = [field.fitted(row, config.coarse_samples, config.coarse_iterations) for row in starts]
     finalists = _best_by_gain(field, coarse, 2, config.fine_samples)
     fine = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in finalists]
-    # A grown box lies inside the object: where a fit goes astray, the start itself is the better primitive.
+    # A grown box lies inside the object: if its fit diverges, the start itself is the better primitive.
     return _best_by_gain(field, fine + finalists + starts[:2], 1, config.gain_samples // 3)[0]
 
 
 def merged(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the primitives, pairs replaced by one where that loses less than another primitive must gain."""
+    """Return the primitives, with pairs replaced by one if this loses less than the minimum gain of a primitive."""
     rows = list(rows)
     i = 0
     while i < len(rows):
@@ -294,7 +294,7 @@ def _merged_pair(
 
 
 def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the primitives and more for small parts that stick out far, such as a handle.
+    """Return the primitives, with more added for small parts that protrude far, such as a handle.
 
     They add little volume, but without them layer 4 would have to grow a large primitive around them.
     """
@@ -313,7 +313,7 @@ def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: Fi
 
 
 def pruned(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the primitives without those that gain too little beside the others, the least useful dropped first."""
+    """Return the primitives without those that add too little to the others; the least useful is dropped first."""
     rows = list(rows)
     while len(rows) > 1:
         gains = []
@@ -328,7 +328,7 @@ def pruned(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) 
 
 
 def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
-    """Return starts over the largest components of what is left, and over boxes grown from its deepest cells."""
+    """Return starts from the largest components of the unexplained volume, and from boxes grown in deep cells."""
     left = field.left
     first_cell, left = _cropped(left)
     labels, count = ndimage.label(left)
@@ -359,7 +359,7 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
 
 
 def _cropped(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the first cell of the box around what is set, with one cell of room, and the part within it."""
+    """Return the first cell of the bounding box of the set cells, padded by one cell, and the cells within it."""
     first, window = np.zeros(3, np.int64), []
     for axis in range(3):
         others = tuple(other for other in range(3) if other != axis)
@@ -396,7 +396,7 @@ def _component_starts(cells: NDArray[np.int64]) -> list[NDArray[np.float64]]:
 
 
 def _box_starts(box: NDArray[np.int64]) -> list[NDArray[np.float64]]:
-    """Return box-like starts over a grown box: one per order that the exponents tell apart."""
+    """Return box-like starts over a grown box: one per order of the axes that the exponents distinguish."""
     half = (box[1] - box[0] + 1) / 2.0
     center = box.mean(axis=0)
     return [row_of((0.4, 0.6), half[order], center, np.eye(3)[:, order]) for order in _ORDERS]

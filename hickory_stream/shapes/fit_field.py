@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 class FitField:
-    """An object's distances, and the cover by the primitives so far.
+    """An object's signed distances, and the cover by the primitives so far.
 
-    `waste_weight` is the price of claiming space outside the object.
+    `waste_weight` is the penalty on volume of primitives outside the object.
     """
 
     def __init__(self, grid: DistanceGrid, waste_weight: float) -> None:
@@ -51,7 +51,7 @@ class FitField:
 
     @property
     def band(self) -> float:
-        """Where distances are cut off, in cells."""
+        """The distance at which the signed distances are truncated, in cells."""
         return self._band
 
     @property
@@ -61,7 +61,7 @@ class FitField:
 
     @property
     def max_log_axis(self) -> float:
-        """The logarithm of the longest semi-axis that makes sense, in cells."""
+        """The logarithm of the maximum semi-axis, in cells."""
         return float(log(max(self._object.shape)))
 
     def unexplained(self) -> float:
@@ -86,13 +86,13 @@ class FitField:
         return np.argwhere(labels == labels[farthest])
 
     def cover_with(self, rows: list[NDArray[np.float64]]) -> None:
-        """Let exactly these primitives explain the object."""
+        """Set the cover to that of exactly these primitives."""
         self._covered[...] = 0
         for row in rows:
             self.consume(row)
 
     def consume(self, row: NDArray[np.float64]) -> None:
-        """Take away what a primitive explains."""
+        """Remove the volume that a primitive explains from the unexplained volume."""
         low, high = self._window(row, 1.0)
         key = row.tobytes()
         if key not in self._occupancies:
@@ -102,9 +102,9 @@ class FitField:
         self._speaking = None
 
     def gain(self, row: NDArray[np.float64], max_samples: int) -> float:
-        """Return what a primitive adds to the explained volume, less the price of what it claims outside, in cells.
+        """Return the explained volume that a primitive adds, minus the penalty on volume outside the object, in cells.
 
-        Estimated from about `max_samples` cells where its window has more.
+        It is estimated from about `max_samples` cells if the primitive's window has more.
         """
         low, high = self._window(row, 1.0)
         stride = max(int(np.prod(high - low)) // max_samples, 1) | 1
@@ -134,7 +134,7 @@ class FitField:
     def trimmed(self, row: NDArray[np.float64], max_samples: int) -> NDArray[np.float64]:
         """Return the primitive cut back, along its own axes, to the part of the object that lies in it.
 
-        Distances are only known on the grid: beyond it nothing holds a thin primitive back from growing.
+        Distances are only known on the grid: beyond it nothing limits the growth of a thin primitive.
         """
         low, high = self._window(row, 1.0)
         found = np.argwhere(self._distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]] < 0.5) + low
@@ -191,7 +191,7 @@ def _distance(row, x, y, z, axes, within, local, gradient, shape):  # type: igno
 
 @numba.njit(cache=True, nogil=True)
 def _bound(row, x, y, z, axes, within):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return what is sure of a cell's distance without a logarithm: beyond half a cell, in or out; 0 if nothing is."""
+    """Return a bound of a cell's distance without logarithms: beyond half a cell, in or out; 0 if there is none."""
     dx, dy, dz = x - row[5], y - row[6], z - row[7]
     u = abs(row[8] * dx + row[11] * dy + row[14] * dz)
     v = abs(row[9] * dx + row[12] * dy + row[15] * dz)
@@ -227,7 +227,7 @@ def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no c
             k = low[2]
             while k < high[2]:
                 d = _distance(row, i, j, k, axes, within, local, gradient, shape)
-                # From one cell to the next a distance changes by at most 1: what is far stays on its side for a while.
+                # Between adjacent cells the distance changes by at most 1: cells after a far one can be skipped.
                 end = min(k + 1 + int(max(abs(d) - 0.5, 0.0)), high[2])
                 out[i - low[0], j - low[1], k - low[2] : end - low[2]] = _occupancy(d)
                 k = end
@@ -243,7 +243,7 @@ def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignor
     size_y, size_z = high[1] - low[1], high[2] - low[2]
     size = (high[0] - low[0]) * size_y * size_z
     for m in range((size + stride - 1) // stride):
-        # One cell of each stride, at a place that never falls into step with the rows of the window.
+        # One cell of each stride, at an offset that does not alias with the rows of the window.
         n = m * stride + int(stride * ((m * 0.6180339887498949) % 1.0))
         if n >= size:
             break
@@ -288,7 +288,7 @@ def _gain_of(d, share, before, waste_weight):  # type: ignore[no-untyped-def] # 
 
 @numba.njit(cache=True, nogil=True)
 def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the (N, 3) cells that tell a fit something: of those deep inside, which all say the same, one in eight."""
+    """Return the (N, 3) cells that inform a fit: those near the surface, and one in eight of those deep inside."""
     out = np.empty((distance.size, 3), np.int64)
     count = 0
     for i in range(distance.shape[0]):

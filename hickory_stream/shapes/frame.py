@@ -1,8 +1,8 @@
-"""The canonical frame in which an object is fitted: the fit of a turned object is the turned fit.
+"""The canonical frame in which an object is fitted, so that fitting is equivariant under rotation of the object.
 
-Along it the faces of what people make are parallel to the grid, where seeds and distances are exact. It is the
-Manhattan frame, which maximises the sum of fourth powers of the normals' coordinates, weighted by area; each step of
-its fixed point (that of symmetric FastICA) raises the sum, since it is convex.
+In this frame the faces of most man-made objects are parallel to the grid, where seeds and distances are exact. It is
+the Manhattan frame, which maximises the sum of fourth powers of the normals' coordinates, weighted by area; each step
+of the fixed-point iteration (that of symmetric FastICA) increases the sum, since it is convex.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ITERATIONS = 40
 _AT_REST = 1e-6
 # Normals are pooled in bins of this width before the search, and taken one by one for the last steps.
 _BIN = 0.08
-_BINS = 16  # more than there are from the middle to the end
+_BINS = 16  # more than there are from the centre to the end
 _FINAL_STEPS = 8
 _SETTLED = 1e-12  # three or four steps come to this: each triples the digits
 _MAX_FINAL = 20_000
@@ -31,7 +31,7 @@ _MAX_FINAL = 20_000
 def object_axes(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return (3, 3) right-handed columns: the object's own axes in the frame of its mesh, longest extent first.
 
-    Each axis points to where the surface is skewed to. Where an object is symmetric, any of the equal ones.
+    Each axis points in the direction of the surface's skewness; for a symmetric object the choice is arbitrary.
     """
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     doubled = np.cross(b - a, c - a)
@@ -48,7 +48,7 @@ def object_axes(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDAr
 def _manhattan(
     normals: NDArray[np.float64], areas: NDArray[np.float64], middles: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    # One number for the three of a bin, in the same order: sorting rows takes ten times as long.
+    # The three indices of a bin are packed into one number, in the same order: sorting rows takes ten times as long.
     i, j, k = (np.round(normals / _BIN).astype(np.int64) + _BINS).T
     places = (2 * _BINS * i + j) * 2 * _BINS + k
     _, bins = np.unique(places, return_inverse=True)
@@ -95,15 +95,15 @@ def _ordered(
     centered = local - portable.matmul(areas, local)
     cubes = centered * centered * centered
     skew = portable.matmul(areas, cubes)
-    # What is symmetric has a skew of rounding errors, which must not decide.
+    # The skewness of a symmetric object is rounding error, which must not decide.
     axes = axes * np.where(skew < -1e-4 * portable.matmul(areas, np.abs(cubes)), -1.0, 1.0)
-    # The third axis is whatever makes it right-handed.
+    # The third axis makes the frame right-handed.
     return np.column_stack([axes[:, 0], axes[:, 1], np.cross(axes[:, 0], axes[:, 1])])
 
 
 @cache
 def _turns() -> NDArray[np.float64]:
-    """Return (T, 3, 3) rotations, spread over those that a cube tells apart."""
+    """Return (T, 3, 3) rotations, spread over those that are distinct up to the symmetry of a cube."""
     turns = [np.eye(3)]
     for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1)):
         for angle in (np.pi / 8, np.pi / 4, 3 * np.pi / 8) if sum(np.abs(axis)) == 1 else (np.pi / 3,):

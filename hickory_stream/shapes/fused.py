@@ -1,6 +1,7 @@
 """Layer 2 from all kept views: a truncated signed distance field over the object's box, completed and meshed.
 
-What is round in its best view is completed by its views turned to its far side; the rest by what surrounds it.
+An object that is a surface of revolution in its best view is completed by rotating its views to its far side; other
+objects are completed from the surrounding evidence (`complete`).
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ _MIN_HALF_EXTENT_M = 0.01
 class VolumeConfig(Ranged):
     """The grid and the surface taken from it.
 
-    The voxel is the longest side of the box over `cells`, within `min_voxel_m` .. `max_voxel_m`, and larger where the
-    box has so much surface that the mesh would exceed about `max_faces`. `spread`: views err against one another by so
-    many times the sigma of their sensor, since neighbouring pixels err alike and poses err, too. `smoothing` counts
-    the Taubin iterations. `seen_voxels`: how far from a measurement a vertex still counts as seen.
+    The voxel is the longest side of the box over `cells`, within `min_voxel_m` .. `max_voxel_m`, and larger if the mesh
+    would otherwise exceed about `max_faces`. `spread`: ratio of the disagreement between views to the sensor's sigma,
+    above 1 because errors of neighbouring pixels are correlated and poses have errors, too. `smoothing` is the number
+    of Taubin iterations. `seen_voxels`: maximum distance from a measurement at which a vertex counts as seen.
     """
 
     cells: int = number(56, 4, 512, "cells")
@@ -59,9 +60,9 @@ class VolumeConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FusedConfig(Ranged):
-    """`volume` is the grid, `completion` says how unseen space is filled, `revolution` what counts as round.
+    """`volume`: the grid; `completion`: how unobserved space is filled; `revolution`: what is a surface of revolution.
 
-    `turned_trust` is the weight of a view of the far side of what is round, relative to that of a view.
+    `turned_trust` is the weight of a view rotated to the far side of a surface of revolution, relative to a real view.
     """
 
     volume: VolumeConfig = field(default_factory=VolumeConfig)
@@ -88,7 +89,7 @@ class FusedReconstructor:
 
 
 def with_faced_box(inputs: ShapeInputs) -> ShapeInputs:
-    """Return the inputs with a box along the sides that were seen: what was not seen is filled within it."""
+    """Return the inputs with a box aligned with the observed sides; unobserved space is filled within it."""
     points = inputs.points_world[inputs.box.contains(inputs.points_world, 1e-3)]
     if len(points) < _MIN_POINTS:
         return inputs
@@ -98,9 +99,9 @@ def with_faced_box(inputs: ShapeInputs) -> ShapeInputs:
 def completed_round(
     inputs: ShapeInputs, views: list[DepthView], config: FusedConfig
 ) -> tuple[ShapeInputs, list[DepthView]]:
-    """Return the inputs with a box around the whole, and the views turned to the far side, of an object that is round.
+    """Return the inputs with a box around the whole object and views rotated to its far side, if it is round.
 
-    What is not round, by its best view, is returned as it is.
+    An object that is not a surface of revolution by its best view is returned unchanged.
     """
     if not inputs.crops:
         return inputs, views
@@ -130,7 +131,7 @@ def view_of(crop: Crop, volume: VolumeConfig) -> DepthView:
 
 
 def moved_views(views: list[DepthView], motion: NDArray[np.float64], trust: float) -> list[DepthView]:
-    """Return what the views would show of an object that a (4, 4) turn or reflection maps to itself, trusted less."""
+    """Return the views moved by a (4, 4) rotation or reflection that maps the object to itself, with less weight."""
     return [
         replace(view, camera_from_world=compose(view.camera_from_world, motion), trust=trust * view.trust)
         for view in views
@@ -138,7 +139,7 @@ def moved_views(views: list[DepthView], motion: NDArray[np.float64], trust: floa
 
 
 def seen_points(crop: Crop, law: Law) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Return the (N, 3) world points of the crop's mask and their (N, 3) colours, without those far from the rest."""
+    """Return the (N, 3) world points of the crop's mask and their (N, 3) colours, without outliers."""
     depth = smoothed_depth(crop.depth_m, crop.mask, law)
     valid = np.isfinite(depth)
     if not valid.any():
@@ -175,8 +176,8 @@ def reconstruct_views(
 class Block:
     """The grid of one object: unseen space is filled within `fillable` only, the object's box.
 
-    `support_index` is the lowest layer above the support, None where the object does not rest on one; what ends within
-    `max_gap` layers above it is continued down to it. What `is_wide` may stand on feet.
+    `support_index` is the lowest layer above the support surface, None if the object rests on none; columns that end
+    within `max_gap` layers above it are continued down to it. Only an object that `is_wide` may stand on feet.
     """
 
     grid: VoxelGrid
@@ -189,7 +190,7 @@ class Block:
 def block_over(
     box: OrientedBox, support_z_m: float | None, volume: VolumeConfig, completion: CompletionConfig
 ) -> Block:
-    """Return the grid over the box and a margin, down to the support where the box ends not far above it."""
+    """Return the grid over the box and a margin, extended down to the support surface if that is close."""
     half = box.half_extents_m
     low_z = float(-half[2])
     float_m = 0.0 if support_z_m is None else max(low_z + float(box.center[2]) - support_z_m, 0.0)

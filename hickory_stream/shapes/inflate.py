@@ -1,13 +1,14 @@
 """Layer 4: primitives grown until they provably contain the object and a margin.
 
-What is contained is the Minkowski sum of the surface and the points of layer 1 with a ball of the margin, and the
-inside of a closed mesh. The surface is partitioned among the primitives (`surface_partition`), and each grows to the
-least volume that holds its share (`cover`). Residuals of the fit, such as the leaves of a plant, would make a primitive
-grow far: they get boxes of their own (`residual_boxes`) where that takes clearly less space. The result is checked by
-independent code (`certify`). If the check fails, a box around everything replaces the primitives, and is marked so.
+They contain the Minkowski sum of the surface and the points of layer 1 with a ball of the margin's radius, and the
+interior of a closed mesh. The surface is partitioned among the primitives (`surface_partition`), and each primitive
+grows to the least volume that contains its part (`cover`). Residuals of the fit, such as the leaves of a plant, would
+make a primitive much larger: they get boxes of their own (`residual_boxes`) if that takes clearly less volume. The
+result is checked by independent code (`certify`). If the check fails, a box around everything replaces the primitives,
+and is marked as such.
 
-The paper grows all three axes by one factor, which makes a huge block of a thin plate: by default each semi-axis grows
-on its own, and edges may become rounder, as those of the Minkowski sum are.
+The paper grows all three axes by one factor, which turns a thin plate into a huge block: by default each semi-axis
+grows separately, and edges may become rounder, like those of the Minkowski sum.
 """
 
 from __future__ import annotations
@@ -47,9 +48,9 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Reconstruction
 
 _UNIT_CELLS = 64
-# Exponents below these may rise to them: the rounder of the candidates wins where it takes less volume.
+# Exponents below these may be raised to them: the rounder candidate is used if it has less volume.
 _ROUNDINGS = (0.25, 0.4)
-# What the growth stays below the limit of ln h by, so that the certificate's own rounding has room.
+# By how much growth stays below the limit of ln h, as a reserve for the rounding error of the certificate.
 _SLACK = 1e-7
 _ROUNDS = 6
 _WORST = 12
@@ -65,10 +66,9 @@ _THINNEST = 0.01
 class InflateConfig(Ranged):
     """How layer 4 is made.
 
-    `rule` is "per_axis" or the paper's "single_factor". `r_safe_m` is the margin; `g` in 0..1 is the value of G that
-    nothing may exceed. A triangle that reaches farther out of all primitives than `tolerance` of the object's diagonal
-    is bisected. `most_added` is how many boxes there may be besides the fitted primitives, for what these left out; the
-    single factor takes none.
+    `rule` is "per_axis" or the paper's "single_factor". `r_safe_m` is the margin; `g` in 0..1 is the maximum value of G
+    over the contained set. A triangle that protrudes from all primitives by more than `tolerance` of the object's
+    diagonal is bisected. `most_added` is the maximum number of boxes for residuals; "single_factor" adds none.
     """
 
     rule: Literal["per_axis", "single_factor"] = "per_axis"
@@ -80,9 +80,9 @@ class InflateConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Inflated:
-    """The inflated primitives in the world, their certificate, and whether they are the box instead.
+    """The inflated primitives in the world, their certificate, and whether they were replaced by one box.
 
-    First those that were fitted, in their order, then the boxes around what these left out.
+    The fitted primitives come first, in their order, then the boxes around residuals.
     """
 
     primitives: Superquadrics
@@ -120,7 +120,7 @@ def inflated(
 ) -> Inflated:
     """Return the primitives grown around (V, 3) vertices with (F, 3) faces and (N, 3) points, and their certificate.
 
-    Vertices that no face uses, and faces that are one point, are no part of the object.
+    Vertices that no face uses, and faces that collapse to one point, are ignored.
 
     Raises:
         ValueError: vertices or points are not finite, or there are none of either.
@@ -149,7 +149,7 @@ def box_around(points_world: NDArray[np.float64], config: InflateConfig) -> Supe
     """Return one box-like superquadric with G <= g on the axis-aligned box of (N, 3) points and its margin."""
     low, high = points_world.min(axis=0) - config.r_safe_m, points_world.max(axis=0) + config.r_safe_m
     half = (high - low) / 2
-    # Thicker than nothing, and wide enough for the corners: G = 3 (1 / s)^(2 / e) there.
+    # Of non-zero thickness, and wide enough for the corners, where G = 3 (1 / s)^(2 / e).
     half = np.maximum(half, 1e-3 * max(float(half.max()), 1e-9))
     axes = half * power(3.0 / config.g, MIN_EXPONENT / 2) * (1 + 1e-7)
     return Superquadrics(
@@ -166,7 +166,7 @@ def inflate_to_cover(fitted: Superquadrics, points_world: NDArray[Any], config: 
 
 
 def _growths(share: _Share, inside: Inside) -> list[Superquadrics]:
-    """Return the primitives grown, with boxes for residuals first where these take clearly less space, else without."""
+    """Return the candidates in order of preference: with boxes for residuals if these take clearly less volume."""
     grown = share.grown()
     whole = share.grown_over(inside, grown)
     if share.config.rule == "single_factor" or share.config.most_added == 0:
@@ -181,11 +181,11 @@ def _growths(share: _Share, inside: Inside) -> list[Superquadrics]:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Share:
-    """What each primitive has to hold: balls around (N, 3) points, in units of a 64th of the object.
+    """The set that each primitive has to contain: balls around (N, 3) points, in units of 1/64 of the object's size.
 
-    `items` (M, 3) are the corners of pieces, or a point three times over; `owners` (M,) the primitives that they belong
-    to, and `distances` (M,) how far outside of them they reach. The unit keeps every tolerance free of scale, the
-    offset keeps digits far from the origin.
+    `items` (M, 3) are the corners of triangles, or one point three times; `owners` (M,) the primitives that have to
+    contain them, and `distances` (M,) how far they protrude from these. The unit makes tolerances independent of scale,
+    and the offset preserves precision far from the origin.
     """
 
     primitives: Superquadrics
@@ -242,7 +242,7 @@ class _Share:
         )
 
     def with_balls(self, centers_world: NDArray[np.float64], radii_m: NDArray[np.float64]) -> _Share:
-        """Return the share with more balls, each given to the primitive that it is nearest to by its gauge."""
+        """Return the share with more balls, each assigned to the nearest primitive by its gauge."""
         centers = (centers_world - self.offset_m) / self.unit_m
         gauges = np.stack([_gauge_of(self.primitives, i, centers_world) for i in range(len(self.primitives))])
         return replace(
@@ -251,12 +251,12 @@ class _Share:
             radii=np.concatenate([self.radii, radii_m / self.unit_m]),
             items=np.concatenate([self.items, _alone(len(self.points), len(centers))]),
             owners=np.concatenate([self.owners, np.argmin(gauges, axis=0)]),
-            # Inside, all of them: they are no residuals.
+            # These balls are all inside the object, so that they are not residuals.
             distances=np.concatenate([self.distances, np.zeros(len(centers))]),
         )
 
     def with_residuals_boxed(self, grown: Superquadrics) -> _Share | None:
-        """Return the share in which residuals have boxes of their own; None where none makes a primitive grow far.
+        """Return the share in which residuals have boxes of their own; None if no residual makes a primitive grow much.
 
         Residuals lie clearly outside of all primitives; `grown` are the primitives grown over this share.
         """
@@ -287,9 +287,9 @@ class _Share:
         return replace(self, primitives=joined([self.primitives, added]), owners=owners)
 
     def grown_over(self, inside: Inside, grown: Superquadrics) -> Superquadrics:
-        """Return the primitives grown until they also hold the inside, or a few rounds have passed.
+        """Return the primitives grown until they also contain the interior, or a maximum number of rounds is reached.
 
-        `grown` is what this share makes of them to begin with.
+        `grown` are the primitives grown over this share, from which to start.
         """
         share = self
         for _ in range(_ROUNDS):
@@ -297,13 +297,13 @@ class _Share:
             if len(out) == 0:
                 break
             more = share.with_balls(out[:, :3], out[:, 3] * np.sqrt(3))
-            # The others hold what they held.
+            # The other primitives are unchanged.
             which = np.unique(more.owners[len(share.owners) :])
             share, grown = more, _replaced(grown, more.grown(which), which)
         return grown
 
     def grown(self, which: NDArray[np.int64] | None = None) -> Superquadrics:
-        """Return the primitives, each grown to hold its share; only some of them (M,) if so told."""
+        """Return the primitives, each grown to contain its share; only those of the indices `which` (M,), if given."""
         exponents, axes = self.primitives.exponents.copy(), self.primitives.semi_axes_m.copy()
         for i in range(len(self.primitives)) if which is None else which:
             own = np.zeros(len(self.points), bool)
@@ -314,7 +314,7 @@ class _Share:
         return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=self.primitives.world_from_local)
 
     def grown_from(self, before: _Share, grown: Superquadrics) -> Superquadrics:
-        """Return what `grown` does, where `grown` is that of a share of the same items with fewer primitives."""
+        """Return the result of `grown()`, reusing the result `grown` of a share `before` with fewer primitives."""
         num_before = len(before.primitives)
         changed = self.owners != before.owners
         touched = np.unique(np.concatenate([self.owners[changed], before.owners[changed]]))
@@ -335,7 +335,7 @@ class _Share:
             return exponents, _by_one_factor(points, radii, before, exponents, self.config.g)
         if self.config.rule != "per_axis":
             assert_never(self.config.rule)
-        # The farthest points in many directions decide nearly alone; the rest is looked for as it sticks out.
+        # The extreme points in many directions nearly determine the result; other points are added if they protrude.
         scale = np.maximum(points.max(axis=0) + radii.max(), before)
         far = extremes(points / scale, _octant_directions())
         binding = with_net(points[far], radii[far], NET, NET_FACTOR)
@@ -347,14 +347,14 @@ class _Share:
 
 
 def _replaced(primitives: Superquadrics, others: Superquadrics, which: NDArray[np.int64]) -> Superquadrics:
-    """Return the primitives, those of these indices as the others have them; the poses are the same."""
+    """Return the primitives with those at the indices `which` replaced by `others`; the poses are the same."""
     exponents, axes = primitives.exponents.copy(), primitives.semi_axes_m.copy()
     exponents[which], axes[which] = others.exponents[which], others.semi_axes_m[which]
     return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=primitives.world_from_local)
 
 
 def _candidates(exponents: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the exponents to try, those given first: rounder edges, or round about z as a whole."""
+    """Return the exponents to try: the given ones first, then rounder edges, then a round cross-section about z."""
     rounder = [np.maximum(exponents, rounding) for rounding in _ROUNDINGS]
     round_along = np.array([exponents[0], max(exponents[1], 1.0)])
     tried: list[NDArray[np.float64]] = []

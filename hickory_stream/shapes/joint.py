@@ -1,11 +1,11 @@
 """Joint refinement of all primitives of an object, and rounding of their exponents to simple shapes.
 
-The distance to a union is the smallest of the distances to its parts, so that every sample belongs to one primitive
-and the normal equations fall apart into one block for each: a sweep steps the primitives in turn, each against the
-others as they are, and takes a step only where the whole fits better.
+The distance to a union is the minimum of the distances to its parts, so that every sample belongs to one primitive and
+the normal equations are block diagonal: a sweep updates the primitives in turn, with the others fixed, and accepts a
+step only if the union fits better.
 
-Few exponents are told apart by a grid of cells: a box is as good with 0.1 as with 0.2. A box, a cylinder and an
-ellipsoid are tried for every primitive, and kept where they fit nearly as well. This is what makes a fit repeat itself.
+A grid of cells hardly constrains the exponents: a box fits as well with 0.1 as with 0.2. A box, a cylinder and an
+ellipsoid are tried for every primitive, and kept if they fit nearly as well. This makes fits repeatable.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hickory_stream.shapes.thinning import thinned
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# The simple shapes, as exponents, and how often the axes are turned on: a box looks the same along each.
+# The exponents of the simple shapes, and the number of distinct cyclic orders of their axes: one for a box.
 _SIMPLE = ((0.1, 0.1, 1), (1.0, 1.0, 1), (0.1, 1.0, 3), (2.0, 1.0, 3))
 _FINALISTS = 3
 
@@ -91,11 +91,11 @@ def simplified(
         others = _union(beside, own, band)
         before = _misfit(np.minimum(others, cut_distances(rows[k], own, band)), goal, band)
         best, least = rows[k], before + tolerance
-        # The first steps tell which shapes have a chance; only these are followed to the end.
+        # A few steps show which shapes are promising; only these are fitted to convergence.
         tried = [_stepped_beside(row, own, goal, others, band, 2, max_log_axis, False) for row in _simple_rows(rows[k])]
         for first, _ in sorted(tried, key=lambda one: float(one[1]))[:_FINALISTS]:
             trial, misfit = _stepped_beside(first, own, goal, others, band, sweeps - 2, max_log_axis, False)
-            # What leaves the samples around the primitive was not judged.
+            # A primitive that moves outside of the samples around it cannot be judged.
             if misfit < least and _stays(trial, rows[k]):
                 best, least = trial, misfit
         rows[k] = best
@@ -103,7 +103,7 @@ def simplified(
 
 
 def _simple_rows(row: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return a primitive with each of the simple exponents, along each axis that these tell apart."""
+    """Return a primitive with each of the simple exponents, in each distinct order of its axes."""
     rows = []
     for e1, e2, turns in _SIMPLE:
         for turn in range(turns):

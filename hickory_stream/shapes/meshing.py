@@ -35,9 +35,9 @@ def surface_field(solid: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.fl
     rough = (distance - np.sign(distance) * 0.5).astype(np.float32)
     smooth = gaussian_blurred(rough, 1.0, mode="nearest")
     measured = (evidence.near > evidence.free) & (np.abs(evidence.distance) < 1.0) & ((evidence.distance <= 0) == solid)
-    # Where both are known the nearer of the two surfaces counts: a measured front must not move a completed back.
+    # Where both are known, the nearer surface counts: a measured front must not move the completed back.
     magnitude = np.where(measured, np.minimum(np.abs(evidence.distance), np.abs(rough)), np.abs(smooth))
-    # Smoothing must not open a hole in a plate one voxel thick, so that the sign is the solid's everywhere.
+    # The sign is that of the solid everywhere: smoothing must not open a hole in a plate of one voxel.
     magnitude = np.where(~measured & ((smooth < 0) != solid), 0.1, np.maximum(magnitude, 1e-3))
     return np.where(solid, -magnitude, magnitude).astype(np.float32)
 
@@ -84,8 +84,8 @@ def painted(
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Return per vertex its colour and whether it was seen.
 
-    Seen is what a crop measured within `reach_m`, or what lies that close to a layer-1 point. Its colour is the mean
-    over those crops, else the point's; generated surface takes the colour of the nearest seen vertex.
+    A vertex is seen if a crop measured the surface within `reach_m` of it, or if it is that close to a layer-1 point.
+    Its colour is the mean over those crops, else the point's; a generated vertex has that of the nearest seen vertex.
     """
     total = np.zeros((len(vertices), 3))
     weight = np.zeros(len(vertices))

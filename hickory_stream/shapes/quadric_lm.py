@@ -6,8 +6,8 @@ softmax weights and entropies, so that nothing overflows for exponents down to 0
 manifold.
 
 Residuals follow Marching-Primitives (Liu et al., 2023): truncated distances, and a mixture of a Gaussian and a uniform
-distribution that decides how much of a misfit belongs to another primitive. Only missing cover can belong to another
-one; where the primitive claims space outside the object the misfit is its own.
+distribution, which estimates how much of a residual belongs to another primitive. Only missing cover can belong to
+another primitive; a residual where this primitive extends outside of the object is always its own.
 """
 
 from __future__ import annotations

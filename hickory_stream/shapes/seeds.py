@@ -1,7 +1,7 @@
-"""Initial primitives of the fit: boxes grown inside what is not explained yet, and bounds of whole components.
+"""Initial primitives of the fit: boxes grown inside the unexplained volume, and bounds of whole components.
 
-A box that grows from a deep cell until its faces leave the object finds a table's top and a chair's leg at once, where
-the bounds of their common component say nothing.
+A box that grows from a deep cell until its faces leave the object finds a table's top or a chair's leg directly, where
+the bounds of their common component are uninformative.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def grown_box(solid: NDArray[np.bool_], seed: tuple[int, int, int], min_fill: fl
 
 
 def chessboard_depth(solid: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return how many steps of a king it takes from each cell to one that is not solid; -1 where all are."""
+    """Return the chessboard distance from each cell to the nearest one that is not solid; -1 if all are solid."""
     depth = np.asarray(_depth(solid))
     return depth if not solid.all() else np.full_like(depth, -1)
 
@@ -74,7 +74,7 @@ def _depth(solid):  # type: ignore[no-untyped-def] # pragma: no cover
     """Rosenfeld and Pfaltz: one pass forwards, one backwards; each looks at the 13 neighbours before a cell."""
     nx, ny, nz = solid.shape
     far = np.int32(nx + ny + nz)
-    # A rim as deep as can be: what is beyond the grid is not known to be empty.
+    # The rim has the maximum depth: cells beyond the grid are not known to be empty.
     depth = np.full((nx + 2, ny + 2, nz + 2), far, np.int32)
     for i in range(1, nx + 1):
         for j in range(1, ny + 1):

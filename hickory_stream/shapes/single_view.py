@@ -1,7 +1,7 @@
-"""Layer 2 from the best view alone: completed by the plane that the object stands on and by mirror symmetry.
+"""Layer 2 from the best view alone: completed by the support plane and by mirror symmetry.
 
-It stands in for a network that makes a whole object of one picture: what it makes depends on which view was chosen.
-A mirrored view is a view through a mirrored camera, so that the fusion of `fused` does the rest.
+It takes the place of a network that reconstructs an object from a single image: the result depends on the choice of the
+view. A mirrored view is a view of a mirrored camera, so that it is fused like any other (`fused`).
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def with_mirrored(crop: Crop, points: NDArray[np.float64], config: SingleViewCon
     views = [view]
     seen = points
     tolerance = noise_m(points, view, config.volume)
-    # Some first plane is always better than a back that is open; a second one must show.
+    # Any first plane is better than an open back; a second plane must have enough evidence.
     for min_score in (-config.symmetry.growth_penalty - 0.2, config.symmetry.min_second_score):
         reflection = mirror_plane(seen, [view], tolerance, min_score, config.symmetry)
         if reflection is None:

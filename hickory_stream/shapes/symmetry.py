@@ -1,7 +1,7 @@
 """The vertical plane about which an object seen from one side is most plausibly symmetric.
 
-A mirror plane is judged by what it would put where the camera saw nothing (free space contradicts it), by how much of
-the mirrored surface falls on measured surface, and by how much larger it makes the object.
+A mirror plane is scored by how much of the mirrored surface lies in observed free space (a contradiction), by how much
+of it coincides with measured surface, and by how much larger it makes the object.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def _against(points, depth, mask, intrinsics, tolerance):  # type: ignore[no-unt
             continue
         column, row = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))
         if row < 0 or column < 0 or row >= depth.shape[0] or column >= depth.shape[1]:
-            # The crop holds the whole mask: beside it there is no object.
+            # The crop contains the whole mask: beside the mask there is no object.
             out[n] = 2
             continue
         ahead = depth[row, column] - z

@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 def thinned(count: int, most: int) -> NDArray[np.int64]:
-    """Return the indices of about `most` of `count` samples, all of them where there are fewer.
+    """Return the indices of about `most` of `count` samples; all of them if there are fewer.
 
-    One of each stretch, at a place given by the golden ratio: an even stride through the cells of a thin plate would
-    meet the same layer every time.
+    One sample of each interval, at an offset given by the golden ratio: an even stride through the cells of a thin
+    plate could hit the same layer every time.
     """
     if count <= most:
         return np.arange(count)

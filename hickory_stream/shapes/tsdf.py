@@ -1,7 +1,7 @@
 """Fusion of depth images into a truncated signed distance field: near a surface, free, or unobserved.
 
-Two kinds of evidence are kept apart until the end: signed distances near a surface, and free space. What lies behind a
-surface by more than a short band stays unknown, so that the far side of a thin plate is never overruled by its front.
+Two kinds of evidence are kept separate until the end: signed distances near a surface, and free space. Voxels behind a
+surface by more than a short band stay unknown, so that the front of a thin plate never overrules its far side.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class VoxelGrid:
 class DepthView:
     """A depth image as the integration uses it.
 
-    `camera_from_world` may hold a reflection: a mirrored view. `law` is how views err against one another, a multiple
-    of how the sensor does; `trust` scales the view's weight.
+    `camera_from_world` may contain a reflection (a mirrored view). `law` is the depth noise between views, a multiple
+    of the sensor's; `trust` scales the view's weight.
     """
 
     depth_m: NDArray[np.float32]
@@ -71,7 +71,7 @@ class DepthView:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """What the views say of every voxel of a grid, three float32 arrays of its shape.
+    """The evidence of the views for every voxel of a grid, three float32 arrays of its shape.
 
     `distance` is the weighted mean signed distance in voxels, `near` its weight, and `free` the weight of the views
     that saw through the voxel.
@@ -83,7 +83,7 @@ class Evidence:
 
 
 def integrate(grid: VoxelGrid, views: list[DepthView]) -> Evidence:
-    """Return what `views` say of the voxels of `grid`."""
+    """Return the evidence of `views` for the voxels of `grid`."""
     total = np.zeros(grid.shape, np.float32)
     near = np.zeros(grid.shape, np.float32)
     free = np.zeros(grid.shape, np.float32)
@@ -99,7 +99,7 @@ def integrate(grid: VoxelGrid, views: list[DepthView]) -> Evidence:
             total, near, free, camera_from_grid, grid.voxel_m,
             depth, cosine, carve, view.mask, inner, intrinsics, view.law, view.trust,
         )  # fmt: skip
-    # Averaging over a voxel's neighbours takes the noise of few views out; it moves no plane and no plate's middle.
+    # Averaging over a voxel's neighbours reduces the noise of few views, without moving planes or the middle of plates.
     spread = gaussian_blurred(near, SMOOTHING_VOXELS)
     distance = gaussian_blurred(total, SMOOTHING_VOXELS) / np.maximum(spread, np.float32(1e-9))
     return Evidence(distance=distance.astype(np.float32), near=near, free=free)
@@ -214,7 +214,7 @@ def _integrate(  # type: ignore[no-untyped-def] # pragma: no cover
                 before = max(BAND_BEFORE_VOXELS * voxel, 3.0 * sigma)
                 weight = trust / (1.0 + z * z)
                 if not mask[row, column]:
-                    # A nearer surface hides the voxel, one at its depth is not this object's: both say nothing.
+                    # A nearer surface occludes the voxel; one at its depth is another object's: neither is evidence.
                     if carve[row, column] - z > max(voxel, 2.0 * sigma):
                         free[i, j, k] += weight
                     continue
@@ -228,7 +228,7 @@ def _integrate(  # type: ignore[no-untyped-def] # pragma: no cover
                     if inner[row, column] and carve[row, column] - z > before:
                         free[i, j, k] += weight
                 elif distance > -behind:
-                    # Equal on both sides, or else averaging would move the surface inwards.
+                    # The band is symmetric: otherwise averaging would move the surface inwards.
                     fade = max(1.0 - abs(distance) / behind, 0.02)
                     total[i, j, k] += weight * fade * min(distance / voxel, 3.0)
                     near[i, j, k] += weight * fade

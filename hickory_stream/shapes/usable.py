@@ -1,8 +1,7 @@
 """Validation and clean-up of meshes from any reconstructor: which of their triangles are surface.
 
-A vertex that no triangle uses, and a triangle that is one point, are no part of the object: left in, one of them a
-hundred metres away would make a certified object of a hundred metres. A triangle that is a line has an extent and
-stays, to be contained as what it is.
+Vertices that no triangle uses, and triangles that collapse to one point, are removed: one of them a hundred metres away
+would make the certified object a hundred metres large. A triangle that collapses to a line has an extent and is kept.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ def usable(mesh: Mesh) -> Mesh:
     """Return the mesh without vertices that no triangle uses and triangles that are one point.
 
     Raises:
-        ValueError: there are no triangles, or none with an extent, or they name vertices that there are not or that are
-            not finite.
+        ValueError: there are no triangles, or none with an extent, or they use vertices that do not exist or are not
+            finite.
     """
     if len(mesh.faces) == 0:
         raise ValueError("an empty mesh: it has no triangles; a shape needs at least one")
@@ -46,7 +45,7 @@ def usable(mesh: Mesh) -> Mesh:
 def used_surface(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
     """Return (V,) which vertices belong to triangles that are not one point, and those triangles among these alone."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    # Of what is not finite nothing is equal: it stays, and is told.
+    # NaN is not equal to anything: triangles with NaN are kept, and reported by the caller.
     is_point = ((a == b) & (b == c)).all(axis=1)
     kept = faces[~is_point]
     is_used = np.zeros(len(vertices), bool)

@@ -1,1 +1,1 @@
-"""The paper's networks through onnxruntime: FastSAM, DINOv2, OneFormer, and what their files are known by."""
+"""The paper's networks (FastSAM, DINOv2, OneFormer) through onnxruntime, and the folder with their files."""

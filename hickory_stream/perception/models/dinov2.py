@@ -1,7 +1,7 @@
 """DINOv2: patch features of unit norm by a vision transformer's graph, for images of any size.
 
 The graph takes (1, 3, H, W) with H and W multiples of its patch, normalised as for ImageNet, and gives tokens (1, T, D)
-whose last ones are the patches row by row (what comes before them, the class and the registers, is dropped), or a map
+of which the last ones are the patches, row by row (the class and register tokens before them are dropped), or a map
 (1, D, h, w).
 """
 
@@ -27,12 +27,12 @@ _MOST_EXTRA_TOKENS = 16
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DinoConfig(Ranged):
-    """How features are taken.
+    """How features are computed.
 
     Attributes:
-        model: its name in the folder of models.
-        patch_px: the side of a patch of the network.
-        reduce: frames are made smaller by this whole factor first; a patch then covers so much more of them.
+        model: the network's name in the folder of models.
+        patch_px: side of a patch of the network.
+        reduce: integer factor by which frames are reduced first; a patch covers this many times more frame pixels.
     """
 
     model: str = "dinov2-small"
@@ -41,7 +41,7 @@ class DinoConfig(Ranged):
 
 
 class DinoExtractor:
-    """A `FeatureExtractor`; `name` tells its features from those of other weights.
+    """A `FeatureExtractor`; `name` distinguishes its features from those of other weights.
 
     Raises:
         ModelError: the graph is not of this kind.
@@ -76,7 +76,7 @@ class DinoExtractor:
     def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return (h, w, D) float32 features of unit norm, one per patch; h = ceil(H / patch), w = ceil(W / patch).
 
-        What the last patches have beyond the image repeats its border.
+        Patches that extend beyond the image are padded by repeating its border.
 
         Raises:
             ModelError: the graph is of another fixed size, or gives tensors of another shape or that are not finite.

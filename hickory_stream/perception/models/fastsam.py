@@ -1,7 +1,7 @@
 """FastSAM: class-agnostic instance masks by any YOLOv8-seg style graph, of one class or more.
 
-The graph takes (1, 3, S, S) colour in 0..1 and gives (1, 4 + classes + C, anchors) and prototypes (1, C, h, w); what
-the masks become is the business of the mask pipeline that every segmenter shares.
+The graph takes (1, 3, S, S) colour in 0..1 and gives predictions (1, 4 + classes + C, anchors) and prototypes
+(1, C, h, w). The masks then pass through the mask pipeline that every mask network shares (`masks`).
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ _SUPPORT_AREA_M2 = 0.03
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FastSamConfig(Ranged):
-    """How masks are taken from the network.
+    """How masks are decoded from the network's output.
 
     Attributes:
-        model: its name in the folder of models.
-        confidence: detections that score less are left out.
-        nms_iou: of two boxes that overlap more, the better one stays.
-        max_masks: at most this many, the best.
-        input_px: the side of the network's image where the graph leaves it open.
-        mask_px: the longer side at which masks are decoded; 0: that of the frame.
+        model: the network's name in the folder of models.
+        confidence: minimum score of a detection.
+        nms_iou: IoU of boxes above which non-maximum suppression removes the one with the lower score.
+        max_masks: maximum number of masks, the best ones.
+        input_px: side of the network's input image if the graph does not fix it.
+        mask_px: longer side of the image at which masks are decoded; 0: that of the frame.
     """
 
     model: str = "fastsam-s"
@@ -57,7 +57,7 @@ class FastSamConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Found:
-    """What was computed of a frame without the map: its surface, its masks, and how many detections were damaged."""
+    """The results of a frame that need no map: its surface, its masks, and the number of non-finite detections."""
 
     surface: Surface
     masks: list[InstanceMask]
@@ -65,7 +65,7 @@ class Found:
 
 
 class FastSam:
-    """The network alone: from an image to masks that may overlap.
+    """The network without the mask pipeline: from an image to masks that may overlap.
 
     Raises:
         ModelError: the graph is not of this kind.
@@ -121,7 +121,7 @@ class FastSam:
 
 
 class FastSamSegmenter:
-    """A `Segmenter`: the network's masks, with structure from geometry."""
+    """A `Segmenter`: instances from the network's masks, room structure from geometry."""
 
     def __init__(
         self,
@@ -173,7 +173,7 @@ class FastSamSegmenter:
 
 
 def _outputs_of(network: Network) -> tuple[int, int]:
-    """Return the places of the predictions and the prototypes among the outputs, told by their ranks."""
+    """Return the indices of the predictions and the prototypes among the outputs, identified by their ranks."""
     ranks = [len(output.shape) for output in network.outputs]
     if ranks.count(3) != 1 or ranks.count(4) != 1:
         expected = "predictions (1, 4 + classes + C, anchors) and prototypes (1, C, h, w) as its outputs"

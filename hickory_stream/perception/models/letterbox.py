@@ -1,4 +1,4 @@
-"""An image in the frame of a network: scaled to fit, in the middle, grey around it; and the way back.
+"""Letterboxing: an image scaled to fit a network's input, centred, with grey around it; and the inverse.
 
 The rounding is that of YOLOv8's own pre-processing, to the pixel: half a pixel moves every mask.
 """
@@ -36,14 +36,14 @@ class Letterbox:
     def to_image(self, boxes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return boxes (N, 4) x0, y0, x1, y1 of the network's frame in the image, clipped to it."""
         shifted = boxes - np.array([self.left, self.top, self.left, self.top], dtype=np.float32)
-        # Each side was rounded to whole pixels by itself.
+        # Width and height were rounded to whole pixels separately, so that their scales differ.
         gain = np.array([self.inner_width / self.width, self.inner_height / self.height] * 2, dtype=np.float32)
         limits = np.array([self.width, self.height, self.width, self.height], dtype=np.float32)
         return np.asarray(np.clip(shifted / gain, 0, limits), dtype=np.float32)
 
 
 def letterbox_of(width: int, height: int, frame_width: int, frame_height: int) -> Letterbox:
-    """Return how an image is laid into a network's frame."""
+    """Return the letterbox of an image in a network's frame; all sizes in pixels."""
     scale = min(frame_height / height, frame_width / width)
     inner_width, inner_height = max(1, round(width * scale)), max(1, round(height * scale))
     return Letterbox(

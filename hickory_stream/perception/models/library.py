@@ -1,7 +1,7 @@
-"""The folder of networks: which files there are, and what is known of each.
+"""The folder of networks: the model files and their manifest.
 
-A file is believed only with an entry in `manifest.json`: its sha256, where it comes from, its licence and the size that
-it takes. Nothing is ever downloaded; what is missing is answered with what to do.
+A file is used only if it has an entry in `manifest.json` with its sha256, origin, licence and input size. Nothing is
+ever downloaded; the error for a missing model says how to get it.
 """
 
 from __future__ import annotations
@@ -40,15 +40,16 @@ _ORIGINS: dict[Kind, str] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ModelEntry:
-    """What the manifest says of a network.
+    """The manifest's entry of a network.
 
     Attributes:
-        name: what the configuration calls it; also the stem of its file.
-        kind: what it computes, and thereby how its tensors are read.
-        file: its file in the folder; `sha256` of its bytes.
-        source, licence: where the weights come from, and on what terms.
-        input_px: width and height that the graph takes, 0 for any.
-        labels: names of its classes in the order of their ids; empty where it has none.
+        name: the name in the configuration; also the stem of its file.
+        kind: what it computes, which determines how its tensors are interpreted.
+        file: the name of its file in the folder.
+        sha256: the hash of the file's bytes.
+        source, licence: origin of the weights, and their licence.
+        input_px: width and height of the graph's input, 0 for any.
+        labels: names of its classes in the order of their ids; empty if it has none.
     """
 
     name: str
@@ -74,16 +75,16 @@ class ModelEntry:
 
 
 def models_folder() -> Path:
-    """Return where networks are kept: $HICKORY_MODELS, or `models` in the user's data folder."""
+    """Return the folder of networks: $HICKORY_MODELS, or `models` in the user's data folder."""
     named = os.environ.get("HICKORY_MODELS")
     return Path(named) if named else user_data_path("hickory-stream", appauthor=False) / "models"
 
 
 def read_manifest(folder: Path) -> dict[str, ModelEntry]:
-    """Return the networks of a folder by name, sorted; none where there is no manifest.
+    """Return the entries of a folder by name, sorted; empty if there is no manifest.
 
     Raises:
-        ModelError: the manifest cannot be read, or says what it must not.
+        ModelError: the manifest cannot be read, or has an invalid entry.
     """
     path = folder / MANIFEST
     try:
@@ -126,7 +127,7 @@ def find_model(name: str, kind: Kind, *, folder: Path | None = None) -> tuple[Mo
     """Return the entry of a network and the path of its file, whose hash was checked.
 
     Raises:
-        ModelError: there is none of this name and kind, or its file is missing or another one.
+        ModelError: there is no network with this name and kind, or its file is missing or has another hash.
     """
     folder = folder if folder is not None else models_folder()
     entries = read_manifest(folder)
@@ -190,7 +191,7 @@ def _write_manifest(folder: Path, entries: dict[str, ModelEntry]) -> None:
 
 
 def _replace(target: Path, write: Any) -> None:
-    """Write a file whole or not at all."""
+    """Write a file atomically."""
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     os.close(handle)
     try:

@@ -1,7 +1,7 @@
-"""One network in onnxruntime: opened on the accelerator that is there, checked, warmed up, timed.
+"""One network in onnxruntime: opened on the available accelerator, checked, warmed up, timed.
 
-onnxruntime falls back to the processor without a word when an accelerator's libraries are missing. Asked for by name,
-an accelerator is had or refused; `auto` takes the best there is and says which.
+onnxruntime falls back to the CPU silently when an accelerator's libraries are missing. Here a provider that is
+configured by name is used, or an error is raised; `auto` uses the best one available and logs which.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 Provider = Literal["auto", "tensorrt", "cuda", "cpu"]
 
 _NAMES = {"tensorrt": "TensorrtExecutionProvider", "cuda": "CUDAExecutionProvider", "cpu": "CPUExecutionProvider"}
-# An engine of TensorRT takes minutes to build: only who asks for it gets it.
+# A TensorRT engine takes minutes to build: it is used only if it is configured by name.
 _CHAINS = {"auto": ("cuda", "cpu"), "tensorrt": ("tensorrt", "cuda", "cpu"), "cuda": ("cuda", "cpu"), "cpu": ("cpu",)}
 
 
@@ -37,9 +37,9 @@ class NetworkConfig(Ranged):
 
     Attributes:
         provider: `cuda`, `tensorrt` or `cpu`; `auto` takes CUDA where there is one.
-        threads: threads of one network on the processor, 0 = one per core.
-        device: which accelerator, where there are several.
-        warm_up: whether a network runs once on nothing when it is opened, so that the first frame is no slower.
+        threads: CPU threads of one network, 0 = one per core.
+        device: index of the accelerator.
+        warm_up: whether a network runs once on an empty image when it is opened, so that the first frame is not slower.
     """
 
     provider: Provider = "auto"
@@ -68,8 +68,8 @@ class Network:
         config: how it is run.
 
     Raises:
-        ModelError: the file is missing, damaged, or of an operator set that this onnxruntime does not know; the
-            provider is not there.
+        ModelError: the file is missing, damaged, or uses an operator set that this onnxruntime does not support, or the
+            provider is not available.
     """
 
     def __init__(self, path: Path, config: NetworkConfig) -> None:
@@ -97,20 +97,20 @@ class Network:
         return shape[2], shape[3]
 
     def mismatch(self, kind: str, expected: str) -> ModelError:
-        """Return the error for a graph that is not of a kind; `expected` says what that one has."""
+        """Return the error for a graph that is not of a kind; `expected` describes the tensors of that kind."""
         found = f"inputs {', '.join(map(str, self.inputs))}; outputs {', '.join(map(str, self.outputs))}"
         return ModelError(f"{self.path} is no {kind} graph: expected {expected}; found {found}")
 
     def warm_up(self, image: NDArray[np.float32]) -> None:
-        """Run once, and note how long that took apart from the rest; raises `ModelError`."""
+        """Run once, and time it separately from later runs; raises `ModelError`."""
         self.run(image)
         self.warm_up_s = self.last_s
         self.num_runs, self.total_s = 0, 0.0
 
     def run(self, image: NDArray[Any]) -> list[NDArray[Any]]:
-        """Return the outputs, in the graph's order, for an image (1, C, H, W) float32, or of bytes where it takes them.
+        """Return the outputs, in the graph's order, for an image (1, C, H, W) float32, or uint8 if the graph takes it.
 
-        float16 comes back as float32.
+        float16 outputs are converted to float32.
 
         Raises:
             ModelError: the graph fails on it.

@@ -1,6 +1,6 @@
 """OneFormer's post-processing: from queries, each with class logits and a mask, to the class of every pixel.
 
-The steps and thresholds are those of its panoptic and semantic post-processing in transformers.
+The steps and thresholds are those of the panoptic and semantic post-processing in the library `transformers`.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ class PanopticConfig(Ranged):
     """How queries become classes.
 
     Attributes:
-        output: `panoptic` gives a pixel to the query that claims it most, `semantic` to the class with the most votes.
-        threshold: queries that are less sure of their class are left out.
-        mask_threshold: probability from which a pixel is in a query's mask.
-        overlap: a query that is left with less than this share of its mask by the others is left out.
+        output: `panoptic` gives a pixel to the query with the highest score there, `semantic` to the class with the
+            most votes.
+        threshold: minimum class probability of a query.
+        mask_threshold: minimum probability of a pixel in a query's mask.
+        overlap: a query is rejected if other queries leave it less than this share of its mask.
     """
 
     output: Literal["panoptic", "semantic"] = "panoptic"
@@ -40,10 +41,10 @@ def panoptic_classes(
     size: tuple[int, int],
     config: PanopticConfig,
 ) -> NDArray[np.int32]:
-    """Return (H, W) class ids, -1 where no query is sure, from (Q, K + 1) and (Q, h, w) at `size` (W, H)."""
+    """Return (H, W) class ids, -1 for none, from class logits (Q, K + 1) and mask logits (Q, h, w); `size`: (W, H)."""
     probabilities = _softmax(class_logits)
     labels, scores = probabilities.argmax(axis=1), probabilities.max(axis=1)
-    # Comparisons with NaN are false: a query that is not finite is left out.
+    # Comparisons with NaN are false: queries that are not finite are rejected.
     chosen = np.flatnonzero((labels != class_logits.shape[1] - 1) & (scores > config.threshold))
     classes = np.full((size[1], size[0]), -1, dtype=np.int32)
     if len(chosen) == 0:

@@ -1,4 +1,4 @@
-"""The picture that models are tried on: a cup of coffee on a table, which comes with scikit-image (public domain)."""
+"""The image on which models are tested: a cup of coffee on a table, from scikit-image (public domain)."""
 
 from __future__ import annotations
 

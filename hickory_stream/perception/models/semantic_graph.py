@@ -1,6 +1,6 @@
-"""A semantic model by a graph: class scores per pixel, class ids, or the queries of OneFormer.
+"""A semantic model from an ONNX graph that gives class scores per pixel, class ids, or the queries of OneFormer.
 
-Three kinds of output, told apart by their ranks, and one answer: an image of class ids.
+The three kinds of output are distinguished by their ranks; each is converted to an image of class ids.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _MULTIPLE = 32
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SemanticConfig(Ranged):
-    """Which semantic model, and what it takes away.
+    """Which semantic model is used, and at which size.
 
     Attributes:
-        model: its name in the folder of models.
-        short_px: the shorter side of the network's image where the graph leaves it open.
+        model: the network's name in the folder of models.
+        short_px: shorter side of the network's input image if the graph does not fix it.
     """
 
     model: str = "oneformer-ade20k-swin-tiny"
@@ -45,14 +45,14 @@ class GraphSemantics:
     """A `SemanticModel`.
 
     Args:
-        network: (1, 3, H, W), normalised as for ImageNet, in; out come class scores (1, K, h, w), class ids (1, h, w),
+        network: takes (1, 3, H, W), normalised as for ImageNet; gives class scores (1, K, h, w), class ids (1, h, w),
             or class and mask logits of queries, (1, Q, K + 1) and (1, Q, h, w).
         labels: the names of the K classes.
-        short_px: the shorter side that images are scaled to where the graph leaves its size open.
+        short_px: shorter side to which images are scaled if the graph does not fix its input size.
         panoptic: how queries become classes.
 
     Raises:
-        ModelError: the graph is not of this kind, or has not as many classes as names.
+        ModelError: the graph is not of this kind, or its number of classes differs from the number of names.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class GraphSemantics:
     def _resized(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         height, width = rgb.shape[:2]
         scale = self._short_px / min(height, width)
-        # Whole multiples of 32: every backbone halves its image five times.
+        # Multiples of 32: backbones halve their image five times.
         wanted = [max(_MULTIPLE, round(n * scale / _MULTIPLE) * _MULTIPLE) for n in (height, width)]
         target = (self._fixed[1] or wanted[1], self._fixed[0] or wanted[0])
         if target == (width, height):
@@ -126,7 +126,10 @@ class GraphSemantics:
 
 
 def best_classes(scores: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.int32]:
-    """Return (H, W) the class with the highest of (K, h, w) scores, read bilinearly at `size` (W, H); NaN loses."""
+    """Return (H, W) the class with the highest of (K, h, w) scores, interpolated bilinearly; NaN is never the highest.
+
+    `size` is (W, H).
+    """
     classes = np.full((size[1], size[0]), -1, dtype=np.int32)
     best = np.full(classes.shape, -np.inf, dtype=np.float32)
     for i, plane in enumerate(scores):

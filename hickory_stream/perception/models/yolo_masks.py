@@ -1,7 +1,7 @@
 """From the tensors of a YOLOv8-seg graph to masks of the image: pure functions, no network.
 
-A detection is a box, a score per class and 32 coefficients; a mask is the coefficients' sum of the prototypes, read
-bilinearly where it is needed, cut at its box. Only the pixels of its box are ever computed.
+A detection is a box, a score per class and 32 coefficients; a mask is the sum of the prototypes weighted by the
+coefficients, interpolated bilinearly and cropped to the box. Only the pixels inside the box are computed.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.models.letterbox import Letterbox
 
-# Boxes of different classes never suppress one another when they are this far apart.
+# Boxes are offset by this distance per class, so that boxes of different classes never suppress each other.
 _CLASS_OFFSET_PX = 7680.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Detections:
-    """What passed the thresholds, the best first.
+    """The detections that passed the thresholds, the best first.
 
     `boxes` (N, 4) x0, y0, x1, y1 in the network's frame, `scores` (N,), `classes` (N,), `coefficients` (N, C);
     `num_not_finite` detections had NaN or infinity in them.
@@ -50,7 +50,7 @@ def detections_of(
 ) -> Detections:
     """Return the detections of `predictions` (4 + classes + coefficients, anchors): x, y, w, h, scores, coefficients.
 
-    Thresholds on the best class of each anchor, then suppresses what overlaps a better one of its class.
+    The score of the best class of each anchor is thresholded, then non-maximum suppression is applied per class.
     """
     num_classes = len(predictions) - 4 - num_coefficients
     scores = predictions[4 : 4 + num_classes]
@@ -73,7 +73,10 @@ def detections_of(
 
 
 def suppressed(boxes: NDArray[np.float32], iou: float, most: int) -> NDArray[np.int64]:
-    """Return the places of the boxes (N, 4), sorted best first, that no better kept one overlaps by more than `iou`."""
+    """Return the indices of the boxes (N, 4), sorted best first, that survive non-maximum suppression at `iou`.
+
+    At most `most` boxes are kept.
+    """
     kept: NDArray[np.int64] = _suppress(np.ascontiguousarray(boxes), np.float32(iou), most)
     return kept
 
@@ -113,8 +116,8 @@ def masks_of(
 ) -> list[InstanceMask]:
     """Return the masks of detections whose `boxes` (N, 4) are in the image.
 
-    `prototypes` (C, h, w) cover the network's frame; the mask is where their sum, read bilinearly, is above 0. One
-    without a pixel comes as an empty mask.
+    `prototypes` (C, h, w) cover the network's frame; a mask is where their weighted sum, interpolated bilinearly, is
+    above 0. A detection without such a pixel has an empty mask.
     """
     num, height, width = prototypes.shape
     rows = _taps(letterbox.height, letterbox.inner_height, letterbox.top, letterbox.frame_height, height, letterbox)
@@ -134,17 +137,17 @@ def masks_of(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Taps:
-    """Which prototypes along one axis a pixel is read from: three from `at` (N,) on, with `weights` (N, 3)."""
+    """Interpolation along one axis: each pixel uses three prototype cells from index `at` (N,), by `weights` (N, 3)."""
 
     at: NDArray[np.int64]
     weights: NDArray[np.float32]
 
 
 def _taps(length: int, inner: int, start: int, frame: int, size: int, letterbox: Letterbox) -> _Taps:
-    """Return where the `length` pixels of an image are on `size` prototypes, of which the image covers a part.
+    """Return the interpolation of `length` image pixels from `size` prototype cells, of which the image covers a part.
 
-    The reference stretches the prototypes by a whole factor first, so that the grey border can be cut off at a whole
-    one of them, and then the rest to the image; both are bilinear, and together take three prototypes.
+    The reference implementation resizes the prototypes twice, both times bilinearly: by an integer factor, after which
+    it crops the grey border at a whole pixel, and then to the image. Both steps together use three cells.
     """
     ratio = max(1, frame // size)
     grey = (letterbox.frame_height - letterbox.inner_height) | (letterbox.frame_width - letterbox.inner_width)
@@ -167,7 +170,7 @@ def _taps(length: int, inner: int, start: int, frame: int, size: int, letterbox:
 
 @numba.njit(cache=True, nogil=True)
 def _read(values, rows, row_weights, columns, column_weights, out):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Whether values (h, w), read at three rows and three columns for each pixel, are above 0."""
+    """Write whether values (h, w), interpolated from three rows and three columns per pixel, are above 0."""
     height, width = values.shape
     line = np.zeros(max(width, 3), dtype=np.float32)
     for y in range(len(rows)):
