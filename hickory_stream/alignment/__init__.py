@@ -1,1 +1,1 @@
-"""Where two maps of objects overlap: scores, consensus, acceptance, refinement."""
+"""Alignment of two overlapping object maps: scores, consensus, acceptance, refinement."""

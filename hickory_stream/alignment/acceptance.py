@@ -7,9 +7,9 @@ The expected number of sets of k pairs that are at least as similar and as consi
     x Q(k, -sum ln u)                of which so many rank as high (Fisher: u is the share of pairs that are as similar)
     x o B(R) / V^(k - 1)             of which so many are as consistent.
 
-B(R) is the ball of the residual's norm R in the 3 k - d dimensions that a transform of d parameters leaves, o the
-volume of the transforms with their leverage on the k points, V the volume that objects occupy. Four pairs are proof
-where few pairs are similar, and chance where many are.
+B(R) is the volume of the ball with the residual's norm R as radius in the 3 k - d dimensions that a transform of d
+parameters leaves, o the volume of the transforms with their leverage on the k points, V the volume that objects occupy.
+Four pairs are significant if few pairs of the two maps are similar, and insignificant if many are.
 """
 
 from __future__ import annotations
@@ -70,10 +70,10 @@ def log_expected_sets(
 
 
 def effective_volume_m3(centroids: NDArray[np.float64]) -> float:
-    """Return the volume that (N, 3) objects stand in, as far as coincidences go: 1 / the integral of density squared.
+    """Return the effective volume for coincidences of (N, 3) objects: 1 / the integral of their squared density.
 
-    Measured by how many pairs of objects are near one another, level and upright apart: where objects crowd, it is
-    smaller than the room.
+    It is estimated from the number of pairs of objects that are near each other, horizontally and vertically; where
+    objects are clustered, it is smaller than the room.
     """
     count = len(centroids)
     if count < 2:
@@ -81,7 +81,7 @@ def effective_volume_m3(centroids: NDArray[np.float64]) -> float:
     first, second = np.triu_indices(count, 1)
     offsets = np.abs(centroids[first] - centroids[second])
     level = np.hypot(offsets[:, 0], offsets[:, 1])
-    # One pair more than was seen: a bound for few objects.
+    # One pair is added to the observed number: a bound for maps with few objects.
     area_m2 = np.pi * _NEAR_M**2 * len(first) / (np.count_nonzero(level < _NEAR_M) + 1)
     height_m = 2 * _NEAR_UP_M * len(first) / (np.count_nonzero(offsets[:, 2] < _NEAR_UP_M) + 1)
     return max(float(area_m2 * height_m), _MIN_VOLUME_M3)

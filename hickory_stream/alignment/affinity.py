@@ -1,8 +1,8 @@
 """The affinity of candidate pairs: how similar the two objects are, and which pairs of pairs are consistent.
 
-Unary scores are ranked among all N M pairs of the two maps: the share of pairs that are at least as good. What a cosine
-of 0.9 is worth depends on the network that made it and on the maps; what share of all pairs reaches it does not. The
-graph is built by looking up distances: never all pairs of pairs.
+Unary scores are converted to ranks among all N M pairs of the two maps: the share of pairs with at least this score.
+The significance of a cosine of 0.9 depends on the network and on the maps; that of a rank does not. The graph is built
+by looking up distances, without testing all pairs of pairs.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class AffinityConfig(Ranged):
         centroid_m: standard deviation of an object's centroid on each axis, in each map.
         gate: two pairs disagree beyond this many standard deviations of a distance.
         level_tilt_deg: standard deviation of the tilt between two maps that both know gravity.
-        candidate_share: this share of all pairs of objects, the best, are candidates,
-        max_candidates: and never more than these.
+        candidate_share: the share of all pairs of objects, the best ones, that are candidates ...
+        max_candidates: ... and their maximum number.
     """
 
     centroid_m: float = number(0.05, 0.0001, 10, "m")
@@ -45,12 +45,12 @@ class AffinityConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Affinity:
-    """C candidate pairs and how they agree.
+    """C candidate pairs and their pairwise consistency.
 
     `pairs` (C, 2) are indices into the two maps; `log_ranks` (C,) the logarithms of their ranks, at most 0. The graph
     is in compressed rows: the neighbours of c are `neighbors[starts[c]:starts[c + 1]]`, ascending, with `weights` in
     0..1;
-    whatever is not listed contradicts c.
+    a candidate that is not listed contradicts c.
     """
 
     pairs: NDArray[np.int64]
@@ -71,9 +71,9 @@ class Affinity:
 
 
 def semantic_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64] | None:
-    """Return the (N, M) cosines of the features, rescaled so that the middle one of all is 0 and the same is 1.
+    """Return the (N, M) cosines of the features, rescaled so that their median is 0 and a cosine of 1 stays 1.
 
-    NaN where an object has none; None where cosines mean nothing (`why_no_semantics`).
+    NaN where an object has no features; None if the features cannot be compared (`why_no_semantics`).
     """
     if why_no_semantics(map_a, map_b) is not None:
         return None
@@ -88,11 +88,11 @@ def semantic_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64] |
 
 
 def why_no_semantics(map_a: ObjectMap, map_b: ObjectMap) -> str | None:
-    """Return why cosines between two maps mean nothing; None when they do mean something."""
+    """Return why the features of two maps cannot be compared; None if they can."""
     a, b = map_a.features, map_b.features
     if a is None or b is None:
         return f"map {'a' if a is None else 'b'} has no features: aligned without semantics"
-    # One that is not known may be the same: only the number of dimensions can say that it is not.
+    # An unknown extractor may be the same one: only the number of dimensions can tell that it is not.
     if map_a.extractor and map_b.extractor and map_a.extractor != map_b.extractor:
         return (
             f"features are of two extractors ({map_a.extractor} and {map_b.extractor}), between which cosines mean "
@@ -115,10 +115,10 @@ def fused_log_ranks(scores: Sequence[NDArray[np.float64] | None], shape: tuple[i
 
 
 def _log_ranks(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return logarithms of the share of all known scores that are at least as high: 0 for the worst, and for ties."""
+    """Return the logarithm of the share of known scores that are at least as high; 0 for the lowest score."""
     is_known = np.isfinite(scores)
     ascending = np.sort(scores[is_known])
-    # A little below: two scores that only rounding tells apart are ties.
+    # Slightly below the score: scores that differ by rounding only are ties.
     at_least = len(ascending) - np.searchsorted(ascending, scores - 1e-12, side="left")
     logs = np.log(np.maximum(at_least, 1) / max(len(ascending), 1))
     # The mean of the logarithm of a uniform number is -1.
@@ -135,8 +135,8 @@ def build_affinity(
 ) -> Affinity:
     """Return the graph over the best pairs by rank (N, M) of objects at (N, 3) and (M, 3) places.
 
-    Where both maps know gravity (`is_level`), the horizontal and the vertical part of a distance must agree each on its
-    own, the vertical one up to the tilt times the horizontal distance; otherwise the distance as a whole.
+    If both maps are gravity-aligned (`is_level`), the horizontal and the vertical part of a distance must agree
+    separately, the vertical one up to the tilt times the horizontal distance; otherwise the distance as a whole.
     """
     pairs = _candidates(ranks, config)
     index = np.full(ranks.shape, -1, dtype=np.int32)

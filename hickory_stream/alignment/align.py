@@ -1,4 +1,4 @@
-"""Find where two maps overlap, say how sure, and refuse when they do not."""
+"""Alignment of two overlapping maps, with its uncertainty; a refusal if there is no significant alignment."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PairScores:
-    """The unary scores of all pairs, (N, M) each, None where a map lacks what it takes, and what that was."""
+    """The unary scores of all pairs, (N, M) each, None if a map lacks the data for them, and notes on missing data."""
 
     semantic: NDArray[np.float64] | None
     geometric: NDArray[np.float64] | None
@@ -54,13 +54,13 @@ def align(
     config: AlignConfig | None = None,
     shape_scores: ShapeScores | None = superquadric_scores,
 ) -> Alignment | NoAlignment:
-    """Return where map b lies in map a; `NoAlignment` with the reason when that cannot be told.
+    """Return the pose of map b in map a, or `NoAlignment` with the reason why it is not determined.
 
     Args:
-        map_a: N objects; its frame is the one of the answer.
+        map_a: N objects; the result is in its frame.
         map_b: M objects.
-        config: the defaults where it is None.
-        shape_scores: how shapes are compared; None for not at all.
+        config: None for the defaults.
+        shape_scores: how shapes are compared; None if they are not.
     """
     config = AlignConfig() if config is None else config
     refusal = _too_small(map_a, map_b, config)
@@ -75,7 +75,7 @@ def align(
 def evidence_of(
     map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape_scores: ShapeScores | None
 ) -> tuple[Evidence, PairScores]:
-    """Return what hypotheses about two maps are judged by, and the scores of all pairs of objects."""
+    """Return the evidence by which hypotheses about two maps are judged, and the scores of all pairs of objects."""
     scores = _scored(map_a, map_b, shape_scores)
     return _evidence(map_a, map_b, scores, config), scores
 

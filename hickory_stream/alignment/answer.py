@@ -32,7 +32,7 @@ class Refusal(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MatchedPair:
-    """One object in both maps: its ids, its scores in 0..1 (None where unknown) and what is left between the two."""
+    """One object in both maps: its ids, its scores in 0..1 (None if unknown) and the residual between the two."""
 
     id_a: int
     id_b: int
@@ -44,10 +44,10 @@ class MatchedPair:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Contradictions:
-    """The check by what should have been seen: objects of one map whose place the other map saw.
+    """The check against observed space: objects of one map whose place the other map has observed.
 
-    Of `num_expected` objects, `num_confirmed` are there (matched, or something solid), at `num_missing` there is free
-    space; `ids_a` and `ids_b` are those missing in the other map.
+    Of `num_expected` such objects, `num_confirmed` are matched or lie on something solid, and `num_missing` lie in free
+    space; `ids_a` and `ids_b` are the ids of those that are missing in the other map.
     """
 
     num_expected: int = 0

@@ -1,7 +1,7 @@
-"""The clique of the greatest weight in a sparse graph, exactly: branch and bound over small neighbourhoods.
+"""Exact maximum weight clique in a sparse graph: branch and bound over small neighbourhoods.
 
-Vertices are taken in the order in which the least connected one is removed from the graph again and again, so that each
-has few later neighbours; the bound is that of colouring: a clique has at most one vertex of each colour.
+Vertices are processed in degeneracy order (the vertex of least degree is removed repeatedly), so that each has few
+later neighbours; the bound comes from colouring: a clique has at most one vertex of each colour.
 """
 
 from __future__ import annotations

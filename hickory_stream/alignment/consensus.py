@@ -1,9 +1,9 @@
 """The densest set of candidate pairs that all agree with one another: CLIPPER's problem (Lusk et al., 2021).
 
 Maximise u' M u over u >= 0 with |u| = 1, where u_c u_d = 0 for pairs c, d that contradict each other. Projected
-gradient ascent, with a penalty on contradictions that grows until none is left, gives a clique from any graph; an exact
-search for the clique of the greatest weight then starts from it, on what a larger clique could still consist of. Two
-pairs that share an object are never connected: every clique is one-to-one.
+gradient ascent, with a penalty on contradictions that grows until none is left, gives a clique of any graph. An exact
+search for the maximum weight clique then starts from it, over the vertices that a heavier clique could contain. Two
+pairs that share an object are never connected, so that every clique is one-to-one.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ConsensusConfig(Ranged):
-    """How hard the densest set is looked for.
+    """The effort of the search for the densest set.
 
     Attributes:
-        pair_gain: what a pair is worth beside the logarithm of its rank: the gain of its fitting the others.
-        penalties: steps in which contradictions are made dearer.
+        pair_gain: weight of a pair in addition to the logarithm of its rank, for its consistency with the others.
+        penalties: number of steps in which the penalty on contradictions is increased.
         ascent_steps: iterations per penalty.
         exact_nodes: nodes of the exact search; beyond them its best clique so far is taken.
     """

@@ -1,7 +1,7 @@
 """Evidence against a transform: objects of one map where the other observed free space.
 
-A point of an object is missed where the other map saw free space and nothing solid near by. An object most of whose
-points were looked at is expected to be there; it is missing when most of those points are missed.
+A point of an object is missing if the other map observed free space there and nothing solid nearby. An object is
+expected in the other map if most of its points were observed there; it is missing if most of these are missing.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class ContradictionConfig(Ranged):
     """When an object counts as missing.
 
     Attributes:
-        min_looked_at: an object is expected where at least this share of its points was looked at,
-        max_missed: and missing where more than this share of those is in free space.
+        min_looked_at: an object is expected if at least this share of its points was observed ...
+        max_missed: ... and missing if more than this share of those is in free space.
         price: each missing object adds this to the log10 of the expected number of false alarms.
-        max_missing: of the expected objects, at most this share may be missing,
-        min_expected: where at least so many are expected.
+        max_missing: maximum share of the expected objects that may be missing ...
+        min_expected: ... applied if at least this many are expected.
     """
 
     min_looked_at: float = number(0.5, 0, 1, "share")
@@ -47,7 +47,7 @@ class ContradictionConfig(Ranged):
 def contradictions(
     map_a: ObjectMap, map_b: ObjectMap, a_from_b: NDArray[np.float64], config: ContradictionConfig
 ) -> Contradictions:
-    """Return what speaks against a transform; all zero where a map has no observed space or no points."""
+    """Return the evidence against a transform; all counts are 0 if a map has no observed space or no points."""
     expected_a, missing_a = _missing(map_a, invert(a_from_b), map_b, config)
     expected_b, missing_b = _missing(map_b, a_from_b, map_a, config)
     num_missing = len(missing_a) + len(missing_b)
@@ -64,7 +64,7 @@ def contradictions(
 def _missing(
     objects: ObjectMap, other_from_here: NDArray[np.float64], other: ObjectMap, config: ContradictionConfig
 ) -> tuple[int, list[int]]:
-    """Return how many objects the other map should hold, and the indices of those that it does not."""
+    """Return the number of objects that are expected in the other map, and the indices of those missing there."""
     known = [(i, thinned(points)) for i, points in enumerate(objects.points) if points is not None]
     if not known or not other.submaps:
         return 0, []

@@ -1,7 +1,7 @@
 """The input of alignment: the objects of a map as arrays, in one frame.
 
-What a map lacks (layer 3, features, observed space) is absent here and never filled in: each score says nothing of what
-it does not know.
+Data that a map lacks (layer 3, features, observed space) are absent here and never filled in: scores that need them are
+undefined.
 """
 
 from __future__ import annotations

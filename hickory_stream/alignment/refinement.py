@@ -1,8 +1,8 @@
 """Refinement of an alignment: the surfaces of matched objects are registered (point to plane).
 
-Points of each object are paired with the nearest of its partner alone, and their distances along its normals made
-small, those that are far counting for little: each map saw other sides of an object. The centroids stay in as a prior,
-gravity as well. The result is kept only where more of the surfaces meet than before.
+Points of each object are paired with the nearest points of its partner only, and their distances along its normals are
+minimised with a robust loss, since each map saw other sides of an object. The centroids, and gravity, remain as priors.
+The result is kept only if a larger share of the surfaces coincides than before.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _MAX_POINTS = 400
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RefinementConfig(Ranged):
-    """How surfaces are laid on one another.
+    """How surfaces are registered.
 
     Attributes:
-        rounds: at most so many times points are paired anew.
-        first_m, last_m: a distance counts half at this length, in the first and in the last round.
-        surface_m: standard deviation of a surface that many points fixed: what no number of points makes better.
-        min_points: an object with fewer takes no part.
-        neighbors: points that a normal is made of.
+        rounds: maximum number of rounds, in each of which points are paired anew.
+        first_m, last_m: distance at which a residual has half weight, in the first and in the last round.
+        surface_m: standard deviation of a surface estimated from many points: the error that does not average out.
+        min_points: objects with fewer points are not used.
+        neighbors: number of points from which a normal is estimated.
     """
 
     rounds: int = number(12, 0, 1000, "rounds")

@@ -1,4 +1,4 @@
-"""Which objects and structure make a cell of a robot's grid occupied, and how near they are."""
+"""Which objects and structure occupy a cell of a robot's grid, and their distances."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Blocker:
-    """An object, or the observed structure (`object_id` None), that a robot at a place would meet.
+    """An object, or the observed structure (`object_id` None), that a robot at a place would collide with.
 
-    `is_observed_only`: in a live run, a stand-in for what was seen of it so far; `SEEN_SURFACE` is what was seen and is
-    of no object yet. `distance_m`: in the plane, from the place to what of it is at the robot's heights; 0 within.
+    `is_observed_only`: in a live run, a provisional obstacle from the observed points of an object without layer 4;
+    `SEEN_SURFACE` is observed surface that belongs to no object yet. `distance_m`: horizontal distance from the place
+    to the part of the obstacle at the robot's heights; 0 inside.
     """
 
     object_id: int | None
@@ -31,7 +32,7 @@ class Blocker:
 
     @property
     def text(self) -> str:
-        """It, in words."""
+        """The obstacle and its distance, as text for people."""
         name = "a wall" if self.object_id is None else f"object {self.object_id}"
         if self.is_observed_only:
             name = "something seen" if self.object_id == SEEN_SURFACE else f"{name} (observed only)"
@@ -39,11 +40,11 @@ class Blocker:
 
 
 def blockers_at(space: FreeSpace, place: NDArray[np.float64]) -> tuple[Blocker, ...]:
-    """Return what a robot at (2,) meets in any posture and heading, the nearest first."""
+    """Return the obstacles that a robot at (2,) collides with in some posture and heading, the nearest first."""
     ((row, column),) = space.frame.cells_of(place[None]).tolist()
     layers = space.all_layers()
     ids = sorted({object_id for layer in layers for object_id in layer.objects_at(row, column)})
-    # A body without width, as high as the robot: its outlines are the obstacles' own.
+    # For a body without width, as high as the robot, the configuration-space outlines are the obstacles' own.
     low_m, high_m = space.heights_m
     slim = Part(low_m=low_m, high_m=high_m)
     early = {*space.observed_only, SEEN_SURFACE}
@@ -64,7 +65,7 @@ def _outlines(space: FreeSpace, object_id: int, part: Part) -> tuple[NDArray[np.
 
 
 def _distance_m(place: NDArray[np.float64], corners: NDArray[np.float64], starts: NDArray[np.int64]) -> float:
-    """Return how far a place is from the nearest of some convex outlines, 0 within one."""
+    """Return the distance from a place to the nearest of some convex outlines, 0 inside one."""
     import cv2
     import numpy as np
 

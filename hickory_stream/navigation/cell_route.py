@@ -1,7 +1,7 @@
-"""The shortest route from cell to cell (A*): on which side to pass obstacles, which random trees may miss.
+"""The shortest route over grid cells (A*): it finds the side on which to pass obstacles, which random trees may miss.
 
-Over the eight neighbours, diagonally only between two free cells, so that the route is a path. It is no shortest path,
-but pulled tight it nearly always becomes one. For robots that need not turn.
+Cells have eight neighbours; a diagonal step needs both cells beside it to be free, so that the route is collision-free.
+The route is not a shortest path, but shortening it nearly always yields one. It is used for robots that need not turn.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _STEPS = np.array([[0, 1], [1, 0], [0, -1], [-1, 0], [1, 1], [1, -1], [-1, 1], [
 
 @numba.njit(cache=True, nogil=True)
 def route_over_cells(costs, row, column, goal_row, goal_column):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N, 2) places in cells x, y, the centres of a cheapest route by A*; none where there is no route.
+    """Return (N, 2) the cell centres x, y, in cells, of a cheapest route by A*; empty if there is no route.
 
     `costs` (rows, columns) are at least 1 per cell's length, infinite where blocked.
     """

@@ -1,8 +1,8 @@
 """Collision checks against the layer 4 of a map: points, distances, swept balls and boxes.
 
-A `ClearanceScene` keeps thousands of superquadrics as flat arrays under a two-level grid. Objects come and go one by
-one; an update touches only the blocks that they reach into. All answers are conservative: free is proven, a hit may be
-a near miss by a stated margin.
+A `ClearanceScene` stores thousands of superquadrics as flat arrays with a two-level grid as index. Objects are added
+and removed one by one; an update changes only the blocks that the object overlaps. All answers are conservative: free
+is proven, a hit may be a near miss by a stated margin.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
     from hickory_stream.records import ObjectShape, ObservedSpace, TrackedObject
 
 _BLOCK_M = 0.8
-# Blocks of room around the objects, so that one that is added nearby needs no new grid.
+# Padding around the objects, in blocks, so that an object that is added nearby needs no new grid.
 _ROOM = 4
 _MOST_BLOCKS = 20_000_000
 
 
 class Answer(IntEnum):
-    """What is at a place; the larger, the graver.
+    """The state of a place, in order of increasing severity.
 
-    `HIT_GENERATED` is inside of a primitive most of whose surface a reconstructor made up. `UNKNOWN` is only given
-    where an observed space says what was looked at.
+    `HIT_GENERATED`: inside a primitive whose surface was mostly completed by a reconstructor, not observed. `UNKNOWN`
+    is returned only if an observed space is set.
     """
 
     FREE = kernels.FREE
@@ -51,7 +51,7 @@ class Answer(IntEnum):
 class Body:
     """A robot as a few rounded boxes in its own frame: (N, 3) centres, half extents along the world's axes, radii.
 
-    A ball has half extents of 0. The boxes do not turn with the robot: give those that hold it in every heading.
+    A ball has half extents of 0. The boxes do not rotate with the robot: they must contain it in every heading.
     """
 
     centers_m: NDArray[np.float64]
@@ -60,9 +60,10 @@ class Body:
 
 
 def _seen_shares(shape: ObjectShape) -> NDArray[np.float64]:
-    """Return (N,) how much was seen of what each inflated primitive holds.
+    """Return (N,) the observed share of the surface that each inflated primitive contains.
 
-    A box around everything holds all of it. A box for what the fit left out counts as seen, the graver answer.
+    A box around everything has the share of the whole object. A box around residuals counts as seen, which is the more
+    severe answer.
     """
     shares, count = np.asarray(shape.seen_share, dtype=np.float64), len(shape.inflated)
     if shape.containment.is_fallback or count < len(shares):
@@ -105,12 +106,12 @@ class ClearanceScene:
         return sum(len(rows) for rows in self._rows_of.values())
 
     def rows(self, object_id: int | None = None) -> NDArray[np.float64]:
-        """Return (N, ROW) the numbers of all primitives, or of an object's, as the kernels take them, by object."""
+        """Return (N, ROW) the kernel rows of all primitives, or of one object's, ordered by object."""
         keys = sorted(self._rows_of) if object_id is None else [object_id]
         return np.asarray(self._rows[[row for key in keys for row in self._rows_of[key]]])
 
     def observe(self, space: ObservedSpace | None, world_from_space: NDArray[np.float64] | None = None) -> None:
-        """Let points outside the free space that was seen be UNKNOWN, and points in seen structure HIT_SEEN."""
+        """Set the observed space: points outside its free space become UNKNOWN, points in its structure HIT_SEEN."""
         self._space = space
         self._space_from_world = np.eye(4) if world_from_space is None else invert(world_from_space)
 
@@ -179,7 +180,7 @@ class ClearanceScene:
     def is_free(
         self, points_world: NDArray[Any], *, may_touch_generated: bool = False, is_parallel: bool = False
     ) -> NDArray[np.bool_]:
-        """Return (N,) whether each of (N, 3) points is known to be free; of generated surface only if so decided."""
+        """Return (N,) whether each of (N, 3) points is known to be free, optionally ignoring generated surface."""
         answers = self.classify(points_world, is_parallel=is_parallel)
         return (answers == Answer.FREE) | (may_touch_generated & (answers == Answer.HIT_GENERATED))
 
@@ -205,10 +206,10 @@ class ClearanceScene:
         radius_m: float,
         half_extents_m: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint8]:
-        """Return (N,) the `Answer` for a ball, or a rounded box, moved along (N, 3) straight ways.
+        """Return (N,) the `Answer` for a ball, or a rounded box, swept along (N, 3) straight segments.
 
-        FREE is proven: a plane keeps all of the way and the primitive apart. A hit touches, or comes nearer than a
-        tenth of a millimetre to that. The observed space is not consulted.
+        FREE is proven: a plane separates the swept volume from each primitive. A hit touches a primitive, or comes
+        nearer to it than a tenth of a millimetre. The observed space is not used.
         """
         half = np.zeros(3) if half_extents_m is None else np.asarray(half_extents_m, dtype=np.float64)
         return np.asarray(
@@ -227,7 +228,7 @@ class ClearanceScene:
         )
 
     def sweep_body(self, starts_world: NDArray[Any], ends_world: NDArray[Any], body: Body) -> NDArray[np.uint8]:
-        """Return (N,) the gravest `Answer` of all parts of a body moved along (N, 3) straight ways."""
+        """Return (N,) the most severe `Answer` of all parts of a body swept along (N, 3) straight segments."""
         answers = np.zeros(len(starts_world), np.uint8)
         for center, half, radius in zip(body.centers_m, body.half_extents_m, body.radii_m, strict=True):
             part = self.sweep(starts_world + center, ends_world + center, radius_m=float(radius), half_extents_m=half)
@@ -243,7 +244,7 @@ class ClearanceScene:
         return np.asarray(np.maximum(answers, known))
 
     def _holds(self, rows: NDArray[np.float64]) -> bool:
-        """Return whether the grid reaches as far as these rows."""
+        """Return whether the grid contains the bounds of these rows."""
         low, high = rows[:, kernels.LOW : kernels.LOW + 3], rows[:, kernels.HIGH : kernels.HIGH + 3]
         end = self._layout[:3] + self._layout[3] * np.array(self._top.shape[:3])
         return self._top.size > 0 and bool((low >= self._layout[:3]).all() and (high < end).all())
@@ -320,10 +321,10 @@ def rows_of(primitives: Superquadrics) -> NDArray[np.float64]:
     rows[:, kernels.CENTER : kernels.CENTER + 3] = primitives.world_from_local[:, :3, 3]
     rows[:, kernels.ROTATION : kernels.ROTATION + 9] = primitives.world_from_local[:, :3, :3].reshape(-1, 9)
     rows[:, kernels.AXES : kernels.AXES + 3] = primitives.semi_axes_m
-    # Rounded, so that the kernels know 2 and 20 when they see them.
+    # Rounded, so that the kernels recognise the exponents 2 and 20 and can use fast paths.
     rows[:, kernels.POWER_1], rows[:, kernels.POWER_2] = np.round(2 / e1, 12), np.round(2 / e2, 12)
     rows[:, kernels.RATIO], rows[:, kernels.GAUGE] = e2 / e1, e1 / 2
-    # A hair wider: rounding must not cut a surface point off.
+    # Slightly enlarged: rounding must not exclude a surface point.
     room = 1e-9 * (1 + np.abs(bounds).max(axis=(1, 2)))[:, None]
     rows[:, kernels.LOW : kernels.LOW + 3] = bounds[:, 0] - room
     rows[:, kernels.HIGH : kernels.HIGH + 3] = bounds[:, 1] + room

@@ -1,4 +1,4 @@
-"""The occupancy of a map that grows, as a stream: a whole grid first, then the windows that changed.
+"""The occupancy of a growing map as a stream: a whole grid first, then updates of the windows that changed.
 
 When the grid grows, the next message is a whole one again.
 """
@@ -41,7 +41,8 @@ class CostmapUpdate:
 class Costmap:
     """Follows the snapshots of a run; obstacles at the heights of a robot, in any posture, without its footprint.
 
-    `seen`: what was seen in a live run, in which nothing waits to be sure; whoever calls adds to it.
+    `seen`: in a live run, the observed surface, so that objects are obstacles before they are confirmed; the caller
+    adds to it.
     """
 
     def __init__(self, robot: Robot, *, cell_m: float, observe_every: int = 5, seen: SeenSurface | None = None) -> None:
@@ -54,7 +55,7 @@ class Costmap:
         self._sent: tuple[Occupancy, NDArray[np.int8]] | None = None
 
     def begin_again(self) -> None:
-        """Let the next update be a whole grid: whoever listened has missed one."""
+        """Make the next update a whole grid, for a subscriber that has missed an update."""
         self._sent = None
 
     def update(self, snapshot: MapSnapshot) -> CostmapUpdate | None:

@@ -1,7 +1,7 @@
 """The configuration space of a robot, for every posture and range of headings: the grids that a planner searches.
 
-One `Occupancy` per posture and range of headings; a round robot has one heading. What lies outside of the grid, and
-what nobody saw, is no place to be, unless unknown space is declared free.
+There is one `Occupancy` per posture and range of headings; a round robot has one heading. Places outside of the grid,
+and unobserved ones, are blocked, unless unknown space is declared free.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _FEW_HEADINGS = 0.4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class HullGroup:
-    """Hulls (N, M, 3) that follow one another; `lows`, `highs` (N, 2) are their bounds, `low`, `high` those of all."""
+    """Consecutive hulls (N, M, 3); `lows`, `highs` (N, 2) are their bounds, `low`, `high` (2,) those of all."""
 
     hulls: NDArray[np.float64]
     lows: NDArray[np.float64]
@@ -57,9 +57,9 @@ class HullGroup:
 
 
 class FreeSpace:
-    """The cells of a robot, layer by layer, and the obstacles that they come from.
+    """The cells of a robot, layer by layer, and the obstacles that block them.
 
-    Hulls (walls, meshes) are kept off by `hull_margin_m`; inflated superquadrics have their margin inside.
+    Hulls (walls, meshes) are grown by `hull_margin_m`; inflated superquadrics already include their margin.
     """
 
     def __init__(self, robot: Robot, frame: GridFrame, floor_z_m: float, *, hull_margin_m: float = 0.0) -> None:
@@ -72,7 +72,7 @@ class FreeSpace:
         self.unknown: NDArray[np.float64] = np.empty((0, 8, 3))
         self.hulls: dict[int, NDArray[np.float64]] = {}
         self.observed_only: frozenset[int] = frozenset()
-        """Objects of which a stand-in is avoided, until they have a layer 4."""
+        """Objects for which a provisional shape is avoided, until they have a layer 4."""
         range_rad = 2 * np.pi / robot.num_headings
         self.parts = [
             [
@@ -90,7 +90,7 @@ class FreeSpace:
         self._reachable: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
 
     def put(self, object_id: int, inflated: Superquadrics) -> None:
-        """Add an object, or replace what it was; raises ValueError where a primitive is not finite."""
+        """Add or replace an object; raises ValueError if a primitive is not finite."""
         self._forget()
         self.scene.put(object_id, inflated)
         for layer in self.all_layers():
@@ -112,14 +112,14 @@ class FreeSpace:
             layer.remove(object_id)
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
-        """Let hulls of (N, M, 3) and (K, 8, 3) corners be structure, and space that nobody saw, instead of what was."""
+        """Replace the structure by hulls of (N, M, 3) corners, and the unobserved space by those of (K, 8, 3)."""
         self._forget()
         self.walls, self.unknown = walls, unknown
         for layer in self.all_layers():
             layer.observe(walls, unknown)
 
     def blocked(self) -> NDArray[np.bool_]:
-        """Return (postures, headings, rows, columns) where the robot may not be."""
+        """Return (postures, headings, rows, columns) which cells are blocked for the robot."""
         if self._blocked is None:
             self._blocked = np.stack(
                 [np.stack([layer.states() != Cell.FREE for layer in headings]) for headings in self.layers]
@@ -149,9 +149,9 @@ class FreeSpace:
         return self._groups
 
     def reachable_cells(self, place_cells: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return rows and columns (N, 2) of the cells that are connected with a place, in cells; the narrow ones.
+        """Return rows and columns (N, 2) of the cells connected with a place (in cells), and those of narrow ones.
 
-        Narrow is what lies beside a blocked cell, or allows few headings: where random samples are rare and needed.
+        Narrow cells lie beside a blocked cell, or allow few headings: uniform samples are rare there, but needed.
         """
         labels = self.labels()
         column, row = np.floor(place_cells).astype(np.int64)
@@ -178,7 +178,7 @@ class FreeSpace:
 
     @property
     def heights_m(self) -> tuple[float, float]:
-        """From where to where the robot reaches, in any posture."""
+        """The lowest and the highest height of the robot, over all postures."""
         parts = [part for headings in self.parts for parts in headings for part in parts]
         return min(part.low_m - part.ball_m for part in parts), max(part.high_m + part.ball_m for part in parts)
 
@@ -198,8 +198,8 @@ def free_space_of(
 ) -> FreeSpace:
     """Return the free space of a map, for a robot.
 
-    In a live run `seen` is what keyframes have seen: objects without a layer 4 then have stand-ins from their first
-    sighting on, and surface that is of no object is occupied.
+    In a live run `seen` is the surface observed by keyframes: objects without a layer 4 then have provisional shapes
+    from their first sighting on, and surface that belongs to no object is occupied.
 
     Raises:
         InputError: the map is empty, the robot does not fit into it, or the grid would take too much memory.
@@ -217,7 +217,7 @@ def free_space_of(
     for obstacle in obstacles:
         space.put(obstacle.id, obstacle.body)
     space.observed_only = frozenset(obstacle.id for obstacle in obstacles if obstacle.is_observed_only)
-    # One band for all layers: what was seen must not depend on the posture.
+    # One height band for all layers: which cells were observed must not depend on the posture.
     low_m, high_m = space.heights_m
     band = Band(low_m=low_m, high_m=high_m)
     columns = seen_columns(snapshot.submaps, frame, band, space.floor_z_m)
@@ -231,7 +231,7 @@ def free_space_of(
 def obstacle_grid(snapshot: MapSnapshot, robot: Robot, *, cell_m: float, most_bytes: int = MOST_BYTES) -> Occupancy:
     """Return the cells that hold an obstacle at the heights of a robot, without its footprint: for other planners.
 
-    They know nothing of postures: what is in the way in one of them counts.
+    Such planners have no postures: an obstacle to any posture counts.
 
     Raises:
         InputError: the map is empty, or the grid would take too much memory.
@@ -252,12 +252,12 @@ def obstacle_grid(snapshot: MapSnapshot, robot: Robot, *, cell_m: float, most_by
 
 
 def obstacles_of(snapshot: MapSnapshot) -> list[TrackedObject]:
-    """Return the objects that count as obstacles: all but those that were hardly seen yet."""
+    """Return the objects that count as obstacles: all but tentative ones."""
     return [tracked for tracked in snapshot.objects if tracked.phase is not Phase.TENTATIVE]
 
 
 def bodies_of(snapshot: MapSnapshot, *, early: bool = False) -> list[Obstacle]:
-    """Return what the obstacles take up, sorted by id; `early`: with stand-ins for all that has no layer 4 yet."""
+    """Return the volumes of the obstacles, sorted by id; `early`: with provisional shapes for those without layer 4."""
     if early:
         return early_obstacles(snapshot.objects)
     return [
@@ -267,7 +267,7 @@ def bodies_of(snapshot: MapSnapshot, *, early: bool = False) -> list[Obstacle]:
 
 
 def without_layer_four(snapshot: MapSnapshot) -> list[int]:
-    """Return the ids of the obstacles whose box stands in for a layer 4 that they do not have."""
+    """Return the ids of the obstacles that are represented by their box, since they have no layer 4."""
     return [
         tracked.id
         for tracked in obstacles_of(snapshot)
@@ -292,7 +292,7 @@ def layer_four_of(tracked: TrackedObject) -> Superquadrics:
 
 
 def floor_of(snapshot: MapSnapshot) -> float:
-    """Return the floor's height: as it was seen, else the lowest point of an object, else 0."""
+    """Return the floor's height: the observed one, else the lowest point of an object, else 0."""
     seen = [submap.observed_space.floor_z_m for submap in snapshot.submaps]
     heights = [height for height in seen if height is not None]
     if heights:
@@ -301,10 +301,10 @@ def floor_of(snapshot: MapSnapshot) -> float:
 
 
 def extent_of(snapshot: MapSnapshot, obstacles: Sequence[Obstacle]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the low and high corner (2,) of what was seen and of all obstacles.
+    """Return the low and high corner (2,) of the observed space and all obstacles.
 
     Raises:
-        InputError: there is neither, or they are not finite.
+        InputError: there is neither observed space nor an obstacle, or the corners are not finite.
     """
     places = [np.empty((0, 2))]
     for submap in snapshot.submaps:
@@ -337,7 +337,7 @@ def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
     a, b = np.concatenate([np.empty((2, 0), np.int64), *pairs], axis=1)
     graph = coo_array((np.ones(len(a), bool), (a, b)), shape=(count + 1, count + 1))
     _, merged = connected_components(graph, directed=False)
-    # Piece 0, what is blocked, touches nothing: its number moves to the front.
+    # Blocked cells are the component that touches no other one: it gets the number 0.
     numbers = np.where(merged == merged[0], 0, merged + 1).astype(np.int32)
     return np.asarray(numbers[pieces])
 

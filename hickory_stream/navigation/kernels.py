@@ -1,8 +1,8 @@
 """Collision kernels over flat arrays: one row of numbers per primitive, and a two-level grid of nearby primitives.
 
-A block lists the primitives near it and, where there are any, has a brick of cells that list theirs. A cell knows of
-each primitive whether it fills the cell: then every point of it is inside, and no formula is evaluated. The distance to
-a primitive is bounded from below by that to planes it lies behind.
+A block lists the primitives near it and, if there are any, has a brick of cells with lists of their own. A cell stores
+for each primitive whether it fills the cell: then every point of the cell is inside, and no formula is evaluated. The
+distance to a primitive is bounded from below by the distance to planes that have the primitive on their far side.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ LOW, HIGH = 19, 22
 ROW = 25
 # A block is a brick of 8 cells along each side.
 SHIFT, MASK, CELLS = 3, 7, 8
-# The states of the answers, in order of gravity: the gravest of all primitives wins.
+# The states of the answers, in order of severity: the most severe one over all primitives is returned.
 FREE, UNKNOWN, HIT_GENERATED, HIT_SEEN = 0, 1, 2, 3
 
 
 @numba.njit(cache=True, nogil=True)
 def _power(x, p):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return x ** p for x in 0..2; the simple shapes that fits are made of have whole powers and need no logarithm."""
+    """Return x ** p for x in 0..2; simple shapes, the most frequent ones, have integer powers and need no logarithm."""
     if p == 2.0:
         return x * x
     n = int(p)
@@ -55,7 +55,7 @@ def is_inside(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
     v = abs(row[ROTATION + 1] * dx + row[ROTATION + 4] * dy + row[ROTATION + 7] * dz) / row[AXES + 1]
     if v > 1.0:
         return False
-    # Powers are dear: with exponents up to 1 a body holds the ellipsoid of its axes, with others that holds it.
+    # Powers are expensive: a body with exponents up to 1 contains the ellipsoid of its axes; others are inside theirs.
     ball = u * u + v * v + w * w
     if row[POWER_1] >= 2.0 and row[POWER_2] >= 2.0:
         if ball <= 1.0:
@@ -116,7 +116,7 @@ def bound_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pra
     if log_h <= 0.0:
         return 0.0
     slope = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-    # In d(ln h) the plane is at distance (1 - 1/h) / |grad ln h|. A hair less: rounding must not make it too large.
+    # In d(ln h) the plane is at distance (1 - 1/h) / |grad ln h|, slightly reduced so that rounding is conservative.
     plane = (1.0 - np.exp(-log_h)) / slope
     return max(np.sqrt(squared), plane) * (1.0 - 1e-9)
 
@@ -143,8 +143,8 @@ def exact_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pra
             row[ROTATION + i] * gradient[0] + row[ROTATION + 3 + i] * gradient[1] + row[ROTATION + 6 + i] * gradient[2]
         )
         n[i] = abs(along)
-    # The best of a net of directions, refined by shrinking nets around it: the dual is smooth, but for boxes nearly has
-    # edges, on which ascents stall.
+    # The best of a net of directions, refined by shrinking nets around it: the dual is smooth, but nearly has edges for
+    # boxes, on which gradient ascent stalls.
     value = _behind(row, p, n, q)
     first, second, trial = np.empty(3), np.empty(3), np.empty(3)
     for i in range(3):
@@ -219,7 +219,7 @@ def touching(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def inserted(row, index, layout, top, bricks, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Enter a primitive into the two grids; return the next free item (there must be enough), and how many it took.
+    """Enter a primitive into the two grids; return the next free item (there must be enough), and the number used.
 
     `layout` is the low corner of the grid (3) and the side of a block. `top` (X, Y, Z, 2) holds the brick of a block,
     -1 where there is none, and the head of the list of primitives near the block. `bricks` (B, 512) holds the heads of
@@ -241,7 +241,7 @@ def inserted(row, index, layout, top, bricks, values, links, free_item):  # type
             pz = z + (n % CELLS + 0.5) * cell
             if _far_from_box(row, px, py, pz, 0.5 * cell):
                 continue
-            # Half a cell's diagonal and a little: a point on the border of a cell may be counted to either.
+            # Half a cell's diagonal and a tolerance: a point on the border of two cells may be assigned to either.
             if bound_outside(row, px, py, pz, gradient) <= 0.867 * cell:
                 filled = _fills(row, px, py, pz, 0.5 * cell)
                 free_item = _chained(brick, n, 2 * index + filled, values, links, free_item)
@@ -271,7 +271,7 @@ def blocks_of(row, layout, shape):  # type: ignore[no-untyped-def] # pragma: no 
 
 @numba.njit(cache=True, nogil=True)
 def removed(row, index, layout, top, bricks, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Take a primitive out of the lists of its blocks; return the first free item, and how many it gave back."""
+    """Remove a primitive from the lists of its blocks; return the first free item, and the number of items freed."""
     released = 0
     for i, j, k in blocks_of(row, layout, top.shape[:3]):
         free_item, count = _unchained(top[i, j, k], 1, index, values, links, free_item)
@@ -324,7 +324,7 @@ def _far_from_box(row, x, y, z, half):  # type: ignore[no-untyped-def] # pragma:
 
 @numba.njit(cache=True, nogil=True)
 def _fills(row, x, y, z, half):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return 1 where a primitive surely holds every point of a cell, rounding included, else 0."""
+    """Return 1 if a primitive surely contains every point of a cell, despite rounding, else 0."""
     half *= 1.0 + 1e-6
     for corner in range(8):
         dx = half if corner & 1 else -half
@@ -337,7 +337,7 @@ def _fills(row, x, y, z, half):  # type: ignore[no-untyped-def] # pragma: no cov
 
 @numba.njit(cache=True, nogil=True)
 def point_states(points, rows, kinds, layout, top, bricks, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N,) uint8: FREE, or the gravest kind of the primitives that hold each of (N, 3) points."""
+    """Return (N,) uint8: FREE, or the most severe kind of the primitives that contain each of (N, 3) points."""
     out = np.zeros(len(points), np.uint8)
     _states(points, rows, kinds, layout, top, bricks, values, links, out, 0, len(points))
     return out
@@ -383,7 +383,7 @@ def _states(points, rows, kinds, layout, top, bricks, values, links, out, first,
 
 @numba.njit(cache=True, nogil=True)
 def clearances(points, rows, is_exact, reach, layout, top, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N,) the distance to the nearest primitive, or a lower bound of it, cut off at `reach`."""
+    """Return (N,) the distance to the nearest primitive, or a lower bound of it, truncated at `reach`."""
     out = np.empty(len(points))
     gradient = np.empty(3)
     seen = np.full(len(rows), -1, np.int64)

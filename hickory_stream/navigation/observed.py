@@ -1,7 +1,7 @@
 """The observed space for a planner: walls, and columns of cells that were not observed.
 
-A column is known where most of the body's height there was seen, free or wall. A camera never sees all of it: behind
-every edge there is a little shade.
+A column is known if most of the body's height range was observed there, as free or as wall. Not all of it is required:
+behind every edge a small part is occluded.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NO_HULLS = np.empty((0, 8, 3))
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Band:
-    """Heights in the world between which a body is."""
+    """The height range of a body in the world."""
 
     low_m: float
     high_m: float
@@ -48,9 +48,9 @@ class SeenColumns:
 
 
 def seen_columns(submaps: Sequence[Submap], frame: GridFrame, band: Band, floor_z_m: float) -> SeenColumns:
-    """Return what the submaps saw of the band, on the grid.
+    """Return the walls and the known columns of the height band on the grid, from all submaps.
 
-    They count together: where one ends and the next begins, each saw a part of a cell or of its height.
+    Observations of all submaps are combined: where two submaps meet, each observed a part of a cell or of its height.
     """
     walls = [NO_HULLS, *(wall_hulls(submap, band, floor_z_m) for submap in submaps)]
     heights = _heights(submaps, band)
@@ -63,13 +63,13 @@ def seen_columns(submaps: Sequence[Submap], frame: GridFrame, band: Band, floor_
 
 
 def wall_hulls(submap: Submap, band: Band, floor_z_m: float) -> NDArray[np.float64]:
-    """Return (N, 8, 3) the corners, in the world, of boxes that hold all structure within the band but the floor."""
+    """Return (N, 8, 3) the world corners of boxes that contain all structure in the band except the floor."""
     space = submap.observed_space
     cells = above_floor(space.structure, space.voxel_m, submap.world_from_submap, band, floor_z_m)
     if len(cells) == 0:
         return NO_HULLS
     first = cells.min(axis=0)
-    # Layer by layer in a tilted submap; where z is up, columns stand for all of their voxels.
+    # Layer by layer in a tilted submap; if its z axis is vertical, one box per column of voxels suffices.
     is_upright = abs(submap.world_from_submap[2, 2]) > 1 - 1e-12
     if is_upright:
         flat = np.zeros(np.ptp(cells[:, :2], axis=0) + 1, bool)
@@ -89,7 +89,7 @@ def wall_hulls(submap: Submap, band: Band, floor_z_m: float) -> NDArray[np.float
 def above_floor(
     keys: NDArray[np.int64], voxel_m: float, world_from_submap: NDArray[np.float64], band: Band, floor_z_m: float
 ) -> NDArray[np.int64]:
-    """Return (N, 3) the cells of those keys whose voxels reach into the band and are none of the floor."""
+    """Return (N, 3) the cells of the keys whose voxels overlap the band and do not belong to the floor."""
     cells = cells_of_keys(keys)
     centers = apply(world_from_submap, (cells + 0.5) * voxel_m)
     half = 0.5 * voxel_m * float(np.abs(world_from_submap[2, :3]).sum())
@@ -99,7 +99,7 @@ def above_floor(
 
 
 def unknown_hulls(is_known: NDArray[np.bool_], frame: GridFrame, band: Band) -> NDArray[np.float64]:
-    """Return (N, 8, 3) the corners of boxes that hold the cells that are not known."""
+    """Return (N, 8, 3) the corners of boxes that contain the unknown cells."""
     boxes = rectangles(~is_known.T)
     if not boxes:
         return NO_HULLS
@@ -140,7 +140,7 @@ def _heights(submaps: Sequence[Submap], band: Band) -> NDArray[np.float64]:
 def _seen_in(submap: Submap, frame: GridFrame, heights: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return (L, rows + 1, columns + 1) whether a submap saw the corners of the cells at these heights."""
     space = submap.observed_space
-    # Upright or nearly so: the height in the submap is that in the world, but for its own height.
+    # The submap's z axis is nearly vertical: heights in the submap and the world differ by a constant.
     layers = np.floor((heights - submap.world_from_submap[2, 3]) / space.voxel_m + 1e-9).astype(np.int64)
     first, seen = _seen_columns_of(space.free, space.structure, layers)
     x = frame.origin_m[0] + np.arange(frame.columns + 1) * frame.cell_m

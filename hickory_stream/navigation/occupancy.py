@@ -1,8 +1,8 @@
 """Occupancy of floor cells for the centre of a body: free, occupied or unknown, over all of its height.
 
-A cell is free where the robot's middle may be anywhere in its closed square. Objects are stamped as outlines
-(`navigation/outline.py`) into a counter per cell, so that an object that comes, changes or goes costs its own cells
-only. Cells are those of a nav_msgs/OccupancyGrid: rows along y, columns along x, from the low corner.
+A cell is free if the robot's centre may be anywhere in its closed square. Objects are stamped as outlines
+(`navigation/outline.py`) into a counter per cell, so that adding, changing or removing an object updates only its own
+cells. Cells are those of a nav_msgs/OccupancyGrid: rows along y, columns along x, from the low corner.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _BYTES_PER_CELL = 9
 
 
 class Cell(IntEnum):
-    """What is known of a cell, as nav_msgs/OccupancyGrid writes it."""
+    """The state of a cell, with the values of nav_msgs/OccupancyGrid."""
 
     UNKNOWN = -1
     FREE = 0
@@ -83,12 +83,12 @@ def frame_around(
     """Return the cells that cover a rectangle, their corners at multiples of the cell.
 
     Raises:
-        InputError: the cell is no length, or the grid would take more memory than allowed.
+        InputError: the cell size is not a positive length, or the grid would take more memory than allowed.
     """
     if not (np.isfinite(cell_m) and cell_m > 0):
         raise InputError(f"found a cell of {cell_m} m, expected a length above 0")
     first = np.floor(np.asarray(low_m)[:2] / cell_m)
-    # As floats: what is refused below may not fit into an integer.
+    # As floats: a size that is rejected below may not fit into an integer.
     columns, rows = np.maximum(np.ceil(np.asarray(high_m)[:2] / cell_m) - first, 1)
     wanted = columns * rows * num_layers * _BYTES_PER_CELL
     if not wanted <= most_bytes:
@@ -102,7 +102,7 @@ def frame_around(
 class Occupancy:
     """The cells of one body in one heading: `parts` at heights of the world.
 
-    Hulls are kept off by `hull_margin_m`; inflated superquadrics have their margin inside.
+    Hulls are grown by `hull_margin_m`; inflated superquadrics already include their margin.
     """
 
     def __init__(self, frame: GridFrame, parts: Sequence[Part], *, hull_margin_m: float = 0.0) -> None:
@@ -137,7 +137,7 @@ class Occupancy:
             stamp(self._counts, corners, starts, self.frame.origin_m, self.frame.cell_m, -1)
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
-        """Let hulls of (N, 8, 3) and (M, 8, 3) corners be structure, and space that nobody saw, instead of what was."""
+        """Replace the structure by hulls of (N, 8, 3) corners, and the unobserved space by those of (M, 8, 3)."""
         for counts, hulls in ((self._walls, walls), (self._unknown, unknown)):
             counts[:] = 0
             for part in self._grown:
@@ -146,16 +146,16 @@ class Occupancy:
                     stamp(counts, corners, starts, self.frame.origin_m, self.frame.cell_m, 1)
 
     def is_occupied(self) -> NDArray[np.bool_]:
-        """Return (rows, columns) whether an object or structure may be met."""
+        """Return (rows, columns) whether a body in the cell may collide with an object or structure."""
         return np.asarray((self._counts > 0) | (self._walls > 0))
 
     def states(self) -> NDArray[np.int8]:
-        """Return (rows, columns) the `Cell` of each; what is occupied is not unknown."""
+        """Return (rows, columns) the `Cell` of each cell; occupied takes precedence over unknown."""
         unknown = np.where(self._unknown > 0, np.int8(Cell.UNKNOWN), np.int8(Cell.FREE))
         return np.where(self.is_occupied(), np.int8(Cell.OCCUPIED), unknown)
 
     def objects_at(self, row: int, column: int) -> list[int]:
-        """Return the ids of the objects that a body in this cell would meet."""
+        """Return the ids of the objects that a body in this cell would collide with."""
         found: list[int] = []
         if not self._counts[row, column]:
             return found
@@ -168,7 +168,7 @@ class Occupancy:
         return found
 
     def is_wall_at(self, row: int, column: int) -> bool:
-        """Return whether a body in this cell would meet structure."""
+        """Return whether a body in this cell would collide with structure."""
         return bool(self._walls[row, column])
 
     def _replace(self, object_id: int, outlines: list[tuple[NDArray[np.float64], NDArray[np.int64]]]) -> None:
@@ -179,14 +179,14 @@ class Occupancy:
 
 
 def distance_field_m(is_blocked: NDArray[np.bool_], cell_m: float) -> NDArray[np.float32]:
-    """Return (rows, columns) how far it is at least from any point of a cell to a blocked one; 0 in those.
+    """Return (rows, columns) the minimum distance from any point of a cell to a blocked cell; 0 in blocked cells.
 
-    Euclidean; beyond the grid nothing is known to block. Where nothing is blocked, infinite.
+    The distance is Euclidean; cells beyond the grid do not count as blocked. It is infinite if no cell is blocked.
     """
     import cv2
 
     if not is_blocked.any():
         return np.full(is_blocked.shape, np.inf, np.float32)
     apart = cv2.distanceTransform((~is_blocked).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    # Between centres; from border to border it is a diagonal less.
+    # The transform is between cell centres; from border to border the distance is smaller by one diagonal.
     return np.asarray(np.maximum(apart - np.sqrt(2), 0) * np.float32(cell_m), dtype=np.float32)

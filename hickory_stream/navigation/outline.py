@@ -1,7 +1,7 @@
-"""Outlines on the floor of the Minkowski sums of convex obstacles with a convex body: where the body may not stand.
+"""Configuration-space obstacles: outlines on the floor of Minkowski sums of convex obstacles with a convex body.
 
-A body at (x, y) meets an obstacle where (x, y, 0) lies in the Minkowski sum of the obstacle and the mirrored body. That
-sum is convex, and so is its slice at height 0: an outline. The slice has the support function
+A body at (x, y) collides with an obstacle if (x, y, 0) lies in the Minkowski sum of the obstacle and the mirrored body.
+That sum is convex, and so is its slice at height 0: an outline. The slice has the support function
 
     h(d) = min over m of [support of the sum in the direction (d, m)],
 

@@ -110,19 +110,19 @@ class Robot(Ranged):
 
 
 def round_robot(name: str, *, radius_m: float, base_m: float, height_m: float) -> Robot:
-    """Return a robot that is an upright cylinder; what is lower than its base does not count."""
+    """Return a robot that is an upright cylinder; obstacles lower than `base_m` are ignored."""
     part = Part(low_m=base_m, high_m=height_m, disc_m=radius_m)
     return Robot(name=name, postures=(Posture(name="upright", parts=(part,)),))
 
 
 def turned(part: Part, heading_rad: float, range_rad: float) -> Part:
-    """Return what a part covers in all headings within half of `range_rad` of `heading_rad`: its convex hull."""
+    """Return the convex hull of a part over all headings within half of `range_rad` of `heading_rad`."""
     if part.is_round:
         return part
     half = range_rad / 2
     corners = [part.corners_m @ _rotation(heading_rad + a).T * s for a, s in ((-half, 1.0), (half, 1.0))]
     if half > 0:
-        # Where the tangents at both ends of a corner's arc meet.
+        # The intersection of the tangents at both ends of a corner's arc.
         corners.append(part.corners_m @ _rotation(heading_rad).T / np.cos(half))
     return replace(part, corners_m=np.concatenate(corners))
 

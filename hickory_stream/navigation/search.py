@@ -42,11 +42,11 @@ _STAR_STEP_CELLS = 24.0
 class SearchConfig(Ranged):
     """How to search.
 
-    `step_cells` and `goal_bias` as in the paper, whose RRT has 7,000 iterations; RRT-Connect, which reaches for whole
-    rooms, takes `connect_step_cells`. Up to `attempts` searches are made within the iterations, and the cheapest path
-    kept: one takes the wrong way around a table now and then. A robot that needs not turn is shown the shortest route
-    over the cells as well. RRT* begins with the best of those and takes
-    `star_iterations` more. `shortens` pulls paths tight.
+    `step_cells` and `goal_bias` are as in the paper, whose RRT has 7,000 iterations; RRT-Connect takes longer steps,
+    `connect_step_cells`. Up to `attempts` searches are made within the iterations, and the cheapest path is kept, since
+    a single search may pass an obstacle on the wrong side. For a robot that need not turn the shortest route over the
+    cells is a candidate, too. RRT* starts from the best of these and takes `star_iterations` more. `shortens`: whether
+    paths are shortened.
     """
 
     planner: Planner = "rrt-connect"
@@ -65,7 +65,7 @@ class SearchConfig(Ranged):
 
 
 class NoPathReason(StrEnum):
-    """Why there is no path; `UNREACHABLE` and the blocked ones are proved on the grid, `BUDGET` proves nothing."""
+    """Why there is no path; `UNREACHABLE` and blocked ends are proven on the grid, `BUDGET` is inconclusive."""
 
     START_IN_COLLISION = "start-in-collision"
     START_UNKNOWN = "start-unknown"
@@ -77,7 +77,7 @@ class NoPathReason(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoPath:
-    """No path was found: an expected outcome. `blockers` is what start or goal is in collision with, nearest first."""
+    """No path was found: an expected outcome. `blockers`: obstacles that start or goal collides with, nearest first."""
 
     reason: NoPathReason
     text: str
@@ -142,7 +142,7 @@ def plan(
     points = frame.origin_m + path * frame.cell_m
     points[[0, -1]] = ends
     headings = space.robot.num_headings
-    # Free cells are proof already; this one knows neither cells nor counters.
+    # Free cells are a proof already; this second check is independent of cells and counters.
     if not is_verified(space, points, states):
         raise AssertionError("a path over free cells meets an obstacle: the grid and the obstacles disagree")
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -164,7 +164,7 @@ def plan(
 def first_path(
     space: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
-    """Return the (N, 2) places of a first path by RRT-Connect, as it is found, or None: what a robot waits for."""
+    """Return the (N, 2) points of a first path by RRT-Connect, without shortening, or None."""
     frame = space.frame
     cells = (np.array([start, goal]) - frame.origin_m) / frame.cell_m
     config = SearchConfig(attempts=1, shortens=False)
@@ -186,7 +186,7 @@ def _place(name: str, place: NDArray[np.float64], space: FreeSpace) -> NDArray[n
 
 
 def _refused(space: FreeSpace, ends: NDArray[np.float64]) -> NoPath | None:
-    """Return why there surely is no path, None where there may be one."""
+    """Return why there is provably no path; None if there may be one."""
     labels = space.labels()
     pieces = []
     for name, (row, column), place in zip(("start", "goal"), space.frame.cells_of(ends), ends, strict=True):
@@ -230,11 +230,11 @@ def _searched(
     blocked = space.blocked()
     best: NDArray[np.float64] | None = None
     best_cost, iterations = np.inf, 0
-    # In the first posture alone, in the first two, ...: a way that ducks must not hide one around.
+    # In the first posture alone, then in the first two, ...: a path that ducks must not hide a detour that does not.
     for count in range(1, len(blocked) + 1) if config.shortens else (len(blocked),):
         allowed, is_last = blocked[:count], count == len(blocked)
         for _ in range(config.attempts):
-            # A short run first: most paths are found at once, and drawing samples costs more than using them.
+            # A short run first: most paths are found early, and drawing samples costs more than using them.
             most = config.max_iterations - iterations
             budgets = (min(_FIRST_SAMPLES, most), most - _FIRST_SAMPLES) if is_last else (min(_FIRST_SAMPLES, most),)
             for budget in budgets:
@@ -297,7 +297,7 @@ def _one(
 def _samples(
     space: FreeSpace, cells: NDArray[np.float64], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (count, 2) places in cells, every other one in a narrow place, and (count,) tosses in 0..1."""
+    """Return (count, 2) sample points in cells, every other one in a narrow cell, and (count,) numbers in 0..1."""
     everywhere, narrow = space.reachable_cells(cells[0])
     drawn = rng.random((count, 4))
     chosen = everywhere[(drawn[:, 0] * len(everywhere)).astype(np.int64)]

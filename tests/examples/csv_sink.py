@@ -1,4 +1,4 @@
-"""A sink of one's own: one line for each object of each keyframe, for a spreadsheet."""
+"""Example of a sink: a CSV file with one row for each object of each keyframe."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COLUMNS = ("stamp_ns", "object_id", "phase", "x_m", "y_m", "z_m", "sightings", "
 
 
 class CsvSink:
-    """Writes `path` line by line; a file that cannot be opened is refused when the sink is made."""
+    """Writes `path` row by row; the constructor raises OSError if the file cannot be opened."""
 
     def __init__(self, path: Path) -> None:
         self._stream = path.open("w", encoding="utf-8", newline="")
@@ -22,7 +22,7 @@ class CsvSink:
         self._table.writerow(COLUMNS)
 
     def show(self, report: FrameReport) -> None:
-        """Write the objects as the map has them after a keyframe; between keyframes there is nothing to write."""
+        """Write the objects of the map after a keyframe; reports of other frames have no snapshot."""
         if report.snapshot is None:
             return
         for tracked in report.snapshot.objects:

@@ -1,4 +1,4 @@
-"""An odometry of one's own: adds up the motion that somebody else has measured, as the wheels do, and sees nothing."""
+"""Example of an odometry: dead reckoning, which accumulates motion measured elsewhere, e.g. by wheel encoders."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class DeadReckoning:
-    """Believes `last_from_scan`; without one it has not moved."""
+    """Accumulates `last_from_scan`; without it the sensor is taken not to have moved."""
 
     name = "dead-reckoning"
 
@@ -24,7 +24,7 @@ class DeadReckoning:
         self._start_from_sensor = np.eye(4)
 
     def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
-        """Return the sum of the motions so far; all directions are degenerate, as no surface speaks for any."""
+        """Return the accumulated motion; all directions are degenerate, since no surface constrains them."""
         if not len(scan.points):
             return NotRegistered(reason="0 points; expected 1 and more")
         if last_from_scan is not None:

@@ -1,4 +1,4 @@
-"""A reconstructor of one's own: the convex hull of layer 1 and of what the views show, closed down to the support."""
+"""Example of a reconstructor: the convex hull of layer 1 and the views' depth, extended down to the support surface."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MIN_POINTS, _KEPT_SHARE, _EDGE_M, _SEEN_M = 20, 0.98, 0.03, 0.02
 
 
 class HullReconstructor:
-    """The hull of the points, less the 2 % farthest from their median: what a depth edge put far off is no surface."""
+    """The convex hull without the 2 % of points farthest from the median, which are outliers at depth edges."""
 
     name = "hull"
 

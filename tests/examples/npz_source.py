@@ -1,4 +1,4 @@
-"""A source of one's own: posed RGB-D frames from a NumPy archive."""
+"""Example of a source: posed RGB-D frames from a NumPy archive."""
 
 from __future__ import annotations
 

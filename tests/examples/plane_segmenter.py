@@ -1,4 +1,4 @@
-"""A segmenter of one's own: what stands out of the lowest horizontal plane, in connected regions of the image."""
+"""Example of a segmenter: connected image regions that rise above the lowest horizontal plane."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _LEVEL_M, _MIN_SHARE, _MIN_PIXELS = 0.02, 0.1, 20
 
 
 class PlaneSegmenter:
-    """Regions that stand more than two levels above the floor, each of `_MIN_PIXELS` and more, are instances."""
+    """Instances are regions more than two height bins above the floor, with at least `_MIN_PIXELS` pixels."""
 
     def prepare(self, frame: Frame) -> NDArray[np.float64]:
-        """Return the height (H, W) of what each pixel shows, NaN without depth: it needs no map."""
+        """Return (H, W) the height of each pixel's point, NaN without depth; the map is not needed."""
         points_camera = backproject(frame.depth_m, frame.camera).astype(np.float64)
         return apply(frame.world_from_camera, points_camera.reshape(-1, 3))[:, 2].reshape(frame.depth_m.shape)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the floor; what the map knows is not used."""
+        """Return the instances and the floor; `prior` is not used."""
         del prior
         heights = prepared if isinstance(prepared, np.ndarray) else self.prepare(frame)
         levels, counts = np.unique(np.round(heights[np.isfinite(heights)] / _LEVEL_M), return_counts=True)
