@@ -140,7 +140,7 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
 
 
 def _explanation(log: Log, entries: list[TopicAccount]) -> str:
-    """Return why the sum of the buckets is not what the container declares, "" where it is."""
+    """Return why the sum of the buckets differs from the count that the container declares, "" if it does not."""
     difference = sum(entry.difference for entry in entries)
     if log.declared() is None:
         return "the container declares no totals (its index is missing or damaged): they are those that were found"

@@ -27,7 +27,7 @@ _BORDER_PX = 5
 _MAX_PIXELS, _MIN_PIXELS = 2000, 150
 _MIN_FRAMES = 4
 _FULL_PERCENTILE = 95.0
-# Less is within what a fitted calibration leaves, or what the images resolve.
+# Smaller errors are within the residual of a fitted calibration, or below the resolution of the images.
 _OFF_M, _OFF_PX = 0.0125, 1.5
 _GAIN, _SHARE = 1.12, 0.75
 _COARSEST_M = 0.01
@@ -49,7 +49,7 @@ class ColorAgreement:
 
     @property
     def is_off(self) -> bool:
-        """Whether the calibration is wrong beyond what the images leave open."""
+        """Whether the calibration error exceeds the uncertainty of its estimate from the images."""
         distance_m = float(np.hypot(*self.offset_m))
         is_peak = max(abs(value) for value in self.offset_m) < _REACH_M - _STEP_M / 2
         is_clear = is_peak and self.gain >= _GAIN and self.share >= _SHARE

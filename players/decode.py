@@ -21,7 +21,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _NO_RETURN_U16 = 65535
 MAX_PIXELS = 64_000_000
-"""An image that claims more is damaged or a bomb: no camera of a robot has so many."""
+"""The maximum number of pixels: an image that claims more is damaged, or a decompression bomb."""
 
 _RAW_TYPES = {
     "rgb8": ("u1", 3),

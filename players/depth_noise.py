@@ -67,7 +67,7 @@ class DepthBias:
 
     @property
     def is_off(self) -> bool:
-        """Whether depth is off beyond what the floors leave open."""
+        """Whether the depth error exceeds the uncertainty of its estimate from the floors."""
         return abs(self.bias_m) >= _OFF_M and abs(self.bias_m) >= _OFF_SIGMAS * self.error_m
 
 
@@ -107,7 +107,7 @@ def flat_patches(frame: Frame) -> FlatPatches:
     inverse = 1.0 / depth
     planes = _planes(u, v, inverse, np.isfinite(inverse))
     off = inverse - _on(planes, u, v)
-    # Once more without what is far off: a hole's rim, a switch on the wall.
+    # Fitted again without outliers: the rim of a hole, a switch on the wall.
     close = np.abs(off) <= 4.0 * 1.4826 * np.nanmedian(np.abs(off), axis=1, keepdims=True) + 1e-9
     planes = _planes(u, v, inverse, close)
     off = np.where(close, inverse - _on(planes, u, v), np.nan)
@@ -136,7 +136,7 @@ def depth_noise(frames: Sequence[FlatPatches]) -> DepthNoise | None:
         return None
     bins = np.array_split(np.argsort(depth_m, kind="stable"), _BINS)
     z = np.array([np.median(depth_m[chosen]) for chosen in bins])
-    # The flatter half: what has a crease or a thing in it has more than noise.
+    # The flatter half: windows with a crease or an object have more than noise.
     sigma = np.array([np.quantile(sigma_m[chosen], 0.4) for chosen in bins])
     constant, quadratic = _law_of(z, sigma)
     return DepthNoise(

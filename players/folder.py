@@ -90,7 +90,7 @@ class FolderSource:
 
     @property
     def info(self) -> SourceInfo:
-        """What was found when the folder was opened."""
+        """The diagnosis of the folder when it was opened."""
         return self._info
 
     def frames(self) -> Iterator[RawFrame]:

@@ -50,7 +50,7 @@ _PATIENCE_NS = 10_000_000_000
 """So much of the log is read for topics that have not come yet, once everything needed is there."""
 
 _HORIZON_NS = 300_000_000_000
-"""So much of the log is read for what is needed: a recording whose links come later than that is refused."""
+"""How much of the log is read to find the links that are needed: a recording in which they come later is refused."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -205,7 +205,7 @@ class McapLog:
     # ---- the walk ----------------------------------------------------------------------------------------------------
 
     def _walk_whole(self, data: mmap.mmap) -> _Survey:
-        """Return what a walk over the records finds; notes what is no record."""
+        """Return the result of a pass over all records; bytes that are not a record are noted."""
         survey = _Survey()
         for opcode, at, length in self._walk(data):
             if opcode == CHUNK_OP:
@@ -226,7 +226,7 @@ class McapLog:
         return survey
 
     def _walk(self, data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
-        """Yield (opcode, offset of the content, length) of every record; goes on behind what is none."""
+        """Yield (opcode, offset of the content, length) of every record; resumes after damaged bytes."""
         at, end = (len(MAGIC) if data[: len(MAGIC)] == MAGIC else 0), len(data)
         is_chunked = _CHUNK_PATTERN.search(data) is not None
         while at < end:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from players.log_source import LogSource
 
 _MAX_FRAMES = 400
-"""So many frames are looked at: a minute of walking tells what there is to tell."""
+"""The number of frames that are examined: about a minute of walking suffices."""
 
 _LEAST_STEP_NS = 90_000_000
 _MOTION_NS = 1_000_000_000

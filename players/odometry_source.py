@@ -221,7 +221,7 @@ class _Told:
         self._is_lost = False
 
     def heard(self, found: Registered | NotRegistered, scan: Scan) -> Registered | None:
-        """Return what was found, None where nothing was."""
+        """Return the result, None if nothing was found."""
         if isinstance(found, NotRegistered):
             if not self._is_lost:
                 logger.warning("odometry by %s is lost at %.3f s: %s", self._name, scan.stamp_ns / 1e9, found.reason)

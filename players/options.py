@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 DEFAULT_MAX_POSE_GAP_NS = 500_000_000
 MAX_GAP_NS = 3_600_000_000_000
-"""Nobody means an hour: neither tolerance is longer."""
+"""The maximum of both tolerances: longer ones are mistakes."""
 
 Clock = Literal["auto", "header", "log"]
 

@@ -89,7 +89,7 @@ class PlaybackClock:
             self._changed.notify_all()
 
     def take_seek(self) -> int | None:
-        """Return where to go, once; None where nobody asked."""
+        """Return the requested position, once; None if no request is pending."""
         with self._changed:
             target, self._seek_ns = self._seek_ns, None
             return target

@@ -183,7 +183,7 @@ class RigReader:
         self._loaded.append(stream)
 
     def end(self) -> None:
-        """Take what was held back for want of a following message."""
+        """Take the items that were held back because no later message had come."""
         for name, timeline in self._timelines.items():
             for _ in timeline.end():
                 self._reject(self._topics[name], "pose_stamp_off")

@@ -237,7 +237,7 @@ class Ros1Log:
         return True
 
     def _walk_whole(self, data: mmap.mmap) -> None:
-        """Walk all records, and look for the next chunk behind what is none."""
+        """Walk all records; after damaged bytes, search for the next chunk."""
         at, end = len(MAGIC), len(data)
         while at < end:
             try:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Stream = Literal["color", "depth"]
 
 HORIZON_NS = 1_000_000_000
-"""How long an item waits for a stream that has fallen silent: it bounds what is held in memory."""
+"""How long an item waits for a stream that has fallen silent: this bounds the memory of waiting items."""
 
 DISORDER_NS = 100_000_000
 """How late an item may be within its own stream."""

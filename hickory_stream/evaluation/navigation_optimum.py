@@ -37,7 +37,7 @@ class OptimalLengths:
         self._size = count + 2
 
     def length_m(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> float:
-        """Return the length of the shortest way between two places (2,), infinite where there is none."""
+        """Return the length of the shortest path between two places (2,), infinite if there is none."""
         ends = (np.array([start, goal]) - self._frame.origin_m) / self._frame.cell_m
         direct = float(np.linalg.norm(ends[1] - ends[0]))
         if _sees(self._blocked, ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1]):

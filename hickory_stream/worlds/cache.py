@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 WORLDS_VERSION = 1
-"""To be raised by whoever changes what a config gives: older recordings are then made anew."""
+"""The version of the cache: raise it with any change of rendered output, so that old recordings are renewed."""
 CLUTTER_VERSION = 2
 """The same for random rooms only."""
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def way_between(clearance: Clearance, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the (N, 2) way between two places that is short and keeps clear, None where there is none."""
+    """Return (N, 2) a short path with clearance between two places, None if there is none."""
     from skimage.graph import route_through_array
 
     distance = clearance.distance_m
@@ -28,6 +28,6 @@ def way_between(clearance: Clearance, a: NDArray[np.float64], b: NDArray[np.floa
 
 
 def smoothed(route: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a closed route blurred over about a third of a metre: nobody walks on a grid."""
+    """Return a closed route smoothed over about a third of a metre, to remove the steps of the grid."""
     line = gaussian_filter1d(route, 8.0, axis=0, mode="wrap")
     return np.vstack([line, line[:1]])

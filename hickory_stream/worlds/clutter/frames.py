@@ -1,4 +1,4 @@
-"""Single frames of random rooms with their truth, without writing a log: what a network is trained on."""
+"""Single frames of random rooms with ground truth, without writing a log: training data for networks."""
 
 from __future__ import annotations
 
