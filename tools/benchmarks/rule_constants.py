@@ -54,7 +54,7 @@ NOT_DECIDING = {
     "mapping/associate.py:_ROUNDING": "keeps a product of floats from missing its limit",
     "mapping/associate.py:_TIE": "what is equal but for rounding",
     "mapping/lifecycle.py:_ROUNDING": "keeps a sum of floats from missing its limit",
-    "mapping/observed_space.py:_NO_OBJECT": "a mark",
+    "mapping/observed_space.py:_HELD": "a mark",
     "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
     "mapping/track.py:_BOX_POINTS": "how many points are looked at",
     "mapping/support_relations.py:_SAMPLE": "how many points are looked at",
