@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 __all__ = ["KernelLocator", "compiler_name", "kernels_folder", "numba", "source_hash"]
 
+# The ray caster brings a TBB that is too old for numba, which warns of it wherever it finds one in the process.
+numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+
 _OURS = ("hickory_stream", "players")
 _IMPORT = re.compile(rf"^from ((?:{'|'.join(_OURS)})[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 _HAS_KERNELS = re.compile(r"^from hickory_stream\.compiled import numba", re.MULTILINE)

@@ -165,6 +165,12 @@ VALID: dict[type, dict[str, Any]] = {
         "world_from_camera": _POSE,
     },
     ports.ShapeInputs: {"crops": (), **_CLOUD, "box": _BOX, "support_z_m": None},
+    ports.Registered: {
+        "stamp_ns": 1,
+        "start_from_sensor": _POSE,
+        "information": np.eye(6),
+        "degenerate": np.eye(6)[:1],
+    },
     ports.Reconstruction: {"mesh": _MESH, "world_from_object": _POSE},
     ports.BuiltShape: {
         "reconstruction": ports.Reconstruction(mesh=_MESH, world_from_object=_POSE),
@@ -179,6 +185,7 @@ VALID: dict[type, dict[str, Any]] = {
 # The lengths that nothing else in the record fixes: any other one is as good.
 FREE_LENGTH = {
     (mesh.Mesh, "faces"),
+    (ports.Registered, "degenerate"),
     (records.SpaceObservation, "free_keys"),
     (records.SpaceObservation, "structure_keys"),
     (records.SpaceObservation, "surface_keys"),
