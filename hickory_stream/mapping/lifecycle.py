@@ -90,7 +90,7 @@ class Guard(StrEnum):
 
     IS_ROOM = "it is too large, a piece of a wall, or flat and flush with one"
     IN_ROOM = "more than `structure_share` of it lies on tracks that are part of the room"
-    REVISED = "seen since from other viewpoints, worth `revise_evidence`, it is none of that"
+    REVISED = "seen again with evidence of `revise_evidence`; it is not large, a piece of a wall or flush any more"
     SEEN_THROUGH = "out of sight, and the keyframe saw through its place"
     PHANTOM = "`phantom_frames` keyframes saw through its place"
     SURE = "its evidence is that of `confirm_sightings` sightings"
