@@ -1,7 +1,7 @@
 """The paper's table of alignments: pairs, translation and rotation for each scene and method, means and success.
 
-Errors are those of the paper, of the transform as it stands (at map b's origin), and beside them the one that counts
-for a robot: where the maps overlap.
+Two errors are given: that of the paper, which is the error of the transform itself (its translation is measured at the
+origin of map b), and the error where the maps overlap, which is the one that matters to a robot.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Row:
-    """One scene by one method; `error` is None where it was refused or no truth was given, `refusal` says why."""
+    """One scene by one method; `error` is None without a truth, or if the method refused for the reason `refusal`."""
 
     scene: str
     method: str
@@ -35,7 +35,7 @@ class Row:
 
 
 def row_of(scene: str, method: str, answer: Alignment | NoAlignment, true_a_from_b: NDArray[np.float64] | None) -> Row:
-    """Return the row of an answer."""
+    """Return the table row of one answer of `align`."""
     if not isinstance(answer, Alignment):
         return Row(scene=scene, method=method, num_pairs=0, error=None, refusal=answer.refusal.value)
     error = None

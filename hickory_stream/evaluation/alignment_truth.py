@@ -1,8 +1,9 @@
-"""Where a map's frame truly lies: from a truth folder, or from a ground-truth trajectory in a common frame.
+"""The true pose of a map's frame, from a truth folder or from a ground-truth trajectory in a common frame.
 
-The map knows where its camera was when it took the kept views; truth knows where the camera, or the robot's body, truly
-was. `world_from_map` and, for a body, the unknown `body_from_camera` follow from both by the closed form of Shah (2013)
-for body_i X = W camera_i. Truth of an alignment: `a_from_b` = inverse(world_from_map_a) world_from_map_b.
+A map stores the estimated camera pose of every view that it keeps; the truth gives the pose of the camera, or of the
+robot's body, at the same stamps. `world_from_map` and, for a body, the unknown `body_from_camera` follow
+from both by the closed form of Shah (2013) for body_i X = W camera_i. The truth of an alignment is `a_from_b` =
+inverse(world_from_map_a) world_from_map_b.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 _MAX_GAP_NS = 500_000_000
 _MIN_POSES = 3
-# Below this turn between poses, where the camera sits on the body cannot be told: it is taken to be the body.
+# If the camera never turns by more than this, `body_from_camera` is not observable and is taken as the identity.
 _MIN_TURN_RAD = 0.2
 
 
@@ -84,10 +85,10 @@ def read_true_trajectory(path: Path) -> TrueTrajectory:
 
 
 def world_from_map(snapshot: MapSnapshot, truth: TrueTrajectory, name: str) -> NDArray[np.float64]:
-    """Return where the map's frame truly lies (4, 4), the best over all kept views: odometry drifts.
+    """Return the true pose (4, 4) of the map's frame: the least-squares fit over all kept views, since odometry drifts.
 
     Raises:
-        RecordingError: truth and map have too few moments in common.
+        RecordingError: fewer than three views of the map were taken while the ground truth was recorded.
     """
     views = {view.stamp_ns: view.world_from_camera for item in snapshot.objects for view in item.views}
     pairs = [(pose_at(truth, stamp), views[stamp]) for stamp in sorted(views)]
@@ -103,7 +104,7 @@ def world_from_map(snapshot: MapSnapshot, truth: TrueTrajectory, name: str) -> N
 
 
 def pose_at(truth: TrueTrajectory, stamp_ns: int) -> NDArray[np.float64] | None:
-    """Return the true pose (4, 4) at a stamp, between two poses at most 0.5 s apart; None where there is none."""
+    """Return the true pose (4, 4) at a stamp, interpolated across gaps of at most 0.5 s; None across a longer gap."""
     after = int(np.searchsorted(truth.stamps_ns, stamp_ns))
     if after < len(truth.stamps_ns) and truth.stamps_ns[after] == stamp_ns:
         return truth.world_from_body[after]
@@ -117,14 +118,14 @@ def pose_at(truth: TrueTrajectory, stamp_ns: int) -> NDArray[np.float64] | None:
 
 
 def _common_frame(bodies: NDArray[np.float64], cameras: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return W of the least sum of squares of body_i = W camera_i: the mean rotation, the mean of what is left."""
+    """Return the least-squares W of body_i = W camera_i: the mean rotation, then the mean of the remaining offsets."""
     rotation = Rotation.from_matrix(bodies[:, :3, :3] @ cameras[:, :3, :3].transpose(0, 2, 1)).mean().as_matrix()
     translation = (bodies[:, :3, 3] - cameras[:, :3, 3] @ rotation.T).mean(axis=0)
     return from_rotation_translation(rotation, translation)
 
 
 def _hand_eye(bodies: NDArray[np.float64], cameras: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return W of body_i X = W camera_i, X unknown (Shah, 2013); of what is not determined the smallest."""
+    """Return W of body_i X = W camera_i, X unknown (Shah, 2013); an undetermined translation of X is kept smallest."""
     turns = Rotation.from_matrix(cameras[0, :3, :3].T @ cameras[:, :3, :3]).magnitude()
     if turns.max() < _MIN_TURN_RAD:
         return _common_frame(bodies, cameras)
@@ -138,7 +139,7 @@ def _hand_eye(bodies: NDArray[np.float64], cameras: NDArray[np.float64]) -> NDAr
     wanted = np.concatenate(
         [world_from_map_rotation @ camera[:3, 3] - body[:3, 3] for body, camera in zip(bodies, cameras, strict=True)]
     )
-    # Centred, so that the smallest solution has a small x, not a small w.
+    # Centred, so that the minimum-norm solution has a small x rather than a small w.
     center = bodies[:, :3, 3].mean(axis=0) - world_from_map_rotation @ cameras[:, :3, 3].mean(axis=0)
     shifted = wanted + np.tile(center, len(bodies))
     solution = np.linalg.lstsq(rows, shifted, rcond=1e-3)[0]

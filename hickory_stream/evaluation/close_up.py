@@ -23,7 +23,7 @@ _FILL = 0.62
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CloseUp:
-    """A parallel view: its middle, half the width of what is shown, and where it is seen from."""
+    """An orthographic view: its centre, half the width of the area shown, and the direction it is seen from."""
 
     center_m: tuple[float, float, float]
     half_m: float
@@ -44,7 +44,7 @@ def close_up_of(vertices: NDArray[Any], azimuth_rad: float, size_px: int = 200) 
 
 
 def draw(surfaces: Sequence[Surface], view: CloseUp) -> NDArray[np.uint8]:
-    """Return the (S, S, 3) picture of surfaces, four rays to a pixel."""
+    """Return the (S, S, 3) picture of surfaces, with four rays per pixel."""
     size = 2 * view.size_px
     c, s = np.cos(view.azimuth_rad), np.sin(view.azimuth_rad)
     ce, se = np.cos(_ELEVATION_RAD), np.sin(_ELEVATION_RAD)

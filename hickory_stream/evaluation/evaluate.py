@@ -40,8 +40,8 @@ class ObjectEvaluation:
     """What became of one true object that counts.
 
     `map_id` is its match at IoU 0.25, `strict_map_id` that at 0.5, and `track_ids` all objects that lie mostly on it.
-    Surface figures are those of the match's layer 2: F1 0 and ADD-S None without one. `contained` is the share of its
-    `num_seen` seen samples in the match's layer 4, None without one.
+    The surface figures compare layer 2 of the match; without a layer 2, F1 is 0 and ADD-S None. `contained` is the
+    share of the object's `num_seen` visible samples that lie inside layer 4 of the match, None without a layer 4.
     """
 
     truth_id: int
@@ -61,11 +61,11 @@ class ObjectEvaluation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Evaluation:
-    """A map against truth; means are over the true objects that count, `matched_*` over those that have a match.
+    """Scores of a map; plain means are over all true objects that count, `matched_*` only over those that have a match.
 
-    `containment` is over all seen samples of objects with layer 4, None where there are none; `poses` and
-    `mask_purity` None where the map keeps no view. `placement`: the truth was moved into the world of the map, where
-    the log's odometry has a world of its own.
+    `containment` is over all visible samples of objects with layer 4, None if there are none; `poses` and `mask_purity`
+    are None if the map keeps no views. `placement` is the transform by which the truth was moved into the map's world,
+    if the log's odometry has an origin of its own.
     """
 
     num_truth: int

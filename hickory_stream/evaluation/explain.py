@@ -14,26 +14,27 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
 
 _FIGURES = """\
-moved        The truth is compared as it is where map and truth are of one world. Where the camera poses of equal stamps
-             differ by one rigid transform (odometry that begins at the camera), the truth is moved by it, and that is
-             said. Drift is no such transform: it stays, and costs what it costs.
-box          The gravity-aligned box of an object's layer 2, of its layer 1 where it has none; of a true object, that of
-             its mesh. Tentative tracks are no objects.
-counts       A true object counts if the log shows at least 30 % of its surface. One that was seen less is ignored on
-             both sides: it is not missed, and what was made of it is no false object.
+moved        The truth is compared as it is if map and truth share a world frame. If the camera poses at equal stamps
+             differ by one rigid transform (odometry with its origin at the first camera pose), the truth is moved by
+             it, and this is reported. Drift is not corrected, and lowers the figures below.
+box          The gravity-aligned box of an object's layer 2, or of its layer 1 if it has none; for a true object, that
+             of its mesh. Tentative tracks are not counted as objects.
+counts       A true object counts if the log shows at least 30 % of its surface. Others are ignored: they are not
+             counted as missed, and what was mapped of them is not counted as false.
 match        One-to-one pairs of true objects and objects with the largest sum of OBB IoUs, each at least the threshold.
 recall       Share of the true objects that count that are matched, at IoU 0.25 and at 0.5.
-precision    Share of the objects that are matched, at IoU 0.25 and at 0.5; objects of ignored truth are left out.
-tracks       Objects for each true object that has any: all objects of whose points more than half lie within 3 cm of
-             it, and nearer to it than to any other true object.
+precision    Share of the objects that are matched, at IoU 0.25 and at 0.5; objects on ignored truth are left out.
+tracks       Mean number of objects on a true object that has any. An object lies on a true object if more than half of
+             its points are within 3 cm of it, and nearer to it than to any other true object.
 F1           Harmonic mean of recall (true surface samples within a distance of the placed mesh of layer 2) and
              precision (samples of that mesh within it of the true mesh), at 1 cm and at 5 % of the true diameter; the
-             samples are of what of the union of the true parts can be seen from outside. A true object without a match
-             at IoU 0.25, or whose match has no layer 2, scores 0. `matched` is the mean over those that have a match.
+             true samples are on the surface of the union of the object's parts that is visible from outside. A true
+             object without a match at IoU 0.25, or whose match has no layer 2, scores 0. `matched` is the mean over
+             those that have a match.
 diameter d   The largest distance between two points of the true mesh.
 ADD-S        Mean distance from the true surface samples to the placed mesh; a success below 0.1 d (0.05 d). No match or
              no layer 2 is a failure.
-containment  Share of the true surface samples that were seen (their pixel shows the object, from 0.3 to 8 m, nothing in
+containment  Share of the visible true surface samples (their pixel shows the object, from 0.3 to 8 m, with nothing in
              between) that lie in the union of the inflated superquadrics of the match.
 ATE          RMSE of the camera positions of the kept views against the true ones: as placed, and after the best rigid
              alignment.

@@ -1,7 +1,7 @@
 """The exposed surface of an object: what can be seen of it from outside.
 
-The parts of a true object may overlap: what of one part lies inside another (where a leg meets its table) is no surface
-of their union, and is left out.
+The parts of a true object may overlap. Surface of one part inside another (where a leg enters its table top) is not on
+the surface of their union, and is left out.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _DIRECTIONS = 48
 def exposed_samples(
     mesh: Mesh, count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return (N, 3) surface samples, N <= count, that some direction outside sees, and their (N, 3) normals."""
+    """Return (N, 3) surface samples, N <= count, visible from some direction outside, and their (N, 3) normals."""
     points, faces = sample_surface(mesh, count, rng)
     a, b, c = (mesh.vertices[mesh.faces[faces, i]].astype(np.float64) for i in range(3))
     normals = np.cross(b - a, c - a)

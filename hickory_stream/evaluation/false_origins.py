@@ -22,11 +22,11 @@ FalseOrigin = Literal[
 ]
 
 FALSE_ORIGINS: dict[FalseOrigin, str] = {
-    "a piece of an object": "it lies mostly on a true object, which another object matches, or which is in pieces",
+    "a piece of an object": "it lies mostly on a true object that another object matches, or that is in pieces",
     "an object whose box is off": "it is the only object on a true one, but their boxes have an IoU under 0.25",
-    "several things in one": "no true object has more than half of its points, nor structure, nor nothing",
+    "several things in one": "its points lie on several true objects or on structure, on none of them more than half",
     "structure": "most of its points lie on floor, walls or ceiling",
-    "nothing there": "most of its points lie on nothing that the truth has: noise of depth, or what it leaves out",
+    "nothing there": "most of its points lie on no true surface: depth noise, or an object that the truth leaves out",
 }
 
 _HALF = 0.5
@@ -34,7 +34,7 @@ _HALF = 0.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FalseObject:
-    """An object without a match, that is not left aside either; `truth_ids` are what the text is about."""
+    """A mapped object that counts as false; `truth_ids` are the true objects that the text mentions."""
 
     map_id: int
     origin: FalseOrigin
@@ -76,7 +76,7 @@ def origin_of(
 
 
 def history_text(map_id: int, evidence: Evidence) -> str:
-    """Return how an object came about: its first mask, how many there were, and what they showed."""
+    """Return the history of an object: its first mask, the number of its masks, and what they showed."""
     history = evidence.sightings.histories.by_id.get(map_id)
     if history is None:
         return "the journal tells nothing of it"
@@ -94,7 +94,7 @@ def history_text(map_id: int, evidence: Evidence) -> str:
 
 
 def shown_text(map_id: int, evidence: Evidence) -> str:
-    """Return what the masks of an object, and of what was merged into it, showed in truth; "" where there are none."""
+    """Return which true objects the masks of an object, and of tracks merged into it, showed; "" if there are none."""
     counts: dict[int | None, int] = {}
     for track_id, pixels in evidence.sightings.masks_of.items():
         if evidence.sightings.histories.final(track_id) == map_id:

@@ -25,14 +25,14 @@ _LEAST_MARGIN_PX = 12
 
 
 def pictures_of(path: Path, truth: Truth, frames: Mapping[int, int]) -> dict[int, NDArray[np.uint8]]:
-    """Return a picture (h, w, 3) of each true object in the keyframe of a frame, what is not the object dimmed.
+    """Return a picture (h, w, 3) of each true object, cut out of a keyframe, with everything but the object dimmed.
 
-    Left out are those whose keyframe has no image in the journal, or does not show them.
+    Objects whose keyframe has no image in the journal, or does not show them, are left out.
 
     Args:
         path: the map folder.
         truth: with the images of what each pixel shows.
-        frames: the index of a keyframe's frame by true object.
+        frames: for each true object, the frame index of the keyframe to cut it out of.
 
     Raises:
         MapFolderError: there is no journal, or it is damaged or of another version.
@@ -61,7 +61,7 @@ def _keyframe_steps(journal: Journal) -> list[tuple[int, Step]]:
 
 
 def _cut_out(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the square around a mask with a margin, as far as the image goes; around the mask it is dimmed."""
+    """Return the square around a mask with a margin, clipped to the image, with the pixels outside the mask dimmed."""
     rows, columns = np.nonzero(mask)
     height, width = mask.shape
     half = int(max(np.ptp(rows), np.ptp(columns)) / 2 * (1 + _MARGIN)) + _LEAST_MARGIN_PX

@@ -34,10 +34,10 @@ _PRIMITIVE_BYTES = 11 * 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectSummary:
-    """One object; `size_m` the sides of the box of layer 1, `layer_bytes` per layer 1 to 4, 0 for one that it lacks.
+    """One object; `size_m` are the sides of the box of layer 1, `layer_bytes` the sizes of layers 1 to 4, 0 if missing.
 
-    `place` is where its best layer is. `supports` are its relations in the support graph.
-    `is_sketched`: instead of layers 2 to 4 it has one superquadric from its points alone.
+    `place` is the pose and size of its best layer. `supports` are its relations in the support graph.
+    `is_sketched`: it has no layers 2 to 4 yet, but one superquadric fitted to its points.
     """
 
     id: int
@@ -60,7 +60,7 @@ class ObjectSummary:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LayerSummary:
-    """One layer over all objects; `seconds` to build it, None where no time was recorded."""
+    """One layer of all objects together; `seconds` is the time to build it, None if no time was recorded."""
 
     layer: int
     num_objects: int
@@ -73,9 +73,9 @@ class MapSummary:
     """A map; `digest` is of its objects as they are, `num_checked` and `num_outside` sum up the containment.
 
     `num_objects` are in the map, `num_shaped` of them with layer 4; `objects` are those that were asked for.
-    `num_certified` objects have a layer 4 that provably contains them; `num_fallbacks` of these are boxes instead.
-    `is_altered`: the objects are not those that were saved, and none of them counts as certified. `doubt` says why what
-    is said of layer 4 may not hold, "" where it does. `notes`: what the map cannot know of floor and gravity.
+    `num_certified` objects have a layer 4 that provably contains them; in `num_fallbacks` of these it is a box.
+    `is_altered`: the objects differ from those that were saved, so that none counts as certified. `doubt` says why the
+    statements about layer 4 may not hold, "" if they do. `notes` are warnings about the map's floor and gravity.
     """
 
     objects: tuple[ObjectSummary, ...]
@@ -132,8 +132,8 @@ def chosen(
     Args:
         summary: of the whole map.
         sort: by id or nearest first; largest, tallest and most often seen first. Ties by id.
-        near: x and y in the map, metres: distances are measured from here, in the plane, to the centres.
-        within_m: farther objects are left out.
+        near: x and y in the map, metres; distances are horizontal, from here to the objects' centres.
+        within_m: objects farther than this from `near` are left out.
         min_size_m: objects whose longest side is shorter are left out.
     """
 
@@ -207,7 +207,7 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject, supports: tuple[S
 
 
 def _containment(saved: SavedMap, shape: ObjectShape) -> Containment:
-    """Return the certificate that a shape came with; of an altered map none holds."""
+    """Return the certificate that a shape came with, None for an altered map, in which no certificate holds."""
     return replace(shape.containment, is_certified=False) if saved.is_altered else shape.containment
 
 
@@ -343,7 +343,7 @@ def _containment_line(summary: MapSummary) -> str:
 
 
 def _margins(summary: MapSummary) -> str:
-    """Return the margins of the objects: one that is none proves little."""
+    """Return the safety margins of the objects; containment without a margin proves little."""
     margins = [row.containment.margin_m for row in summary.objects if row.containment]
     if not margins:
         return ""

@@ -1,7 +1,7 @@
 """Text on pictures: ids at the objects, the title, the scale.
 
-A label lies within what is seen of its object, near its middle. Where that is too small, the label
-stands beside it, on a thread, where it covers neither another label nor another object's place.
+A label lies on the visible part of its object, near the middle of it. If that is too small, the label stands beside it
+with a leader line to it, where it covers neither another label nor the anchor of another object.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 _PADDING_PX = 3
 _SIZE, _THICKNESS = 0.45, 1
-# Candidates stand around a place at these distances, upwards first.
+# Candidate positions of a label around its anchor: distances, and directions with "above" first.
 _DISTANCES_PX = (22, 30, 40, 52, 66, 82, 100, 120, 145, 175, 210, 250)
 _ANGLES_RAD = np.deg2rad([90, 60, 120, 30, 150, 0, 180, -30, -150, -60, -120, -90])
-# One pixel of another object that a label covers counts as so many pixels of distance, relative to its own area.
+# Cost of covering other objects: a label entirely over other objects costs as much as this many pixels of distance.
 _COVERING_PX = 60.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Label:
-    """A text: its rectangle `box_px` (x0, y0, x1, y1), end exclusive, and the place (x, y) that it is about."""
+    """A label: its rectangle `box_px` (x0, y0, x1, y1), end exclusive, and its anchor (x, y) on the object."""
 
     object_id: int
     box_px: tuple[int, int, int, int]
@@ -37,17 +37,17 @@ class Label:
 
     @property
     def is_beside(self) -> bool:
-        """Whether it lies beside its place, so that a thread leads there."""
+        """Whether it stands beside its anchor, so that a leader line is drawn."""
         return not _holds(self.box_px, self.place_px)
 
 
 def place_labels(
     ids: Sequence[int], owners: NDArray[np.int32], step_px: int, hidden_px: NDArray[np.float64]
 ) -> list[Label]:
-    """Return a label for each of N ids, in their order; no two overlap where there is room.
+    """Return a label for each of N ids, in their order; no two overlap if there is room.
 
-    `owners` (h, w) is whose surface is seen, -1 nobody's, in squares of `step_px`; `hidden_px` (N, 2) are the places of
-    those that are seen nowhere.
+    `owners` (h, w) is the id of the object visible in each square of `step_px` pixels, -1 for none; `hidden_px` (N, 2)
+    are the anchors of objects that are not visible.
     """
     spots = {
         object_id: _spot(owners == object_id, step_px, _text_size(str(object_id)), hidden)
@@ -55,7 +55,7 @@ def place_labels(
     }
     limits = (owners.shape[1] * step_px, owners.shape[0] * step_px)
     placed: dict[int, Label] = {}
-    # Those that fit into their objects first, then the others from the lowest up.
+    # Labels that fit on their objects are placed first, then the others from the bottom of the picture up.
     ordered = sorted(ids, key=lambda i: (spots[i][1] < _text_size(str(i))[0] / 2, -spots[i][0][1], i))
     for object_id in ordered:
         place, depth_px = spots[object_id]
@@ -65,7 +65,7 @@ def place_labels(
 
 
 def draw_labels(image: NDArray[np.uint8], labels: Sequence[Label]) -> None:
-    """Write the numbers, each on a patch of its object's colour, and the threads of those that stand beside it."""
+    """Draw the labels, each on a patch of its object's colour, and the leader lines of those that stand beside it."""
     import cv2
 
     for label in (label for label in labels if label.is_beside):
@@ -86,9 +86,9 @@ def draw_labels(image: NDArray[np.uint8], labels: Sequence[Label]) -> None:
 def _spot(
     seen: NDArray[np.bool_], step_px: int, size_px: tuple[int, int], hidden_px: NDArray[np.float64]
 ) -> tuple[tuple[int, int], float]:
-    """Return the place that stands for what is seen, and how far it is from its edge, in pixels.
+    """Return the anchor of a visible region, and its distance from the region's edge, in pixels.
 
-    Of the places where a label fits, the one nearest to the middle; where it fits nowhere, the one farthest in.
+    It is the point nearest to the region's centre at which the label fits, else the point farthest from the edge.
     """
     import cv2
 
@@ -112,7 +112,7 @@ def _placed(
     step_px: int,
     limits: tuple[int, int],
 ) -> Label:
-    """Return the label of least cost: near its place, upon nothing that is seen of others."""
+    """Return the label of least cost, which is close to its anchor and covers little of other objects."""
     width, height = _text_size(str(object_id))
     offsets = [(0.0, 0.0)] if depth_px >= 0.5 * max(width, height) else []
     offsets += [(d * np.cos(angle), -d * np.sin(angle)) for d in _DISTANCES_PX for angle in _ANGLES_RAD]
@@ -135,7 +135,7 @@ def _placed(
 
 
 def _text_size(text: str) -> tuple[int, int]:
-    """Return the width and height of a label, its rim included."""
+    """Return the width and height of a label including its padding."""
     import cv2
 
     (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _SIZE, _THICKNESS)
@@ -148,7 +148,7 @@ def _dark(object_id: int) -> tuple[int, int, int]:
 
 
 def draw_title(image: NDArray[np.uint8], text: str) -> None:
-    """Fill a strip with a title."""
+    """Draw a title into a strip of a picture."""
     import cv2
 
     image[:] = (38, 42, 50)

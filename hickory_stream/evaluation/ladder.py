@@ -1,8 +1,8 @@
 """Oracle experiments: the same pipeline with more and more of it replaced by truth, to locate the loss.
 
-Each rung keeps what the one below has: `ours` is the product; `joins` says of each of our fragments which thing it is
-of; `masks` cuts the true masks out of the image; `structure` says what is structure, to the segmenter and to the map;
-`association` gives every mask to the track of its own thing, and no two tracks are ever made one.
+Each rung keeps the replacements of the rung below. `ours` is the product. `joins` joins our fragments by the true
+object that they belong to. `masks` uses the true masks. `structure` gives the true structure of the room to the
+segmenter and to the map. `association` matches every mask to the track of its true object, and merges no tracks.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ RUNGS: tuple[Rung, ...] = get_args(Rung)
 
 
 class TrueImages:
-    """What the pixels of a log show, by stamp; the last image is kept, for more than one asks for it."""
+    """The true instance image of each frame, by stamp; the last one is cached, since several callers ask for it."""
 
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
@@ -51,7 +51,7 @@ class TrueImages:
         self._last: tuple[int, NDArray[np.int32]] | None = None
 
     def at(self, stamp_ns: int) -> NDArray[np.int32]:
-        """Return (H, W) the id of the object that each pixel shows, 0 for structure, -1 for what is neither.
+        """Return (H, W) the id of the object that each pixel shows, 0 for structure, -1 for pixels that show neither.
 
         Raises:
             RecordingError: the truth has no frame of this stamp, or its image cannot be read.
@@ -103,7 +103,7 @@ class TrueSegmenter:
 
 
 def truly_joined(pieces: Fragments, shown: NDArray[np.int32]) -> Joined:
-    """Return the fragments joined by the thing that most of their pixels show; those of no thing are gone."""
+    """Return the fragments, joined by the true object that most of their pixels show; fragments of none are dropped."""
     factor, labels = pieces.surface.factor, pieces.labels
     height, width = labels.shape
     ids, place = np.unique(shown[::factor, ::factor][:height, :width], return_inverse=True)
@@ -115,7 +115,7 @@ def truly_joined(pieces: Fragments, shown: NDArray[np.int32]) -> Joined:
 
 
 class TrueAssociation:
-    """Gives every observation to the track of the thing that most of its mask shows; a core must ask it alone."""
+    """Matches every observation to the track of the true object that most of its mask shows; for one core only."""
 
     def __init__(self, images: TrueImages) -> None:
         self._images = images
@@ -124,7 +124,7 @@ class TrueAssociation:
 
     def __call__(self, event: FrameObserved, tracks: Mapping[int, Track]) -> list[Match]:
         """Return one match per observation."""
-        # Ids are given in the order of the matches that are new, and nothing else makes a track.
+        # The core numbers new tracks in the order of the unmatched observations; nothing else creates a track here.
         assert max(tracks, default=0) <= self._created, "a track was made that this association knows nothing of"
         shown = self._images.at(event.stamp_ns)
         known = set(tracks)
@@ -162,7 +162,7 @@ def core_of(rung: Rung, images: TrueImages, config: MapperConfig) -> MapperCore:
 
 
 def mapping_of(rung: Rung, config: MappingConfig) -> MappingConfig:
-    """Return the configuration of the map: with true structure, the rules that take objects for structure are off."""
+    """Return the map's configuration; with true structure, the rules that reclassify objects as structure are off."""
     if rung not in ("structure", "association"):
         return config
     lifecycle = replace(

@@ -1,8 +1,8 @@
 """Matching of mapped objects with true ones, and recall and precision from it.
 
-The box of an object is the gravity-aligned box of its layer 2 (of layer 1 where there is none), that of a true object
-the one of its mesh. Truth counts when at least 30 % of its surface was seen; truth that was seen less is ignored on
-both sides: it is not missed, and what was made of it is no false object. Tentative tracks are no objects yet.
+An object's box is the gravity-aligned box of its layer 2 (of layer 1 if it has none), a true object's that of its mesh.
+A true object counts if at least 30 % of its surface was seen. A true object of which less was seen is ignored: it is
+not counted as missed, and objects mapped on it are not counted as false. Tentative tracks are not counted as objects.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _MAX_POINTS = 3000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BoxMatch:
-    """A pair of boxes, by their places in the two lists."""
+    """A pair of boxes, by their indices in the two lists."""
 
     truth_index: int
     map_index: int
@@ -68,10 +68,10 @@ class TruthScore:
 class Score:
     """How a map compares with truth.
 
-    Recall is the share of the `num_truth` counting true objects that are matched, precision that of the `num_objects`
-    objects, less those of ignored truth. `tracks_per_object`: the mean number of objects on a true object that has any.
-    `stray_ids` are the objects that lie on no true object, `ignored_ids` those of ignored truth: where they are not
-    matched they count neither for nor against precision.
+    Recall is the matched share of the `num_truth` true objects that count, precision the matched share of the
+    `num_objects` mapped objects, without those on ignored truth. `tracks_per_object` is the mean number of mapped
+    objects on a true object that has any. `stray_ids` are the objects that lie on no true object, `ignored_ids` those
+    that lie on ignored truth; unless matched, the latter count neither for nor against precision.
     """
 
     num_truth: int
@@ -103,7 +103,7 @@ def match_boxes(
 
 
 class TrueSurfaces:
-    """Truth made ready to score maps of it: many maps of one log are scored without reading its meshes again.
+    """The meshes of a truth, read once to score many maps of the same log.
 
     Raises:
         RecordingError: the truth has no object that counts, or a mesh of it cannot be read.
@@ -218,7 +218,7 @@ def _truth_score(
 
 
 def _precision(matches: Sequence[BoxMatch], num_objects: int, aside: set[int]) -> float:
-    """Return the share of the objects that are matched; one of ignored truth counts only where it is matched."""
+    """Return the matched share of the objects; an object on ignored truth is counted only if it is matched."""
     matched = {match.map_index for match in matches}
     counted = num_objects - len(aside - matched)
     return len(matched) / counted if counted else 0.0

@@ -1,7 +1,8 @@
 """The reason why a true object is missed: one of a closed list, with the counts that support it.
 
-The first of these that holds: what the map has on it (in pieces, or one object whose box is off), whether it was large
-enough on any keyframe, what swallowed it, and else what most keyframes took it for, or what became of its own tracks.
+The reasons are tried in order, and the first that holds is given: the map has it in pieces, or as one object with a
+wrong box; it was too small in every keyframe; another object absorbed it; else the label that most keyframes gave it,
+or the way in which its own tracks ended.
 """
 
 from __future__ import annotations
@@ -43,18 +44,18 @@ MissReason = Literal[
 
 MISS_REASONS: dict[MissReason, str] = {
     "on no keyframe": "no keyframe shows a pixel of it",
-    "too small in the image": "too few keyframes for a track show it as large as 98 % of the run's masks are",
-    "outside the depth range": "most keyframes see it nearer or farther than observations are made of",
-    "no depth": "most keyframes have no depth where it is",
-    "taken for structure": "most keyframes take it for floor, wall or ceiling",
-    "in no mask": "most keyframes have depth of it, which is neither structure nor in any mask",
+    "too small in the image": "too few keyframes for a track show it larger than the smallest 2 % of the run's masks",
+    "outside the depth range": "in most keyframes its distance is outside the range of observations",
+    "no depth": "most keyframes have no depth on it",
+    "taken for structure": "most keyframes label it as floor, wall or ceiling",
+    "in no mask": "most keyframes have depth on it, but label it neither as structure nor as part of a mask",
     "mask rejected": "most keyframes reject its mask",
-    "one mask with another": "its masks are mostly something else: those of the object that has it, or most of all",
-    "merged with another": "it has masks of its own, but their track went into another object, or gave its points away",
+    "one mask with another": "its masks, or those of the object that absorbed it, show mostly something else",
+    "merged with another": "it has masks of its own, but another object took over their track, or its points",
     "in pieces": "the map has several objects on it, or most keyframes several masks",
     "too few sightings": "its sightings are too little evidence for a track, or went to several tracks",
-    "dropped as structure": "its track was found to be structure, or to lie in some",
-    "looked through": "its track was dropped since later depth was seen behind it",
+    "dropped as structure": "its track was classified as structure, or found to lie inside structure",
+    "looked through": "its track was dropped because later depth was measured behind it",
     "box is off": "one object lies on it, but their boxes have an IoU under 0.25",
 }
 
@@ -78,16 +79,16 @@ _REASON_OF: dict[State, MissReason] = {
     "in no mask": "in no mask",
 }
 _HALF = 0.5
-# An object that has this much of a missed thing has swallowed it.
+# An object that covers this share of a missed true object has absorbed it.
 _SWALLOWED = 0.3
 _EXTENT_SLACK_M, _EXTENT_SLACK = 0.03, 0.1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Missed:
-    """A true object that has no match; `map_ids` are the objects that the text is about.
+    """A true object without a match; `map_ids` are the mapped objects that the text mentions.
 
-    `best_frame` is the frame of the keyframe that shows most pixels of it, None where none shows any.
+    `best_frame` is the frame index of the keyframe that shows most pixels of it, None if no keyframe shows it.
     """
 
     truth_id: int
@@ -100,9 +101,9 @@ class Missed:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """All that reasons are made of; `names` are those of true objects, `boxes` those of the map's objects.
+    """The input to all reasons; `names` are those of true objects, `boxes` those of the map's objects.
 
-    A track is confirmed by evidence of `confirm`, to which its sightings add up (`existence`).
+    A track is confirmed when the evidence of its sightings (weighted by `existence`) adds up to `confirm`.
     """
 
     names: Mapping[int, str]
@@ -114,7 +115,7 @@ class Evidence:
 
     @property
     def fewest_sightings(self) -> int:
-        """The least number of sightings that can confirm a track: all of them good, and from places apart."""
+        """The least number of sightings that can confirm a track, each of full weight and from a new viewpoint."""
         return max(1, int(np.ceil(self.confirm / max(self.existence.fresh, self.existence.again, 1e-9))))
 
     @property
@@ -180,13 +181,13 @@ def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> M
 
 
 def tally_text(tally: Counter[State], count: int) -> str:
-    """Return how often a thing was taken for what, the most frequent first."""
+    """Return how often an object was given each label, the most frequent first."""
     parts = ", ".join(f"{number} {state}" for state, number in sorted(tally.items(), key=lambda kv: (-kv[1], kv[0])))
     return f"{count} keyframe{'s show' if count > 1 else ' shows'} it: {parts}"
 
 
 def extents_text(true: OrientedBox, found: OrientedBox) -> str:
-    """Return which extents of a box differ from the true ones, and how far it is off, in the true box's directions."""
+    """Return which extents of a box differ from the true ones, and its offset, along the axes of the true box."""
     corners = apply(invert(true.world_from_box), found.corners_world())
     low, high = corners.min(axis=0), corners.max(axis=0)
     half = true.half_extents_m
@@ -205,7 +206,7 @@ def extents_text(true: OrientedBox, found: OrientedBox) -> str:
 
 
 def lies_on_text(lies_on: LiesOn, names: Mapping[int, str]) -> str:
-    """Return of what an object's points are, the largest shares first."""
+    """Return which true surfaces the points of an object lie on, the largest shares first."""
     shares = [(share, names.get(i, str(i))) for i, share in lies_on.things.items()]
     shares += [(lies_on.structure, "structure"), (lies_on.nothing, "nothing that the truth has")]
     told = [f"{share:.0%} {name}" for share, name in sorted(shares, key=lambda p: (-p[0], p[1])) if share >= 0.05]
@@ -267,7 +268,7 @@ def _merge_text(gone: Sequence[int], map_id: int, evidence: Evidence) -> str:
 
 
 def _own_tracks(truth_id: int, evidence: Evidence) -> Counter[int]:
-    """Return how many masks of its own each track got, the most first."""
+    """Return the number of masks that each track got of this object alone, the most first."""
     tracks: Counter[int] = Counter()
     for sighting in evidence.sightings.of_object[truth_id]:
         if state_of(sighting) == "in a mask of its own":
@@ -280,7 +281,7 @@ def _own_tracks(truth_id: int, evidence: Evidence) -> Counter[int]:
 def _lost_track(
     truth_id: int, large: Sequence[Sighting], states: Sequence[State], told: str, evidence: Evidence
 ) -> Missed:
-    """Return why a thing is missed that mostly had masks of its own: what became of their tracks."""
+    """Return why an object that mostly had masks of its own is missed: the ends of their tracks."""
     tracks, histories = _own_tracks(truth_id, evidence), evidence.sightings.histories
     own = sum(tracks.values())
     ends: Counter[MissReason] = Counter()
@@ -309,7 +310,7 @@ def _reason_of_end(ending: Ending | None) -> MissReason:
 
 
 def _detail(state: State, shown: Sequence[Sighting], evidence: Evidence) -> str:
-    """Return what there is to say of the keyframes that took a thing for the same."""
+    """Return the details of the keyframes that gave an object the same label."""
     if state == "taken for structure":
         share = np.mean([sighting.share("structure") for sighting in shown])
         return f"there {share:.0%} of its pixels are taken for floor, wall or ceiling"

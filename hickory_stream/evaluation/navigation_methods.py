@@ -2,7 +2,7 @@
 
 Mesh-OBB is the convex hull of each object's gravity-aligned box, Mesh-Full all triangles of all meshes, none left out.
 Both keep the margin that layer 4 has built in. All are rasterised by the same kernel, exactly over the height band and
-by whole cells, so that only the shapes differ. Walls are no object: all methods are given the same ones.
+in whole cells, so that the methods differ in the shapes only. All are given the same walls, which belong to no object.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _MIN_HALF_EXTENT_M = 0.001
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Obstacles:
-    """What stands in a scene: `meshes` in the world and `inflated`, both by object; walls, and what nobody saw.
+    """The obstacles of a scene: `meshes` in the world and `inflated`, both by object; walls, and unobserved space.
 
-    `load` reads the meshes, and is timed: a map has them on disk.
+    `load` reads the meshes and is part of the measured time, since a map has them on disk.
     """
 
     load: Callable[[], Mapping[int, Mesh]]
@@ -57,11 +57,11 @@ class Built:
 def built(
     name: MethodName, obstacles: Obstacles, robot: Robot, frame: GridFrame, *, floor_z_m: float, r_safe_m: float
 ) -> Built:
-    """Return the free space as a method sees it; `r_safe_m` is the margin that layer 4 was inflated by."""
+    """Return the free space according to one method; `r_safe_m` is the margin that layer 4 was inflated by."""
     started = time.process_time()
     meshes = {} if name == "layer-4" else obstacles.load()
     loaded = time.process_time()
-    # Hulls, the walls among them, are kept off by the margin that layer 4 has inside.
+    # Hulls, and walls too, get the safety margin here; layer 4 has it built in.
     space = FreeSpace(robot, frame, floor_z_m, hull_margin_m=r_safe_m)
     if name == "layer-4":
         for object_id, inflated in obstacles.inflated.items():

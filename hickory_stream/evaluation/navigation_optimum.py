@@ -1,8 +1,8 @@
 """The exact shortest path over a grid (a visibility graph): the reference for the length of planned paths.
 
-The shortest way around blocked squares bends at their corners only (a visibility graph), and only around them: at a
-corner it leaves the blocked square on the inside. It may touch squares, which the planners' paths may not, so it is a
-bound from below.
+The shortest path around blocked squares is taut: it bends only at their convex corners, with the square on the inside
+of the bend (Lozano-Pérez and Wesley, 1979). It may touch squares, which the planners' paths may not, so its length is a
+lower bound of theirs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _HAIR = 1e-6
 
 
 class OptimalLengths:
-    """The lengths of shortest ways over a grid of blocked cells; what lies outside is blocked."""
+    """The lengths of shortest paths over a grid of blocked cells; everything outside the grid is blocked."""
 
     def __init__(self, is_blocked: NDArray[np.bool_], frame: GridFrame) -> None:
         self._blocked = np.ascontiguousarray(is_blocked)
@@ -32,12 +32,12 @@ class OptimalLengths:
         self._corners, self._sides = _bends(self._blocked)
         a, b, lengths = _edges(self._blocked, self._corners, self._sides)
         count = len(self._corners)
-        # Two more: start and goal.
+        # Two more nodes: start and goal.
         self._rows, self._columns, self._lengths = a, b, lengths
         self._size = count + 2
 
     def length_m(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> float:
-        """Return the length of the shortest path between two places (2,), infinite if there is none."""
+        """Return the length of the shortest path between two points (2,), infinite if there is none."""
         ends = (np.array([start, goal]) - self._frame.origin_m) / self._frame.cell_m
         direct = float(np.linalg.norm(ends[1] - ends[0]))
         if _sees(self._blocked, ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1]):
@@ -57,13 +57,13 @@ class OptimalLengths:
 
 @numba.njit(cache=True, nogil=True)
 def _sees(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether a segment passes through the inside of no blocked square; its borders may be touched."""
+    """Return whether a segment avoids the interior of every blocked square; it may touch their borders."""
     rows, columns = blocked.shape
     if y1 < y0:
         x0, y0, x1, y1 = x1, y1, x0, y0
     first, last = int(np.floor(y0 + _HAIR)), int(np.floor(y1 - _HAIR))
     if last < first and 0 <= last and first < rows:
-        # Along the line between two rows: not where both sides are blocked.
+        # The segment runs along the line between two rows: it is blocked where both sides are.
         for i in range(
             max(int(np.floor(min(x0, x1) + _HAIR)), 0), min(int(np.floor(max(x0, x1) - _HAIR)) + 1, columns)
         ):
@@ -80,7 +80,7 @@ def _sees(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no
                 return False
         if right < left and 0 <= right and left < columns and blocked[j, right] and blocked[j, left]:
             return False
-        # Between two squares that touch at a corner there is no way through.
+        # Two blocked squares that touch at a corner leave no gap between them.
         if j < last:
             x = x0 + slope * (j + 1 - y0)
             i = int(np.round(x))
@@ -92,7 +92,7 @@ def _sees(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no
 
 
 def _bends(blocked: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-    """Return (N, 2) corners x, y that one blocked square has to itself; +1 where it lies along (1, 1), else -1."""
+    """Return the convex corners (N, 2) x, y; +1 if their square lies along the diagonal (1, 1), -1 if across it."""
     around = np.pad(blocked, 1, constant_values=True)
     low_left, low_right = around[:-1, :-1], around[:-1, 1:]
     high_left, high_right = around[1:, :-1], around[1:, 1:]
@@ -104,7 +104,7 @@ def _bends(blocked: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.
 
 @numba.njit(cache=True, nogil=True)
 def _is_taut(side, dx, dy):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether a way in this direction can be part of one that bends around a corner's square."""
+    """Return whether a path in this direction can bend around the square of a corner."""
     return side * dx * dy <= 0.0
 
 

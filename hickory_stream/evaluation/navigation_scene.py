@@ -30,12 +30,12 @@ R_SAFE_M = 0.02
 
 
 def first_posture(robot: Robot) -> Robot:
-    """Return a robot that keeps to the first of its postures."""
+    """Return a robot restricted to the first of its postures."""
     return replace(robot, postures=robot.postures[:1])
 
 
 def truth_of(truth: Truth, robot: Robot, *, cell_m: float, floor_z_m: float, r_safe_m: float = R_SAFE_M) -> TrueScene:
-    """Return the true scene on a grid over its structure; over its objects where it has none."""
+    """Return the true scene on a grid that spans its structure, or its objects if it has no structure."""
     structure = [triangles(mesh) for mesh in structure_meshes(truth)]
     objects = {item.id: triangles(true_mesh_world(truth, item)) for item in truth.objects}
     corners = np.concatenate([hulls.reshape(-1, 3) for hulls in (structure or list(objects.values()))])
@@ -64,9 +64,9 @@ def score_saved_map(
     trials: int,
     seeds: Sequence[int],
 ) -> list[MethodScore]:
-    """Return the table of a map that the pipeline made; walls and unknown space are as it saw them, for all methods.
+    """Return the table of a map that the pipeline made; all methods are given its observed walls and unknown space.
 
-    The map lies in the frame of the truth, as maps do that were played with true poses.
+    The map must be in the frame of the truth, as it is if its log was played with true poses.
     """
     robot = first_posture(robot)
     snapshot = saved.snapshot

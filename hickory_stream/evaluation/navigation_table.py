@@ -1,7 +1,8 @@
 """Planning among a scene's boxes, meshes and layer 4: the paper's table of success and efficiency, and more.
 
-All methods are given one robot, one margin and one seeded list of starts and goals, which the true scene connects and
-which stand a little off its obstacles, as robots do. Truth is every triangle of the true scene, walls included.
+All methods are given the same robot, the same margin and the same seeded list of starts and goals. These are connected
+in the true scene and keep a small distance from its obstacles, as robots do. The true scene is every true triangle,
+those of walls included.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _LEAST_M = 1.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TrueScene:
-    """The truth on the grid: its free space, the main piece of it, and the shortest ways through."""
+    """The true scene on the grid: its free space, the largest connected piece of it, and the shortest paths in it."""
 
     space: FreeSpace
     is_occupied: NDArray[np.bool_]
@@ -43,10 +44,11 @@ class TrueScene:
 class MethodScore:
     """One method on one scene.
 
-    `success` of the pairs; `efficiency` is straight over path, `over_optimum` path over the shortest way of the true
-    scene, both means over its successes, None without any. `free_space` is the share of all cells in the largest
-    connected piece; `missed_cells` touch the true scene and are called free; `lost_cells` are reachable in the true
-    scene and not free. Seconds are CPU seconds; `query_s` is the mean per pair.
+    `success` is the share of pairs with a path; `efficiency` is straight-line distance over path length, `over_optimum`
+    path length over the shortest path of the true scene, both means over the successes, None without any. `free_space`
+    is the share of all cells in the largest connected piece. `missed_cells` are called free but touch the true scene;
+    `lost_cells` are reachable in the true scene but not called free. Seconds are CPU seconds; `query_s` is the mean per
+    pair.
     """
 
     name: str
@@ -90,7 +92,7 @@ def true_scene(
 
 
 def largest_piece(space: FreeSpace) -> NDArray[np.bool_]:
-    """Return (rows, columns) the largest connected piece of a round robot's free space."""
+    """Return the largest connected piece (rows, columns) of a round robot's free space."""
     labels = space.labels()[0, 0]
     counts = np.bincount(labels.ravel())
     counts[0] = 0
@@ -118,7 +120,7 @@ def draw_pairs(truth: TrueScene, count: int, seed: int) -> NDArray[np.float64]:
 def score(
     method: Built, truth: TrueScene, pairs: NDArray[np.float64], optimal_m: NDArray[np.float64], config: SearchConfig
 ) -> MethodScore:
-    """Return how a method does on the pairs; the i-th is searched with seed i."""
+    """Return the score of a method on the pairs; pair i is searched with seed i."""
     import time
 
     straight = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)

@@ -29,14 +29,14 @@ _MIN_HALF_EXTENT_M = 0.005
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LiesOn:
-    """Of what the points of an object are: shares by true object, of structure, and of nothing that is known."""
+    """Shares of an object's points by the surface they lie on: that of each true object, structure, or none known."""
 
     things: dict[int, float]
     structure: float
     nothing: float
 
     def largest(self) -> tuple[int, float] | None:
-        """Return the true object that most points lie on, and their share; None where they lie on none."""
+        """Return the true object that most points lie on, and their share; None if they lie on no true object."""
         if not self.things:
             return None
         truth_id = min(self.things, key=lambda i: (-self.things[i], i))
@@ -44,7 +44,7 @@ class LiesOn:
 
 
 class Overlap:
-    """The objects of a map (without tentative ones) on the things of a truth in the same world.
+    """The overlap of a map's objects (without tentative ones) with the true objects of the same world.
 
     `lies_on` by object, `true_boxes` by true object.
 
@@ -64,10 +64,10 @@ class Overlap:
         self.true_boxes = {i: gravity_aligned_box(m.vertices, _MIN_HALF_EXTENT_M) for i, m in self._meshes.items()}
 
     def covered(self, truth_id: int) -> dict[int, float]:
-        """Return how much of what the log shows of a true object each object has, where it has any.
+        """Return, for each mapped object that covers any, the share it covers of the visible surface of a true object.
 
-        That is the share of its surface within 3 cm of those points of the object that are nearer to it than to any
-        other true surface, by the share that the log shows.
+        Covered is the true surface within 3 cm of those points of the mapped object that are nearer to it than to any
+        other true surface; the share is relative to the surface that the log shows.
         """
         known = self._covered.get(truth_id)
         if known is None:

@@ -1,6 +1,6 @@
-"""The page of an evaluation: every true object beside what was made of it, worst first; one file, no network.
+"""The HTML page of an evaluation: every true object beside its match, worst first, in one file without network access.
 
-At the top it says why true objects are missed and where false ones come from, by counts; below it says so of each.
+It begins with counts of the reasons for missed objects and of the origins of false ones, and gives each below.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation
 
 
 def _reasons(why: Why | NoWhy) -> str:
-    """Return the tables of reasons and origins, each with how many of how many."""
+    """Return the tables of reasons and origins with their counts and totals."""
     if isinstance(why, NoWhy):
         return f"<div><p class=soft>Why objects are missed cannot be told: {html.escape(why.reason)}</p></div>"
     return (
@@ -202,7 +202,7 @@ def _layers(tracked: TrackedObject, meshes: Mapping[int, Mesh], view: CloseUp) -
 
 
 def _view_figure(tracked: TrackedObject, saved: SavedMap) -> list[str]:
-    """Return the best view, what is not of its mask dimmed; nothing where no view is kept."""
+    """Return the best view with the pixels outside its mask dimmed; "" if no view is kept."""
     best = tracked.best_view or (tracked.views[0] if tracked.views else None)
     if best is None:
         return []
@@ -212,7 +212,7 @@ def _view_figure(tracked: TrackedObject, saved: SavedMap) -> list[str]:
 
 
 def _azimuth(tracked: TrackedObject | None, true: Mesh | None) -> float:
-    """Return the azimuth of the best view, or any where there is none."""
+    """Return the azimuth of the best view, or an arbitrary one if no view is kept."""
     if tracked is None or tracked.best_view is None:
         return 0.6
     center = tracked.box.center if true is None else true.vertices.mean(axis=0)

@@ -1,4 +1,4 @@
-"""The 3D place that a pixel of a frame shows: from its mask, from recorded depth or structure, or from the log."""
+"""The 3D point that a pixel of a frame shows: from its mask, from recorded depth or structure, or from the log."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from hickory_stream.engine.history.recorded import RecordedKeyframe
     from hickory_stream.geometry.camera import Camera
 
-# Steps along a ray that meet every voxel of structure on it, and how far.
+# Step length along a ray, short enough to enter every voxel of structure on it, and the length of the ray.
 _MARCH_M, _MARCH_TO_M = 0.025, 10.0
 
 
 def place_in_keyframe(
     keyframe: RecordedKeyframe, pixel: tuple[float, float], code: int, voxel_m: float
 ) -> NDArray[np.float64] | None:
-    """Return (3,) where in the map a pixel of a keyframe is, None where the journal cannot tell."""
+    """Return the point (3,) in the map that a pixel of a keyframe shows, None if the journal does not determine it."""
     observed, camera = keyframe.observed, keyframe.camera
     map_from_camera = keyframe.map_from_odometry @ observed.world_from_camera
     if 0 < code <= len(observed.observations):
@@ -46,7 +46,7 @@ def place_in_keyframe(
 def place_by_depth(
     depth_m: NDArray[np.float32], pixel: tuple[float, float], camera: Camera, map_from_camera: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Return (3,) where in the map a pixel of a frame with (H, W) depth is, None where it has no depth."""
+    """Return the point (3,) in the map that a pixel of a frame with (H, W) depth shows, None if it has no depth."""
     depth = float(depth_m[round(pixel[1]), round(pixel[0])])
     if not (np.isfinite(depth) and depth > 0):
         return None
@@ -54,7 +54,7 @@ def place_by_depth(
 
 
 def check_pixel(pixel: tuple[float, float], camera: Camera) -> None:
-    """Refuse a pixel that is not in the image.
+    """Check that a pixel is in the image.
 
     Raises:
         InputError: it is not.
@@ -67,7 +67,7 @@ def check_pixel(pixel: tuple[float, float], camera: Camera) -> None:
 
 
 def _depth_of_structure(keyframe: RecordedKeyframe, pixel: tuple[float, float], voxel_m: float) -> float:
-    """Return the depth at which a pixel's ray meets what the keyframe saw as structure, NaN where it meets none."""
+    """Return the depth at which a pixel's ray meets the structure voxels of the keyframe, NaN if it meets none."""
     depths_m = np.arange(_MARCH_M, _MARCH_TO_M, _MARCH_M)
     ray = rays_of(keyframe.camera, np.array([pixel]))
     points = apply(keyframe.observed.world_from_camera, ray * depths_m[:, None])

@@ -1,7 +1,7 @@
-"""The history of what one pixel of a frame shows.
+"""The history of the point that one pixel of a frame shows.
 
-The place comes from the mask at the pixel, from the depth that the journal keeps, or, for frames and journals that have
-none, from the log.
+The point is found from the mask at the pixel, from the depth that the journal keeps, or, if the journal has no depth of
+this frame, from the log.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def story_of_pixel(
     pixel: tuple[float, float],
     depth_of: Callable[[int], NDArray[np.float32]] | None = None,
 ) -> PlaceStory:
-    """Return the fate of what a pixel shows.
+    """Return the history of the point that a pixel shows.
 
     Args:
         path: the map folder.
@@ -43,7 +43,7 @@ def story_of_pixel(
         depth_of: returns the (H, W) depth of the log's frame of a stamp; None where there is no log.
 
     Raises:
-        InputError: there is no such frame or pixel, or only the log can tell what is there.
+        InputError: there is no such frame or pixel, or the point can only be found from the log.
         MapFolderError: there is no map or no journal, or it is damaged or of another version.
     """
     keyframes, frames = frame_indices(path)
@@ -56,7 +56,7 @@ def story_of_pixel(
         before, after = keyframes[keyframes < frame][-1:].tolist(), keyframes[keyframes > frame][:1].tolist()
         near = " or ".join(str(i) for i in (*before, *after))
         raise InputError(
-            f"frame {frame} of {path} is no keyframe, so that nothing was looked for in it; ask for the keyframe "
+            f"frame {frame} of {path} is no keyframe, so that no objects were detected in it; ask for the keyframe "
             f"{near}, or give --log LOG, to take the place from this frame's depth"
         )
     camera, pose = frame_pose(path, frame)
@@ -73,7 +73,7 @@ def _story_of_keyframe_pixel(
 ) -> PlaceStory:
     final, config = final_snapshot(path), told_config(path)
     book = TrackHistories()
-    # A frame that was played again is told as it was the last time.
+    # Of a frame that was played several times, the last playback counts.
     keyframe: RecordedKeyframe | None = None
     for step in recorded_steps(path, final):
         seen = step.keyframe
@@ -93,7 +93,7 @@ def _story_of_keyframe_pixel(
 
 
 def _map_from_odometry(path: Path, frame: int) -> NDArray[np.float64]:
-    """Return (4, 4) where the submap lies that was open when a frame came."""
+    """Return the transform (4, 4) of the submap that was open when a frame arrived."""
     found = np.eye(4)
     for step in recorded_steps(path, final_snapshot(path)):
         if step.keyframe is not None and step.keyframe.observed.frame_index <= frame:
@@ -102,7 +102,7 @@ def _map_from_odometry(path: Path, frame: int) -> NDArray[np.float64]:
 
 
 def _followed(path: Path, point: NDArray[np.float64] | None, asked: AskedPixel) -> PlaceStory:
-    """Return the story of the place of a pixel, or, where it has none, what the frame itself says."""
+    """Return the history of the point of a pixel, or, if the pixel has none, what this frame alone says of it."""
     if point is not None:
         return story_of_point(path, point, asked)
     return PlaceStory(

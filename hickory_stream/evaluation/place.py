@@ -23,14 +23,14 @@ _COLOR_BITS = 3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Place:
-    """An upright box in the map's frame, around `layer` 2 or 1 of an object.
+    """The pose and size of an object: an upright box in the map's frame around its layer 2, or 1 (`layer`).
 
     Attributes:
         center_m: its centre.
         yaw_deg: the direction of the first side of `size_m`, from the x axis about the vertical, in 0 to 180.
         size_m: its sides: along the yaw, across it, and upright.
-        volume_m3: what the mesh encloses; of points, what the box does.
-        color: the most frequent colour of the points, #rrggbb.
+        volume_m3: the volume of the mesh, or that of the box if the layer is 1.
+        color: the dominant colour of the points, #rrggbb.
     """
 
     layer: int
@@ -42,7 +42,7 @@ class Place:
 
 
 def place_of(tracked: TrackedObject, mesh: Mesh | None) -> Place:
-    """Return where an object is; `mesh` is its layer 2, None where it has none."""
+    """Return the pose and size of an object; `mesh` is its layer 2, None if it has none."""
     color = _dominant(tracked.colors)
     if mesh is not None and tracked.shape is not None and len(mesh.vertices):
         box = gravity_aligned_box(apply(tracked.shape.world_from_object, mesh.vertices), _MIN_HALF_EXTENT_M)
@@ -68,14 +68,14 @@ def _placed(box: OrientedBox, layer: int, volume_m3: float, color: str) -> Place
 
 
 def _enclosed_m3(mesh: Mesh) -> float:
-    """Return the volume inside a closed mesh, by the divergence theorem about its middle."""
+    """Return the volume inside a closed mesh, by the divergence theorem; its centre is the origin, for precision."""
     vertices = mesh.vertices.astype(np.float64)
     a, b, c = (vertices[mesh.faces[:, i]] - vertices.mean(axis=0) for i in range(3))
     return abs(float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())) / 6
 
 
 def _dominant(colors: NDArray[np.uint8]) -> str:
-    """Return the mean of the colours in the fullest cell of a coarse grid of RGB; black where there are none."""
+    """Return the mean colour of the most populated cell of a coarse RGB grid; black if there are no points."""
     if not len(colors):
         return "#000000"
     cells = colors.astype(np.int64) >> (8 - _COLOR_BITS)

@@ -1,4 +1,4 @@
-"""The classification of a place of the map in one keyframe: mask, rejected mask, structure, occluded, or no depth."""
+"""The label of a point of the map in one keyframe: mask, rejected mask, structure, occluded, or no depth."""
 
 from __future__ import annotations
 
@@ -33,17 +33,18 @@ if TYPE_CHECKING:
 PlaceWhere = Literal[Where, "hidden", "looked through", "unknown"]
 
 AT_M = 0.03
-"""How far from a place what is there may lie."""
-# How far depth may be off: three sigmas of a small stereo camera at one metre; it grows with the square.
+"""Largest distance from a point at which a surface or a mask still belongs to it."""
+# Depth tolerance at one metre: three sigmas of a small stereo camera; it grows with the square of the depth.
 _NOISE_M = 0.012
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlaceSighting:
-    """What one keyframe took a place for; `pixel` is where it is in the image, `distance_m` how far.
+    """The label of a point in one keyframe; `pixel` is its projection, `distance_m` its distance from the camera.
 
-    `track_id` is the track that the mask there went to, `text` says it in words. "hidden": something nearer is in the
-    way; "looked through": what is seen there lies behind; "unknown": the journal is too old to tell.
+    `track_id` is the track that the mask there was matched to, `text` is the label in words. "hidden": a nearer surface
+    occludes the point; "looked through": the depth at the pixel is behind the point; "unknown": the journal is too old
+    to contain the depth.
     """
 
     frame: int
@@ -60,7 +61,7 @@ class PlaceSighting:
 def sighting_of(
     keyframe: RecordedKeyframe, point_map: NDArray[np.float64], config: MapperConfig, book: TrackHistories
 ) -> PlaceSighting | None:
-    """Return what a keyframe took a point for, None where it is not in the image."""
+    """Return the label of a point in a keyframe, None if it is not in the image."""
     observed, camera = keyframe.observed, keyframe.camera
     point = apply(keyframe.odometry_from_map, np.asarray(point_map, dtype=np.float64)[None])
     in_camera = apply(invert(observed.world_from_camera), point)
@@ -82,7 +83,7 @@ def sighting_of(
 
 
 def meaning_of_code(keyframe: RecordedKeyframe, code: int, book: TrackHistories) -> tuple[PlaceWhere, int | None, str]:
-    """Return what a pixel's code says of the point that is seen there, its observation, and both in words."""
+    """Return the label that a pixel's code stands for, the index of its observation, and both in words."""
     count = len(keyframe.observed.observations)
     where = where_of(code, count)
     if where == "mask":
@@ -101,7 +102,7 @@ def _taken_for(
     config: MapperConfig,
     book: TrackHistories,
 ) -> tuple[PlaceWhere, int | None, str]:
-    """Return what a point (1, 3) of the odometry's world was taken for, its observation, and both in words."""
+    """Return the label of a point (1, 3) in the odometry's world, the index of its observation, and both in words."""
     observed, voxel_m = keyframe.observed, config.mapping.lattice.space_m
     noise_m = AT_M + _NOISE_M * depth_m * depth_m
     index = _nearest_observation(observed.observations, point, min(noise_m, 2 * AT_M))
@@ -145,7 +146,7 @@ def _name_of(keyframe: RecordedKeyframe, code: int, book: TrackHistories) -> str
 def _nearest_observation(
     observations: tuple[Observation, ...], point: NDArray[np.float64], reach_m: float
 ) -> int | None:
-    """Return the place of the observation that has a point within reach of (1, 3), the nearest one."""
+    """Return the index of the observation with the point nearest to (1, 3), None if none is within the tolerance."""
     found: list[tuple[float, int]] = []
     for i, observation in enumerate(observations):
         if len(observation.points_world) == 0 or not observation.box.contains(point, 2 * reach_m)[0]:

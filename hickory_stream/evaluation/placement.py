@@ -1,7 +1,7 @@
-"""The transform from the truth's world to the map's: identity as a rule, else the rigid one between their poses.
+"""The transform from the truth's world to the map's: the identity, or the rigid transform between their camera poses.
 
-A log whose odometry begins where the camera was switched on has its own world: at equal stamps the cameras of map and
-truth then differ by one rigid transform, and by nothing else. Drift is not one: it is left as it is.
+The odometry of a log may have its origin where the camera was switched on. The camera poses of map and truth at equal
+stamps then differ by one rigid transform. Drift is not rigid, and is not corrected.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.truth import Truth, TruthFrame
 
 _SAME_WORLD_M, _SAME_WORLD_RAD = 2.0, np.deg2rad(15.0)
-# A transform is believed that leaves a fifth of the difference, and little of it, of poses that are not all one.
+# A transform is accepted if its residual is at most this share of the difference, and at most this many metres.
 _EXPLAINED, _MAX_REST_M = 0.2, 0.25
 _MIN_POSES, _MIN_SPREAD_M = 4, 0.25
 _MAX_TILT_RAD = np.deg2rad(5.0)
@@ -31,9 +31,9 @@ _HYPOTHESES = 60
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Placement:
-    """A truth moved into the world of a map: the rows of `map_from_world` (4, 4), and how far and by what angle.
+    """The motion of a truth into the world of a map: the rows of `map_from_world` (4, 4), its distance and its angle.
 
-    `rest_m` and `rest_deg` are what the transform leaves of the difference: medians over `num_poses` camera poses.
+    `rest_m` and `rest_deg` are the residuals of the transform: medians over `num_poses` camera poses.
     """
 
     map_from_world: tuple[tuple[float, ...], ...]
@@ -46,7 +46,7 @@ class Placement:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ViewFrame:
-    """A kept view of a map, by its name and its camera's pose there, and the true frame of the same stamp."""
+    """A kept view of a map, with its camera pose in the map's world and the true frame of the same stamp."""
 
     name: str
     world_from_camera: NDArray[np.float64]
@@ -55,7 +55,7 @@ class ViewFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlacedTruth:
-    """A truth in the world of a map; `placement` is None where it was there already."""
+    """A truth in the world of a map; `placement` is None if the two worlds are the same."""
 
     truth: Truth
     views: tuple[ViewFrame, ...]
@@ -66,8 +66,8 @@ def placed_truth(saved: SavedMap, truth: Truth) -> PlacedTruth:
     """Return a truth in the world of a map, with the true frames of the map's views.
 
     Raises:
-        RecordingError: no view has a true frame of its stamp, or neither the same world nor a transform explains where
-            the cameras are.
+        RecordingError: no view has a true frame of its stamp, or the camera poses of map and truth agree neither as
+        they are nor after a rigid transform.
     """
     views = _views_with_frames(saved, truth)
     once = {view.frame.index: view for view in views}
@@ -113,7 +113,7 @@ def _views_with_frames(saved: SavedMap, truth: Truth) -> tuple[ViewFrame, ...]:
 
 
 def _placement(found: NDArray[np.float64], true: NDArray[np.float64], difference: float) -> Placement | None:
-    """Return the transform that explains how (N, 4, 4) poses differ, None where none does; metres plus radians."""
+    """Return the rigid transform between (N, 4, 4) poses, None if none fits; `difference` is in metres plus radians."""
     spread_m = float(np.linalg.norm(np.ptp(true[:, :3, 3], axis=0)))
     if len(found) < _MIN_POSES or spread_m < _MIN_SPREAD_M:
         return None
@@ -153,7 +153,7 @@ def _differences(
 
 
 def _check_level(map_from_world: NDArray[np.float64], saved: SavedMap, truth: Truth) -> None:
-    """Raise RecordingError where map and truth do not agree on what is up: boxes are upright in both."""
+    """Raise RecordingError if the verticals of map and truth differ: the boxes of both are upright."""
     tilt_rad = float(np.arccos(np.clip(map_from_world[2, 2], -1.0, 1.0)))
     if tilt_rad > _MAX_TILT_RAD:
         raise RecordingError(

@@ -1,4 +1,4 @@
-"""How far the camera's poses are from the true ones: ATE, the absolute trajectory error."""
+"""The absolute trajectory error (ATE) of the camera's positions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PoseError:
-    """RMSE of camera positions in metres: as they are, and after the best rigid alignment; `num_poses` compared."""
+    """RMSE of `num_poses` camera positions in metres: without alignment, and after the best rigid alignment."""
 
     ate_m: float
     ate_aligned_m: float

@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 def purity(mask: NDArray[np.bool_], box_px: tuple[int, int, int, int], instances: NDArray[np.uint16]) -> float | None:
-    """Return the share of a mask's pixels that show its most frequent true instance; the background is one, too.
+    """Return the share of a mask's pixels that show its most frequent true instance; the background counts as one.
 
-    `mask` is that of a cut-out around `box_px` (x0, y0, x1, y1), the mask's own bounds in the (H, W) image; None where
-    it is empty or does not fit the image.
+    `mask` is cut out along its bounds `box_px` (x0, y0, x1, y1) in the (H, W) image. None if it is empty, or if the
+    bounds are not those of the mask or exceed the image.
     """
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     x0, y0, x1, y1 = box_px

@@ -1,7 +1,8 @@
 """Rays against triangles, by Embree: from the small wheel `embreex`, or from Open3D.
 
-Pictures and measurements use `embreex`, and Open3D where there is none (Linux on ARM). Both are Embree, and differ in
-the last bits of a distance: a recording that is to have the same bytes everywhere names the one that it was made with.
+Pictures and measurements use `embreex`, or Open3D where `embreex` has no wheel (Linux on ARM). Both wrap Embree, but
+their distances differ in the last bits: a recording that must have the same bytes everywhere names the library it was
+made with.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ CasterName = Literal["embreex", "open3d"]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Crossings:
-    """What N rays cross first: `t` (N,) float32 in units of their directions, inf where nothing.
+    """The first hits of N rays: `t` (N,) float32 in multiples of the direction vectors, inf without a hit.
 
-    Where something: `geometry` (N,) and `triangle` (N,) uint32, in the order in which they were added; `uv` (N, 2), the
-    weights of the second and the third corner; `normals` (N, 3), unit, by the order of the corners.
+    For rays with a hit: `geometry` (N,) and `triangle` (N,) uint32, indices in the order of adding; `uv` (N, 2), the
+    barycentric weights of the second and third corner; `normals` (N, 3), unit, oriented by the order of the corners.
     """
 
     t: NDArray[np.float32]
@@ -48,20 +49,20 @@ class RayCaster(Protocol):
     """A scene of meshes; rays are (N, 6) float32, origins and directions."""
 
     def add(self, vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> None:
-        """Add a mesh of (V, 3) vertices and (F, 3) faces; before the first ray is cast."""
+        """Add a mesh of (V, 3) vertices and (F, 3) faces; all meshes are added before the first ray is cast."""
         ...
 
     def cast(self, rays: NDArray[np.float32]) -> Crossings:
-        """Return what the rays cross first."""
+        """Return the first hits of the rays."""
         ...
 
     def is_occluded(self, rays: NDArray[np.float32], reach: float = np.inf) -> NDArray[np.bool_]:
-        """Return (N,) whether the rays cross anything up to `reach`, in units of their directions."""
+        """Return (N,) whether the rays hit anything up to `reach`, in multiples of their direction vectors."""
         ...
 
 
 def ray_caster(name: CasterName | None = None) -> RayCaster:
-    """Return an empty scene of that library; by default of the one that this platform has.
+    """Return an empty scene of the named library; by default of the one that this platform has.
 
     Raises:
         InputError: the library is not installed.

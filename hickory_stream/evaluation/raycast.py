@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Beyond this angle between a face and its smoothed normal there is an edge, which smoothing would round off.
+# A face that differs by more than this angle from its smoothed normal is at a sharp edge, and keeps its own normal.
 _CREASE_COSINE = 0.82
 
 
@@ -37,10 +37,10 @@ class Surface:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hits:
-    """What N rays met first.
+    """The first hits of N rays.
 
-    `distance_m` (N,) float32, inf where nothing; `normals` (N, 3) float32, unit, towards the ray's origin, smoothed
-    over gentle edges; `colors` (N, 3) float32 in 0..1; `owners` (N,) int32, -1 where nothing.
+    `distance_m` (N,) float32, inf without a hit; `normals` (N, 3) float32, unit, towards the ray's origin, smoothed
+    except at sharp edges; `colors` (N, 3) float32 in 0..1; `owners` (N,) int32, -1 without a hit.
     """
 
     distance_m: NDArray[np.float32]
@@ -64,7 +64,7 @@ class Scene:
             self._caster.add(vertices, faces)
 
     def cast(self, origins: NDArray[Any], directions: NDArray[Any]) -> Hits:
-        """Return what (N, 3) rays meet first; directions of unit length."""
+        """Return the first hits of rays with (N, 3) origins and (N, 3) unit directions."""
         count = len(origins)
         normals, colors = np.zeros((2, count, 3), dtype=np.float32)
         if self._caster is None:
@@ -84,13 +84,13 @@ class Scene:
         return Hits(distance_m=found.t, normals=normals, colors=colors, owners=owners)
 
     def is_occluded(self, origins: NDArray[Any], directions: NDArray[Any], reach_m: float) -> NDArray[np.bool_]:
-        """Return for each of (N, 3) rays whether it meets something within `reach_m`."""
+        """Return (N,) whether each ray hits a surface within `reach_m`."""
         if self._caster is None:
             return np.zeros(len(origins), dtype=bool)
         return self._caster.is_occluded(_rays(origins, directions), reach_m)
 
     def nearest(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """Return (N,) distances of (N, 3) points to the nearest surface, and its owner; inf and -1 if there is none.
+        """Return the distances (N,) of (N, 3) points to the nearest surface, and its owners (inf, -1 if there is none).
 
         Raises:
             InputError: Open3D is not installed.
@@ -151,7 +151,7 @@ def _smoothed(flat: NDArray[np.float32], smooth: NDArray[np.float32]) -> NDArray
 
 
 def _towards(normals: NDArray[np.float32], directions: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the normals turned to the side that the rays come from."""
+    """Return the normals, flipped where necessary to face the origins of the rays."""
     looks_away = np.einsum("nc,nc->n", normals, directions) > 0
     return np.where(looks_away[:, None], -normals, normals)
 

@@ -1,6 +1,6 @@
 """A picture of a map without a screen: from above and from a raised corner, layers selectable.
 
-The view from a corner is the one of eight in which the objects hide one another least.
+The second view is the one of eight directions in which the objects occlude one another least.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def render_map(saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int])
 
     Args:
         saved: the map; tracks that are still tentative are not drawn.
-        layers: which of the layers 1 to 4; an object that has no shape is drawn by its points.
-            Layer 4, and layer 3 where layer 2 is drawn too, are translucent.
+        layers: the layers to draw, of 1 to 4; an object without a shape is drawn as its points. Layer 4 is translucent,
+        and so is layer 3 if layer 2 is drawn too.
         size: (W, H) in pixels, at least (480, 240).
 
     Raises:
@@ -98,14 +98,14 @@ def _surfaces(
 
 
 def _corners(objects: list[TrackedObject]) -> NDArray[np.float64]:
-    """Return the corners of all boxes; of a cube of 2 m where there is no object."""
+    """Return the corners of all boxes, or those of a cube of 2 m if there is no object."""
     if not objects:
         return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
     return np.concatenate([tracked.box.corners_world() for tracked in objects])
 
 
 def _floor_of(saved: SavedMap, objects: list[TrackedObject]) -> Floor:
-    """Return the floor, weighted by where it was seen, or around the objects where none was seen."""
+    """Return the floor, weighted by how much of it was seen; if none was seen, a floor around the objects."""
     import cv2
 
     corners = _corners(objects)
@@ -132,7 +132,7 @@ def _floor_of(saved: SavedMap, objects: list[TrackedObject]) -> Floor:
 
 
 def _left_width(objects: list[TrackedObject], width: int, height: int) -> int:
-    """Return how wide the view from above is: as its content wants, within limits."""
+    """Return the width of the view from above: proportional to its content, within limits."""
     corners = _corners(objects)
     extent = np.maximum(np.ptp(corners[:, :2], axis=0), 0.5)
     wanted = (height - 2 * _MARGIN_PX) * extent[0] / extent[1] + 2 * _MARGIN_PX
@@ -140,7 +140,7 @@ def _left_width(objects: list[TrackedObject], width: int, height: int) -> int:
 
 
 def _best_corner(objects: list[TrackedObject], corners: NDArray[np.float64], width: int, height: int) -> Viewpoint:
-    """Return, of eight directions, the view in which the objects hide one another least, whichever layers are drawn."""
+    """Return the view, of eight directions, in which objects occlude one another least, whichever layers are drawn."""
     small = (width // 8, height // 8, _MARGIN_PX // 8)
     above = from_above(corners, *small)
     scene = Scene([point_surface(tracked, above) for tracked in objects])

@@ -1,6 +1,6 @@
-"""A picture of two maps joined by their pairs: laid over one another from above, and one lifted above the other.
+"""A picture of two aligned maps: overlaid and seen from above, and with one lifted above the other.
 
-Map a is blue, map b orange; what has no partner is pale. Where no alignment was found, the maps stand side by side.
+Map a is blue, map b orange; objects without a partner are pale. If no alignment was found, the maps stand side by side.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def render_alignment(
     answer: Alignment | NoAlignment,
     size: tuple[int, int] = (1600, 800),
 ) -> NDArray[np.uint8]:
-    """Return an (H, W, 3) uint8 picture of two maps and what `align` said of them; at least 480 x 240.
+    """Return an (H, W, 3) uint8 picture of two maps and the answer of `align`; at least 480 x 240 pixels.
 
     Raises:
         ValueError: the size is smaller.
@@ -67,7 +67,7 @@ def _draw_joined(image: NDArray[np.uint8], left: int, map_a: ObjectMap, map_b: O
     bounds_a, bounds_b = _corners(map_a, np.eye(4)), _corners(map_b, answer.a_from_b)
     both = np.concatenate([bounds_a, bounds_b])
     floor = _floor(both)
-    # Laid over one another: b shines through where both are.
+    # Overlaid: map b is translucent.
     over = Model(
         solid=_surfaces(map_a, np.eye(4), in_a, BLUE),
         translucent=_surfaces(map_b, answer.a_from_b, in_b, ORANGE),
@@ -78,7 +78,7 @@ def _draw_joined(image: NDArray[np.uint8], left: int, map_a: ObjectMap, map_b: O
     above = from_above(both, left - 2, height, _MARGIN_PX)
     image[:, : left - 2] = draw_view(over, above)
     draw_scale(image[:, : left - 2], above.focal_px)
-    # Lifted: as high as shows both floors, with a line from each object to its partner.
+    # Lifted: high enough to show both floors, with a line from each object to its partner.
     lift_m = 0.5 * float(np.ptp(both[:, :2], axis=0).max()) + float(np.ptp(both[:, 2]))
     lifted = from_rotation_translation(np.eye(3), np.array([0.0, 0.0, lift_m])) @ answer.a_from_b
     apart = Model(
@@ -140,7 +140,7 @@ def _draw_apart(image: NDArray[np.uint8], middle: int, map_a: ObjectMap, map_b: 
 def _surfaces(
     objects: ObjectMap, frame_from_map: NDArray[np.float64], matched: AbstractSet[int], color: tuple[int, int, int]
 ) -> list[Surface]:
-    """Return layer 3 of every object, its box where it has none."""
+    """Return layer 3 of every object, or its box if it has none."""
     pale = tuple(round(c + (225 - c) * _PALE) for c in color)
     surfaces = []
     for object_id, shape, box in zip(objects.ids, objects.shapes, objects.boxes, strict=True):
@@ -157,7 +157,7 @@ def _surfaces(
 
 
 def _corners(objects: ObjectMap, frame_from_map: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the corners of all boxes; of a cube of 2 m where there is no object."""
+    """Return the corners of all boxes, or those of a cube of 2 m if there is no object."""
     if not len(objects):
         return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
     return np.asarray(apply(frame_from_map, np.concatenate([box.corners_world() for box in objects.boxes])))

@@ -36,7 +36,7 @@ def render_plan(
     start: NDArray[np.float64],
     goal: NDArray[np.float64],
 ) -> NDArray[np.uint8]:
-    """Return an (H, W, 3) uint8 picture of a plan, or of where there is none; pale blue: lowered postures only."""
+    """Return an (H, W, 3) uint8 picture of a plan, or of the scene without one; pale blue: lowered postures only."""
     canvas = _Canvas.of(space)
     _draw_walls(canvas, space)
     _draw_objects(canvas, snapshot)
@@ -52,7 +52,7 @@ def render_plan(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Canvas:
-    """A picture with y downwards, and how to get into it."""
+    """A picture with y downwards, and the transform of places in the world to its pixels."""
 
     image: NDArray[np.uint8]
     space: FreeSpace
@@ -74,11 +74,11 @@ class _Canvas:
         return np.stack([scaled[:, 0], self.image.shape[0] - scaled[:, 1]], axis=1)
 
     def fixed(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Return pixels for cv2 with 4 bits of fraction."""
+        """Return pixels in the fixed-point format of cv2, with 4 fractional bits."""
         return np.asarray(np.round(16 * self.pixels(points)), dtype=np.int32)
 
     def framed(self) -> NDArray[np.uint8]:
-        """Return the picture with room for the title and a border; at least as wide as a title is."""
+        """Return the picture with a border and a strip for the title, at least as wide as the title."""
         height, width = self.image.shape[:2]
         side = max(_MARGIN_PX, (760 - width) // 2)
         out = np.full((height + _TITLE_PX + 2 * _MARGIN_PX, width + 2 * side, 3), 255, np.uint8)
@@ -88,7 +88,7 @@ class _Canvas:
 
 
 def _colored(space: FreeSpace) -> NDArray[np.uint8]:
-    """Return (rows, columns, 3): free where any heading of a posture is, in the colour of the first such posture."""
+    """Return the colours (rows, columns, 3): a free cell has that of the first posture in which any heading is free."""
     states = np.stack([np.stack([layer.states() for layer in headings]) for headings in space.layers])
     is_free = (states == Cell.FREE).any(axis=1)
     image = np.full((*space.frame.shape, 3), _OCCUPIED, np.uint8)
@@ -99,7 +99,7 @@ def _colored(space: FreeSpace) -> NDArray[np.uint8]:
 
 
 def _draw_walls(canvas: _Canvas, space: FreeSpace) -> None:
-    """Draw the walls themselves, darker than what they keep the robot out of."""
+    """Draw the walls, darker than the cells around them that they block."""
     import cv2
 
     for hull in space.walls:
@@ -108,7 +108,7 @@ def _draw_walls(canvas: _Canvas, space: FreeSpace) -> None:
 
 
 def _draw_objects(canvas: _Canvas, snapshot: MapSnapshot) -> None:
-    """Draw the outline of every primitive, from above, over a tint."""
+    """Draw the outline of every primitive as seen from above, with a translucent fill."""
     import cv2
 
     tinted = canvas.image.copy()

@@ -1,7 +1,7 @@
 """The surfaces of a picture of a map: layers of its objects, walls and floor.
 
-Walls are drawn from the inside only: of a structure voxel, the faces that look at observed free space and at the eye.
-So the near walls of a room are not there when one looks in over them.
+Walls are drawn from the inside only: of a structure voxel, those faces are drawn that face both observed free space and
+the viewer. The near walls of a room, seen from outside, are therefore not drawn.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from hickory_stream.records import Submap, TrackedObject
 
 WALL_COLOR = (214, 218, 226)
-# Structure below this is drawn as the floor; above the other it would be the ceiling.
+# Structure below the first height is drawn as the floor; structure above the second, the ceiling, is not drawn.
 _FLOOR_REACH_M, _CUT_M = 0.15, 2.0
 _MIN_WALL_M = 0.6
 _STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
@@ -36,7 +36,7 @@ _QUAD_FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def point_surface(tracked: TrackedObject, viewpoint: Viewpoint) -> Surface:
-    """Return layer 1 as squares that face the eye, of about the size of the gaps between the points."""
+    """Return layer 1 as squares that face the viewer, about as large as the spacing of the points."""
     points = tracked.points_world
     normals = viewpoint.towards_eye(points)
     half_m = np.full(len(points), 0.6 * _spacing_m(points))
@@ -56,7 +56,7 @@ def mesh_surface(saved: SavedMap, tracked: TrackedObject) -> Surface:
 
 
 def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Surface]:
-    """Return layer 3 or 4 in the object's colour, every other primitive a little darker."""
+    """Return layer 3 or 4 in the object's colour, with every second primitive a little darker."""
     surfaces = []
     for i in range(len(primitives)):
         vertices, faces = display_mesh(primitives, i, 0.004 * float(primitives.semi_axes_m[i].max()))
@@ -67,7 +67,7 @@ def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Sur
 
 
 def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint) -> Surface:
-    """Return the walls: from above as a floor plan, else their insides that face the eye."""
+    """Return the walls: from above as a floor plan, else their inner faces that face the viewer."""
     space = submap.observed_space
     cells = cells_of_keys(space.structure)
     height_m = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)[:, 2] - floor_z_m
@@ -81,7 +81,7 @@ def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint) -> Surf
 
 
 def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
-    """Return the (N, 2) places in the world where structure was seen at the height of the floor."""
+    """Return the points (N, 2) in the world where structure was seen at the height of the floor."""
     space = submap.observed_space
     centers = apply(submap.world_from_submap, (cells_of_keys(space.structure) + 0.5) * space.voxel_m)
     return np.asarray(centers[np.abs(centers[:, 2] - floor_z_m) <= _FLOOR_REACH_M, :2])
@@ -90,7 +90,7 @@ def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
 def _facing(
     cells: NDArray[np.int64], step: NDArray[np.int64], submap: Submap, viewpoint: Viewpoint
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the centres, in the world, of the cells' faces on one side that look at free space and at the eye."""
+    """Return the centres, in the world, of the faces on one side of the cells that face free space and the viewer."""
     space = submap.observed_space
     exposed = _in_a_wall(cells[contains(space.free, keys_of_cells(cells + step))], step)
     normal = submap.world_from_submap[:3, :3] @ step
@@ -99,7 +99,7 @@ def _facing(
 
 
 def _in_a_wall(exposed: NDArray[np.int64], step: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the cells that at least half of their eight neighbours in the plane continue, one cell up or down."""
+    """Return the cells with at least half of their eight neighbours across `step`, to within one cell along `step`."""
     keys = np.sort(keys_of_cells(exposed))
     across, along = np.roll(step, 1), np.roll(step, 2)
     count = np.zeros(len(exposed), dtype=np.int64)
@@ -110,7 +110,7 @@ def _in_a_wall(exposed: NDArray[np.int64], step: NDArray[np.int64]) -> NDArray[n
 
 
 def _floor_plan(cells: NDArray[np.int64], submap: Submap) -> Surface:
-    """Return a square for each column of cells that is tall enough to be a wall."""
+    """Return a square for each column of cells of at least the height of a wall."""
     voxel_m = submap.observed_space.voxel_m
     columns, counts = np.unique(cells[:, :2], axis=0, return_counts=True)
     walls = columns[counts * voxel_m >= _MIN_WALL_M]
@@ -121,7 +121,7 @@ def _floor_plan(cells: NDArray[np.int64], submap: Submap) -> Surface:
 
 def _wall_squares(centers: NDArray[Any], normals: NDArray[Any], voxel_m: float) -> Surface:
     colors = np.tile(np.array(WALL_COLOR, dtype=np.uint8), (len(centers), 1))
-    # Larger than a voxel: a wall with pin-holes looks like noise.
+    # Larger than a voxel, to close pinholes in the wall.
     return _squares(centers, normals, np.full(len(centers), 0.8 * voxel_m), colors, 0)
 
 
@@ -142,7 +142,7 @@ def _squares(
 
 
 def _spacing_m(points: NDArray[np.float32]) -> float:
-    """Return the median distance between neighbouring points; a centimetre where there are too few to tell."""
+    """Return the median distance between neighbouring points; a centimetre if there are too few points."""
     some = points[:: max(1, len(points) // 2000)]
     if len(points) < 2:
         return 0.01

@@ -1,7 +1,7 @@
-"""One view of a map: what each ray meets, and how it is lit.
+"""One view of a map, ray cast and shaded.
 
-Rays are cast on the CPU; what they meet is lit by a lamp at the eye, a sun and a sky, less what of the sky is hidden by
-what stands near. Walls fade towards their tops, the floor where it was not seen.
+Rays are cast on the CPU. Surfaces are lit by a headlight, a sun and an ambient sky, which nearby surfaces occlude
+(ambient occlusion). Walls fade out towards their tops, the floor where it was not seen.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _FLOOR, _GRID = np.array([[0.87, 0.865, 0.85], [0.74, 0.735, 0.72]], dtype=np.fl
 _SHADE_REACH_M = 0.45
 _SHADE_RAYS = 16
 _EDGE_CONTRAST = 0.04
-# A turned square: lines that are nearly level or upright cross its four points one by one.
+# Sample positions in a pixel (rotated grid): nearly horizontal or vertical edges pass its four points one by one.
 _WITHIN_PIXEL = np.array([[-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]], dtype=np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Floor:
-    """The plane z = `z_m`; `weights` (H, W) float32: how much was seen, from `origin_m` in cells of `cell_m`."""
+    """The plane z = `z_m`; `weights` (H, W) float32 is how much of each cell of `cell_m` was seen, from `origin_m`."""
 
     z_m: float
     origin_m: NDArray[np.float64]
@@ -48,7 +48,7 @@ class Floor:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Model:
-    """What is drawn, as far as it does not depend on the viewpoint: `points` are objects whose layer 1 is drawn."""
+    """The parts of a picture that do not depend on the viewpoint; `points` are the objects whose layer 1 is drawn."""
 
     solid: list[Surface]
     translucent: list[Surface]
@@ -65,7 +65,7 @@ class _Scenes:
 
 
 def draw_view(model: Model, viewpoint: Viewpoint) -> NDArray[np.uint8]:
-    """Return the (H, W, 3) picture from one viewpoint: a ray a pixel, four more where the colours change."""
+    """Return the (H, W, 3) picture from one viewpoint: one ray per pixel, and four more at edges of colour."""
     scenes = _Scenes(
         solid=Scene([*model.solid, *(point_surface(tracked, viewpoint) for tracked in model.points)]),
         translucent=Scene(model.translucent),
@@ -84,7 +84,7 @@ def draw_view(model: Model, viewpoint: Viewpoint) -> NDArray[np.uint8]:
 def _colors(
     scenes: _Scenes, floor: Floor, viewpoint: Viewpoint, places_px: NDArray[np.float32], shade: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return the (N, 3) float32 colours, in 0..1, at (N, 2) places of the image; `shade` (N,) of what lies there."""
+    """Return the (N, 3) float32 colours in 0..1 at (N, 2) image positions; `shade` (N,) is their ambient light."""
     origins, directions = viewpoint.rays(places_px)
     floor_m = _floor_distance(floor, origins, directions)
     solid = scenes.solid.cast(origins, directions)
@@ -96,7 +96,7 @@ def _colors(
     floor_color, weight = _floor_color(floor, origins, directions, floor_m, viewpoint)
     color = _mixed(color, floor_color * shade[:, None], weight)
     color = _mixed(color, walls.colors * _wall_light(walls.normals), _wall_weight(walls, floor, origins, directions))
-    # From above the walls are a plan on the floor, whatever stands before them.
+    # In the view from above, walls are drawn as a plan on the floor, below everything else.
     is_object = np.isfinite(solid.distance_m)
     if not viewpoint.is_orthographic:
         is_object &= solid.distance_m < walls.distance_m
@@ -109,7 +109,7 @@ def _colors(
 
 
 def _is_edge(image: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return (H, W): where a pixel's neighbourhood is not of one colour."""
+    """Return (H, W) the pixels whose neighbourhood is not of one colour."""
     import cv2
 
     around = np.ones((3, 3), np.uint8)
@@ -123,7 +123,7 @@ def _mixed(below: NDArray[Any], above: NDArray[Any], weight: NDArray[Any]) -> ND
 def _lit(
     colors: NDArray[np.float32], normals: NDArray[np.float32], directions: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return the colours under a sky, a sun from the side, and a lamp at the eye."""
+    """Return the colours under an ambient sky, a sun from the side, and a headlight."""
     sun = np.array([0.35, -0.5, 0.79], dtype=np.float32)
     sky = 0.5 + 0.5 * normals[:, 2]
     eye = np.maximum(-np.einsum("nc,nc->n", normals, directions), 0)
@@ -135,7 +135,7 @@ def _lit(
 
 
 def _floor_distance(floor: Floor, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the distance of the floor along the rays, inf where they do not look down."""
+    """Return the distance of the floor along the rays, inf for rays that do not point down."""
     down = directions[:, 2] < -1e-6
     distance = (floor.z_m - origins[:, 2]) / np.where(down, directions[:, 2], -1.0)
     return np.where(down & (distance > 0), distance, np.inf).astype(np.float32)
@@ -148,7 +148,7 @@ def _floor_color(
     distance_m: NDArray[np.float32],
     viewpoint: Viewpoint,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the (N, 3) colour of the floor with a grid of 1 m, and the (N, 1) share of it that is drawn."""
+    """Return the colour (N, 3) of the floor with a grid of 1 m, and its opacity (N, 1)."""
     is_floor = np.isfinite(distance_m)
     reach = np.where(is_floor, distance_m, 0)[:, None]
     places = (origins + directions * reach)[:, :2]
@@ -161,14 +161,14 @@ def _floor_color(
 
 
 def _wall_light(normals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (N, 1): walls differ a little by where they look, so that a corner shows."""
+    """Return the brightness (N, 1) of walls; it varies a little with their direction, so that corners are visible."""
     return np.asarray(0.95 + 0.04 * normals[:, :1] + 0.02 * normals[:, 1:2])
 
 
 def _wall_weight(
     walls: Hits, floor: Floor, origins: NDArray[np.float32], directions: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return (N, 1): how much of a wall is drawn, less and less towards its top."""
+    """Return the opacity (N, 1) of walls, which decreases towards their tops."""
     height_m = (
         origins[:, 2] + directions[:, 2] * np.where(np.isfinite(walls.distance_m), walls.distance_m, 0) - floor.z_m
     )
@@ -180,10 +180,10 @@ def _wall_weight(
 
 
 def _shade_of(scene: Scene, floor: Floor, viewpoint: Viewpoint) -> NDArray[np.float32]:
-    """Return (H, W) in 0..1: how much of the sky each pixel's surface sees past what stands near it.
+    """Return (H, W) in 0..1 the part of the sky that is visible from each pixel's surface (ambient occlusion).
 
-    For every fourth pixel, since shade is soft. The same directions everywhere, turned in a 4 x 4 pattern that a blur
-    of that size removes.
+    It is computed for every fourth pixel, since it varies slowly. The sample directions are rotated in a 4 x 4 pattern,
+    which a blur of that size removes.
     """
     import cv2
 
@@ -210,7 +210,7 @@ def _shade_of(scene: Scene, floor: Floor, viewpoint: Viewpoint) -> NDArray[np.fl
 
 
 def _sky_directions(count: int) -> NDArray[np.float32]:
-    """Return (count, 3) directions spread evenly over the sphere: added to a normal they are spread by the cosine."""
+    """Return (count, 3) uniform directions on the sphere; added to a unit normal they are cosine-weighted around it."""
     i = np.arange(count) + 0.5
     z = 1 - 2 * i / count
     angle = np.pi * (1 + 5**0.5) * i

@@ -1,7 +1,7 @@
 """The label of each pixel of a recorded keyframe: mask, rejected mask (and why), structure, or none.
 
-Masks are in the journal pixel by pixel; depth and structure at a fraction of the size. Of an older journal, which has
-no depth, structure is told by the voxels of the keyframe's structure, at 5 cm.
+The journal keeps masks at full resolution, depth and structure at a reduced one. In older journals, which have no
+depth, the label structure comes from the keyframe's structure voxels of 5 cm.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _WHERE: dict[int, Where] = {
     TOO_FAR: "too far",
 }
 LEAST_CODE = TOO_FAR
-# A point this far from a voxel of structure is on it: the noise of depth.
+# A point within this distance of a structure voxel lies on it; it covers the depth noise.
 _SLACK_M = 0.015
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Range:
-    """The depths, in metres, of which observations are made."""
+    """The range of depths, in metres, from which observations are made."""
 
     nearest_m: float
     farthest_m: float
@@ -60,24 +60,24 @@ class SeenAs:
         freeze(self, "codes", np.int32, (None, None))
 
     def where(self, code: int) -> Where:
-        """Return what a code means."""
+        """Return the label that a code stands for."""
         return where_of(code, self.num_masks)
 
 
 def where_of(code: int, num_masks: int) -> Where:
-    """Return what a code of a keyframe with so many observations means."""
+    """Return the label that a code stands for in a keyframe with this number of observations."""
     if code > num_masks:
         return "rejected mask"
     return "mask" if code > 0 else _WHERE[code]
 
 
 def range_of(config: MapperConfig) -> Range:
-    """Return the depths of which observations are made."""
+    """Return the range of depths from which observations are made."""
     return Range(nearest_m=config.perception.observe.min_depth_m, farthest_m=config.perception.observe.max_depth_m)
 
 
 def seen_as(keyframe: RecordedKeyframe, reach: Range) -> SeenAs:
-    """Return what each pixel of a keyframe was taken for; without coarse depth, what is in no mask has `NO_MASK`."""
+    """Return the label of each pixel of a keyframe; without coarse depth, pixels outside all masks have `NO_MASK`."""
     observed, camera = keyframe.observed, keyframe.camera
     size = (camera.width, camera.height)
     codes = np.zeros((camera.height, camera.width), dtype=np.int32)
@@ -96,7 +96,7 @@ def seen_as(keyframe: RecordedKeyframe, reach: Range) -> SeenAs:
 
 
 def code_at(keyframe: RecordedKeyframe, pixel: tuple[float, float], reach: Range) -> int:
-    """Return what one pixel (column, row) of a keyframe was taken for, as `seen_as` has it."""
+    """Return the code of one pixel (column, row) of a keyframe, the same as in `seen_as`."""
     observed = keyframe.observed
     column, row = round(pixel[0]), round(pixel[1])
     masks = [(o.box_px, o.mask) for o in observed.observations] + [(r.box_px, r.mask) for r in observed.rejected]
@@ -119,7 +119,7 @@ def _codes_of_cells(coarse: CoarseFrame, reach: Range) -> NDArray[np.int32]:
 
 
 def on_structure(keyframe: RecordedKeyframe, points_odometry: NDArray[np.float64], voxel_m: float) -> NDArray[np.bool_]:
-    """Return which of (N, 3) points lie in, or within the noise of, voxels that the keyframe saw as structure."""
+    """Return which of (N, 3) points lie in structure voxels of the keyframe, or within the depth noise of one."""
     keys = keyframe.observed.space.structure_keys
     found = contains(keys, keys_of_points(points_odometry, voxel_m))
     for axis in range(3):
@@ -131,7 +131,7 @@ def on_structure(keyframe: RecordedKeyframe, points_odometry: NDArray[np.float64
 
 
 def rays_of(camera: Camera, pixels: NDArray[Any]) -> NDArray[np.float64]:
-    """Return (N, 3) what (N, 2) pixels look along, in the camera's frame, of depth 1."""
+    """Return the rays (N, 3) of (N, 2) pixels, as points of depth 1 in the camera's frame."""
     x, y = np.asarray(pixels, dtype=np.float64).T
     return np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones(len(x))], axis=1)
 

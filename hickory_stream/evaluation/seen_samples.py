@@ -30,8 +30,8 @@ def seen_samples(
 ) -> dict[int, NDArray[np.bool_]]:
     """Return for every true object which of its samples some frame shows.
 
-    Of all frames at most 120, evenly spread, are looked at. A sample is seen where its pixel shows its object, it is
-    0.3 to 8 m away, and nothing stands between it and the camera.
+    At most 120 frames, evenly spread over the log, are examined. A sample is seen in a frame if its pixel shows its
+    object, its distance is 0.3 to 8 m, and nothing lies between it and the camera.
 
     Raises:
         RecordingError: an instance image is missing or torn.
@@ -73,6 +73,6 @@ def _mark(
         towards = eye - surface.samples[open_]
         length = np.linalg.norm(towards, axis=1)
         towards = towards / length[:, None]
-        # Nothing but air on the way: what looks away from the camera is hidden by its own object.
+        # No surface between the camera and the sample; samples that face away are occluded by their own object.
         hit = scene.cast(surface.samples[open_] + _OFF_SURFACE_M * towards, towards)
         seen[i][open_[hit.distance_m > length - 2 * _OFF_SURFACE_M]] = True

@@ -1,4 +1,4 @@
-"""What perception makes of one picture, drawn: masks, what was rejected and why, structure, features as colour."""
+"""Pictures of what perception finds in an image: masks, rejected masks and why, structure, features as colours."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def segmentation_picture(
 
 
 def masks_picture(rgb: NDArray[np.uint8], masks: Sequence[InstanceMask]) -> NDArray[np.uint8]:
-    """Return a picture of masks that may overlap, larger ones below."""
+    """Return a picture of masks that may overlap, with smaller masks above larger ones."""
     labels = np.zeros(rgb.shape[:2], dtype=np.int32)
     for i in sorted(range(len(masks)), key=lambda i: -int(masks[i].mask.sum())):
         x0, y0, x1, y1 = masks[i].box_px
@@ -57,7 +57,7 @@ def features_picture(patches: NDArray[np.float32], size: tuple[int, int]) -> NDA
 
 
 def classes_picture(rgb: NDArray[np.uint8], semantics: SemanticImage) -> NDArray[np.uint8]:
-    """Return a picture of classes, with a legend of those that cover most."""
+    """Return a picture of classes, with a legend of those with the largest area."""
     picture = _with_instances(rgb, semantics.classes + 1, numbers=False)
     ids, areas = np.unique(semantics.classes[semantics.classes >= 0], return_counts=True)
     most = [int(i) for i in ids[np.argsort(-areas, kind="stable")][:12]]
@@ -98,7 +98,7 @@ def _outlines(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 def _number(picture: NDArray[np.uint8], mask: NDArray[np.bool_], number: int) -> None:
-    """Write a number where a mask is thickest."""
+    """Write a number at the point of a mask that is farthest from its border."""
     if not mask.any():
         return
     inside = cv2.distanceTransform(np.pad(mask.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
@@ -117,7 +117,7 @@ def _panel(picture: NDArray[np.uint8], caption: str) -> NDArray[np.uint8]:
 def _legend(
     lines: Sequence[str], width: int, colors: Sequence[tuple[int, int, int]] | None = None
 ) -> NDArray[np.uint8]:
-    """Return lines of text on dark ground, in as many columns as fit."""
+    """Return lines of text on a dark background, in as many columns as fit."""
     columns = max(1, width // 420) if len(lines) > 1 else 1
     rows = -(-len(lines) // columns)
     out = np.full((rows * _CAPTION_PX, width, 3), _DARK, dtype=np.uint8)

@@ -36,8 +36,8 @@ class ObjectBody:
 def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple[Support, ...]]:
     """Return the relations of each object of a map, by its id.
 
-    An object is held against the observed space of its submap; heights are those in the frame of that one. One without
-    points has none.
+    Each object is compared with the observed space of its own submap, in whose frame the heights are. An object without
+    points has no relations.
     """
     objects = [item for item in snapshot.objects if len(item.points_world)]
     found: dict[int, tuple[Support, ...]] = {item.id: () for item in snapshot.objects}
@@ -60,7 +60,7 @@ def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple
 
 
 def told(supports: tuple[Support, ...]) -> str:
-    """Return in a few words what holds an object: what it rests on, else hangs from, is a part of, or leans on."""
+    """Return a phrase for the support of an object: what it rests on, else hangs from, is a part of, or leans on."""
     held = {support.relation: support.by for support in reversed(supports)}
     if Relation.RESTS_ON in held:
         by = held[Relation.RESTS_ON]

@@ -23,7 +23,7 @@ SAMPLES = 4000
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TrueSurface:
-    """A true object in the world: its mesh and (N, 3) samples of what of it can be seen from outside."""
+    """A true object in the world: its mesh, and (N, 3) samples of the surface that is visible from outside."""
 
     mesh: Mesh
     samples: NDArray[np.float64]
@@ -42,10 +42,11 @@ class SurfaceScore:
 
 
 def surface_score(true: TrueSurface, found: Mesh, rng: np.random.Generator) -> SurfaceScore:
-    """Return how a mesh agrees with a true one, both in the world frame.
+    """Return the agreement of a mesh with a true one, both in the world frame.
 
-    Recall is the share of true samples within a distance of the mesh, precision that of the mesh's samples within it of
-    the true mesh; F1 is their harmonic mean. Distances are to triangles, not between samples.
+    At a distance threshold, recall is the share of true samples within it of the mesh, precision the share of the
+    mesh's samples within it of the true mesh, and F1 their harmonic mean. Distances are to triangles, not between
+    samples.
     """
     samples, _ = sample_surface(found, SAMPLES, rng)
     to_found = distance_to(found, true.samples)
@@ -69,7 +70,7 @@ def diameter_m(points: NDArray[Any]) -> float:
     corners = np.asarray(points, dtype=np.float64)
     try:
         corners = corners[ConvexHull(corners).vertices]
-    except QhullError:  # flat, or too few: all points are few enough then
+    except QhullError:  # Coplanar or too few points: no hull, and all points are compared.
         corners = np.unique(corners, axis=0)
     return float(pdist(corners).max()) if len(corners) > 1 else 0.0
 

@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackStory:
-    """What became of a track: where it was first seen, in how many keyframes, and how it ended ("" where it did not).
+    """The history of a track: where it was first seen, in how many keyframes, and how it ended ("" if it is live).
 
-    `changes` are those of what it was held to be: part of the room, or an object. `map_id` is the object that it is, or
-    is a part of, in the map; None for one that was dropped.
+    `changes` lists when it was reclassified as structure of the room, or as an object. `map_id` is the object of the
+    map that it became, by itself or by merging; None for a track that was dropped.
     """
 
     id: int
@@ -31,7 +31,7 @@ class TrackStory:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stretch:
-    """Keyframes in a row of which the same is to be said: the frames of the first and the last, and how many."""
+    """Consecutive keyframes with the same text: the frame indices of the first and last, and their number."""
 
     first_frame: int
     last_frame: int
@@ -63,7 +63,7 @@ def track_story(history: TrackHistory, map_id: int | None) -> TrackStory:
 
 
 def stretches_of(told: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
-    """Return what is said of frames, those in a row together of which the same is said."""
+    """Return the texts of frames, with consecutive frames of equal text joined."""
     stretches: list[Stretch] = []
     for frame, text in told:
         if stretches and stretches[-1].text == text:
@@ -75,7 +75,7 @@ def stretches_of(told: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
 
 
 def ending_text(histories: TrackHistories, track_id: int) -> str:
-    """Return what became of a track, in a phrase."""
+    """Return how a track ended, in a phrase."""
     last = histories.last(track_id)
     if last is None:
         return f"#{track_id}, of which nothing is known"
@@ -86,5 +86,5 @@ def ending_text(histories: TrackHistories, track_id: int) -> str:
 
 
 def when(frame: int | None) -> str:
-    """Return when something happened, by the index of a frame; None is the end."""
+    """Return the time of an event in words, from its frame index; None is the end of the log."""
     return "at the end" if frame is None else f"in frame {frame}"

@@ -1,4 +1,4 @@
-"""How far estimated poses are from true ones: ATE and RPE as the tool `evo` computes them (evo_ape -a, evo_rpe).
+"""Errors of an estimated trajectory: ATE and RPE as the tool `evo` computes them (evo_ape -a, evo_rpe).
 
 ATE is the RMSE of positions after the best rigid alignment (Umeyama 1991, without scale), RPE that of the motion from
 one pose to the next (Sturm et al., IROS 2012).
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MATCHED_NS = 10_000_000
-"""Poses further apart in time are not of one moment; evo's default."""
+"""Largest time difference between an estimated pose and its true one; evo's default."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrajectoryError:
-    """RMSE: `ate_m` after alignment, `rpe_m` and `rpe_deg` from pose to pose; the length of the true way."""
+    """RMSE: `ate_m` after alignment, `rpe_m` and `rpe_deg` from pose to pose; and the length of the true path."""
 
     ate_m: float
     rpe_m: float
@@ -44,7 +44,7 @@ def trajectory_error(
     """Return the error of poses (N, 4, 4) against true ones (M, 4, 4), each with its stamps, in order.
 
     Raises:
-        InputError: fewer than two poses have a true one of their moment.
+        InputError: fewer than two poses have a true pose within 10 ms.
     """
     pairs = matched(stamps_ns, true_stamps_ns)
     if len(pairs) < 2:
@@ -70,7 +70,7 @@ def trajectory_error(
 
 
 def matched(stamps_ns: Sequence[int], true_stamps_ns: Sequence[int]) -> list[tuple[int, int]]:
-    """Return which true pose each pose has, the nearest in time; those that have none are left out."""
+    """Return the indices of matched poses and true poses, nearest in time; poses without a match are left out."""
     if not len(stamps_ns) or not len(true_stamps_ns):
         return []
     true = np.asarray(true_stamps_ns, dtype=np.int64)

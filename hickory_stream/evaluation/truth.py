@@ -62,9 +62,9 @@ class TruthFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Truth:
-    """A truth folder: objects sorted by id, frames by index, `structure` the paths of meshes in the folder's world.
+    """A truth folder: objects sorted by id, frames by index; `structure` are paths of meshes in the folder's world.
 
-    `world_from_folder` (4, 4) is where that world lies in the one of the poses: None for the same.
+    `world_from_folder` (4, 4) is the transform from that world to the one of the poses, None if they are the same.
     """
 
     folder: Path
@@ -76,7 +76,7 @@ class Truth:
 
 
 def load_truth(folder: Path) -> Truth:
-    """Return the truth in a folder; meshes and instance images stay on disk until asked for.
+    """Return the truth in a folder; meshes and instance images are read later, when they are needed.
 
     Raises:
         RecordingError: there is no truth, or it is of another format, or damaged.
@@ -139,7 +139,7 @@ def moved_mesh(mesh: Mesh, a_from_b: NDArray[np.float64]) -> Mesh:
 
 
 def instances_of(truth: Truth, frame: TruthFrame) -> NDArray[np.uint16]:
-    """Return the (H, W) ids of what each pixel of a frame shows, 0 = no object.
+    """Return the (H, W) object id of each pixel of a frame, 0 = no object.
 
     Raises:
         RecordingError: the image is missing, torn or of another size.
@@ -159,7 +159,7 @@ def instances_of(truth: Truth, frame: TruthFrame) -> NDArray[np.uint16]:
 
 
 def truth_record(truth: Truth) -> dict[str, Any]:
-    """Return what `truth.json` holds."""
+    """Return the content of `truth.json`."""
     camera = truth.camera
     return {
         "format": FORMAT,
@@ -238,7 +238,7 @@ def _mesh_at(folder: Path, name: str) -> Mesh:
 
 
 def frame_at(stamps: NDArray[np.int64], stamp_ns: int) -> int | None:
-    """Return the index of the frame of a stamp among those of (N,) stamps; None where none is within a millisecond."""
+    """Return the index of a stamp in (N,) stamps of frames, to within a millisecond; None if there is none."""
     if not len(stamps):
         return None
     i = int(np.argmin(np.abs(stamps - stamp_ns)))

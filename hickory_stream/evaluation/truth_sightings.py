@@ -35,18 +35,18 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.records import MapSnapshot
 
-# Parts of a thing that have less of it than this are not told.
+# Parts of a true object that are a smaller share of it than this are not reported.
 _LEAST_PART = 0.02
 _LEAST_OTHER = 0.05
-# Of two pixels each way one ray, where an older journal has no structure by pixel.
+# Stride in pixels of the rays that are cast where an older journal has no structure per pixel.
 _RAY_STRIDE = 2
-# The smallest mask in a hundred that a run takes tells what is too small for it.
+# This quantile of the mask sizes of a run is its detection limit: smaller objects are "too small".
 _SMALLEST_MASKS = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Other:
-    """Something else in a mask: a true object, None for what is none (structure); `share` is its part of the mask."""
+    """Another true object (None for structure) that part of a mask shows; `share` is that part of the mask."""
 
     truth_id: int | None
     share: float
@@ -54,10 +54,10 @@ class Other:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Part:
-    """What a part of a thing's pixels was taken for; `share` is that part.
+    """A part of a true object's pixels with one label; `share` is that part.
 
-    Of a mask: `observation_index`, the track that it went to, `purity`, the share of the mask that is the thing, and
-    the `others` in it. Of a rejected mask its `reason`.
+    For a mask: its `observation_index`, the track that it was matched to, `purity` (the share of the mask that shows
+    the object) and the `others` in it. For a rejected mask: its `reason`.
     """
 
     where: Where
@@ -71,7 +71,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sighting:
-    """What one keyframe shows of a thing; `parts` are the largest first, `distance_m` that of the thing's middle."""
+    """A true object in one keyframe; `parts` with the largest first, `distance_m` is that of the object's centre."""
 
     frame: int
     keyframe: int
@@ -81,15 +81,15 @@ class Sighting:
     parts: tuple[Part, ...]
 
     def share(self, *where: Where) -> float:
-        """Return the share of the thing's pixels that were taken for one of these."""
+        """Return the share of the object's pixels with one of these labels."""
         return sum(part.share for part in self.parts if part.where in where)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TruthSightings:
-    """What a run saw of true objects by their ids, what became of its tracks, and the size of its smallest masks.
+    """A run's sightings of true objects by their ids, the histories of its tracks, and the size of its smallest masks.
 
-    `masks_of` says of each track which true objects its masks showed, in pixels; None is what is no object.
+    `masks_of` is, for each track, the number of pixels of each true object in its masks; None is no object.
     """
 
     of_object: dict[int, tuple[Sighting, ...]]
@@ -101,7 +101,7 @@ class TruthSightings:
 
 
 def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSightings:
-    """Return what the run of a map folder saw of a truth that lies in the map's world.
+    """Return the sightings that the run of a map folder had of a truth, which is given in the map's world.
 
     Raises:
         MapFolderError: there is no journal, or it is damaged or of another version.
@@ -172,13 +172,13 @@ def _scene(truth: Truth) -> Scene:
 
 
 def _shown(truth: Truth, at: int, known: dict[int, list[Sighting]]) -> NDArray[np.int64]:
-    """Return (H, W) the true object that each pixel shows, 0 for what is none that we know of."""
+    """Return (H, W) the true object that each pixel shows, 0 for none of those in `known`."""
     image = instances_of(truth, truth.frames[at]).astype(np.int64)
     return np.where(np.isin(image, list(known)), image, 0)
 
 
 def _table(shown: NDArray[np.int64], codes: NDArray[np.int32]) -> dict[int, dict[int, int]]:
-    """Return how many pixels of each true object (0: of none) have each code, where there are any."""
+    """Return the number of pixels of each true object (0: none) by code, without zero counts."""
     height, width = min(shown.shape[0], codes.shape[0]), min(shown.shape[1], codes.shape[1])
     shown, shifted = shown[:height, :width], codes[:height, :width].astype(np.int64) - LEAST_CODE
     num_codes = int(shifted.max(initial=0)) + 1
@@ -251,7 +251,7 @@ def _count_masks(
 def _with_structure(
     keyframe: RecordedKeyframe, shown: NDArray[np.int64], codes: NDArray[np.int32], scene: Scene, voxel_m: float
 ) -> NDArray[np.int32]:
-    """Return the codes with structure by voxels, for pixels that show a true object and are in no mask."""
+    """Return the codes, with structure looked up in voxels for pixels that show a true object and are in no mask."""
     step = _RAY_STRIDE
     rows, columns = np.nonzero((shown[::step, ::step] > 0) & (codes[::step, ::step] == NO_MASK))
     if len(rows) == 0:

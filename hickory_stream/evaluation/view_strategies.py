@@ -1,7 +1,7 @@
 """The paper's comparison of view choice: one log, five strategies, each object reconstructed from its one best view.
 
-The strategies change which view is the best, not the tracks: where objects differ between runs it is by their shapes
-alone. Means are over all true objects, a missed one scoring 0, and over those that every strategy has matched.
+The strategies change the choice of the best view, not the tracks, so that objects differ between runs by their shapes
+alone. Means are given over all true objects, with 0 for a missed one, and over those that every strategy has matched.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def evaluate_strategy(
     """Map a log with a strategy and the `single_view` reconstructor into the folder `out`, and compare with truth.
 
     Raises:
-        HickoryError: the log, the map folder or the truth is not as it must be.
+        HickoryError: the log, the map folder or the truth cannot be used.
     """
     mapping = replace(config.mapping, views=replace(config.mapping.views, strategy=strategy))
     config = replace(config, mapping=mapping, shapes=replace(config.shapes, reconstructor="single_view"))
@@ -91,7 +91,7 @@ def format_comparison(scores: Sequence[StrategyScore]) -> str:
 
 
 def verdict(scores: Sequence[StrategyScore]) -> str:
-    """Return in a sentence how S fares against the others."""
+    """Return a sentence that compares S with the other strategies."""
     ours = next(score for score in scores if score.strategy == OURS)
     better = [s for s in scores if s.strategy != OURS and s.f1_5pct >= ours.f1_5pct]
     if not better:

@@ -1,4 +1,4 @@
-"""Viewpoints of pictures: from above, or from a raised place from which everything is in the image."""
+"""Viewpoints of pictures: from above, or from a raised position from which everything is in the image."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _HALF_FOV_TANGENT = np.tan(np.deg2rad(16.0))
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Viewpoint:
-    """A camera (x right, y down, z forward) without limits to its image.
+    """A camera (x right, y down, z forward) with an unbounded image.
 
-    `focal_px`: pixels per metre at one metre for a perspective, pixels per metre anywhere for an orthographic view.
+    `focal_px` is the focal length of a perspective view, and the number of pixels per metre of an orthographic one.
     """
 
     world_from_camera: NDArray[np.float64]
@@ -34,7 +34,7 @@ class Viewpoint:
         freeze(self, "world_from_camera", np.float64, (4, 4))
 
     def rays(self, places_px: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the origins and unit directions, (N, 3) each, of the rays through (N, 2) places in the image."""
+        """Return the origins and unit directions, (N, 3) each, of the rays through (N, 2) positions in the image."""
         rotation = self.world_from_camera[:3, :3].astype(np.float32)
         offsets = (
             places_px.astype(np.float32) - np.array([self.width, self.height], dtype=np.float32) / 2
@@ -85,7 +85,7 @@ def from_above(points_world: NDArray[Any], width: int, height: int, margin_px: i
 def from_corner(
     points_world: NDArray[Any], azimuth_rad: float, elevation_rad: float, width: int, height: int, margin_px: int
 ) -> Viewpoint:
-    """Return the nearest perspective view from a direction that has all (N, 3) points in the frame."""
+    """Return the closest perspective view along a direction that has all (N, 3) points in the frame."""
     rotation = looking(azimuth_rad, elevation_rad)
     focal_px = (height / 2) / _HALF_FOV_TANGENT
     tangents = (width / 2 - margin_px) / focal_px, (height / 2 - margin_px) / focal_px

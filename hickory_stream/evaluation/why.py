@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReasonCount:
-    """How many of the missed true objects, or false objects, have one reason; those that none has are left out."""
+    """The number of missed true objects, or of false objects, with one reason; reasons with none are left out."""
 
     reason: str
     count: int
@@ -39,8 +39,8 @@ class ReasonCount:
 class Why:
     """Reasons and origins of a whole map.
 
-    `num_truth` true objects count, `num_little_seen` others do not; of `num_objects` objects (without tentative ones)
-    `num_aside` lie on what does not count, and are not held against the map.
+    `num_truth` true objects count; `num_little_seen` others, of which too little was seen, do not. Of `num_objects`
+    objects (without tentative ones), `num_aside` lie on true objects that do not count, and are ignored.
     """
 
     num_truth: int
@@ -57,13 +57,13 @@ class Why:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Investigation:
-    """A map, a truth in its world, how they compare, and all that the run saw of the truth."""
+    """A map, a truth in the same world, their comparison, and the run's sightings of the truth."""
 
     score: Score
     evidence: Evidence
 
     def row(self, truth_id: int) -> TruthScore:
-        """Return what became of a true object.
+        """Return the score of a true object.
 
         Raises:
             InputError: there is none of this id.
@@ -76,7 +76,7 @@ class Investigation:
 
 
 def investigate(saved: SavedMap, truth: Truth) -> Investigation:
-    """Return what a map and its journal tell of a truth; of a run that did not end, as far as it came.
+    """Return the evidence of a map and its journal about a truth; a run that did not end counts as far as it came.
 
     Raises:
         MapFolderError: there is no journal, or it or a mesh is damaged.
@@ -100,13 +100,13 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoWhy:
-    """A map whose history cannot be told, and why not."""
+    """A map whose history is not available, and the reason."""
 
     reason: str
 
 
 def reasons_of(saved: SavedMap, truth: Truth) -> Why | NoWhy:
-    """Return the reasons and origins of a map, or why its journal cannot give them: a merged map has none.
+    """Return the reasons and origins of a map, or why they are not available: a merged map has no journal, for example.
 
     Raises:
         RecordingError: the truth is not of this map's log, or cannot be read.
@@ -146,7 +146,7 @@ def why_of(found: Investigation) -> Why:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectStory:
-    """The fate of one true object: `missed` is None where it is matched (`map_id`, `iou`) or does not count."""
+    """The history of one true object; `missed` is None if it is matched (`map_id`, `iou`) or does not count."""
 
     truth_id: int
     kind: str
@@ -161,7 +161,7 @@ class ObjectStory:
 
 
 def story_of(found: Investigation, truth_id: int) -> ObjectStory:
-    """Return the fate of a true object, keyframe by keyframe.
+    """Return the history of a true object, keyframe by keyframe.
 
     Raises:
         InputError: there is none of this id.
@@ -193,7 +193,7 @@ def story_of(found: Investigation, truth_id: int) -> ObjectStory:
 
 
 def sighting_text(sighting: Sighting, evidence: Evidence) -> str:
-    """Return what a keyframe took a thing for, in words that are the same where that is the same."""
+    """Return the labels of an object in a keyframe, in words; equal labels give equal words."""
     state = state_of(sighting)
     masks = [part for part in sighting.parts if part.where == "mask"]
     if state == "in a mask of its own":

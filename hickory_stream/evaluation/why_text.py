@@ -1,4 +1,4 @@
-"""Fates and reasons as text for people; as JSON they are the records themselves."""
+"""Histories and reasons as text for people; as JSON the records themselves are written."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ def why_text(why: Why) -> str:
 
 
 def missed_title(why: Why) -> str:
-    """Return how many true objects are missed of how many, and what does not count."""
+    """Return the number of missed true objects, their total, and the number that does not count."""
     aside = f"; {why.num_little_seen} more were seen too little to count" if why.num_little_seen else ""
     return f"{len(why.missed)} of {why.num_truth} true objects that count are missed{aside}"
 
 
 def false_title(why: Why) -> str:
-    """Return how many objects are false of how many, and what is left aside."""
+    """Return the number of false objects, their total, and the number that is ignored."""
     aside = f"; {why.num_aside} more are of true objects that do not count" if why.num_aside else ""
     return f"{len(why.false)} of {why.num_objects - why.num_aside} objects are no true object{aside}"
 
 
 def object_text(story: ObjectStory) -> str:
-    """Return the fate of one true object."""
+    """Return the history of one true object."""
     if story.missed is not None:
         answer = f"missed: {story.missed.reason} ({MISS_REASONS[story.missed.reason]})\n{_indented(story.missed.text)}"
     elif story.map_id is not None:
@@ -53,7 +53,7 @@ def object_text(story: ObjectStory) -> str:
 
 
 def place_text(story: PlaceStory) -> str:
-    """Return the fate of a place."""
+    """Return the history of a point."""
     lines = []
     if story.asked is not None:
         u, v = story.asked.pixel
