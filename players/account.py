@@ -1,8 +1,8 @@
 """The ledger of a log: every message in exactly one bucket, checked against the counts that the container declares.
 
-Used: it is in a frame, or it is a pose, a transform or a calibration that the frames rest on. Not needed: of a topic
-that nobody asked for. Rejected, by reason. Unreadable: in damaged bytes, or bytes that do not fit their type. Not
-played: the pass ended before it. What is left is the difference, which a sound log does not have.
+Used: part of a frame, or a pose, transform or calibration that frames need. Not needed: of a topic that was not asked
+for. Rejected, with the reason. Unreadable: in damaged bytes, or in bytes that do not fit the message type. Not played:
+behind the end of the pass. What remains is the difference to the declared count, 0 for a sound log.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _FLAWS_TOLD = 5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicAccount:
-    """The messages of one topic by bucket; `declared` is None where the container does not say."""
+    """The messages of one topic by bucket; `declared` is None if the container does not declare a count."""
 
     topic: str
     declared: int | None
@@ -48,11 +48,9 @@ class TopicAccount:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Account:
-    """The messages of a log by topic and bucket; `is_complete` where the pass went to the end.
+    """The messages of a log by topic and bucket; `is_complete`: the pass reached the end of the log.
 
-    `flaws` are the first damaged places, in words.
-
-    Of a folder of images what is counted are files.
+    `flaws` describes the first damaged places. For a folder of images, files are counted instead of messages.
     """
 
     topics: tuple[TopicAccount, ...]
@@ -99,11 +97,11 @@ class Account:
 
 
 def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
-    """Return where every message of a log has ended in one pass over it."""
+    """Return the ledger of one pass over a log."""
     declared, lost = log.declared(), log.flaws.lost()
     needed = {setup.topics.color.name, setup.topics.depth.name, *(topic.name for topic in setup.small_topics)}
     entries = []
-    # A copy: the pass may still be going on in another thread.
+    # A copy, since another thread may still be reading the log.
     rejected_of = dict(ledger.rejected)
     for topic in log.topics:
         claimed = topic.num_messages if declared is None else declared.get(topic.name, 0)
@@ -140,7 +138,7 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
 
 
 def _explanation(log: Log, entries: list[TopicAccount]) -> str:
-    """Return why the sum of the buckets differs from the count that the container declares, "" if it does not."""
+    """Return why the sum of the buckets differs from the declared count, "" if they agree."""
     difference = sum(entry.difference for entry in entries)
     if log.declared() is None:
         return "the container declares no totals (its index is missing or damaged): they are those that were found"

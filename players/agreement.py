@@ -1,8 +1,8 @@
 """Registration of colour and depth: with a good calibration, edges of depth coincide with edges of colour.
 
-The colour camera is moved about in steps of 5 mm. Where more light changes along the borders of depth than where the
-log says that it is, the calibration between the cameras is off by that much. A shift of a millimetre moves near borders
-by more pixels than far ones, so that it is told from a shift of the image.
+The assumed position of the colour camera is shifted in steps of 5 mm. If the intensity gradient along the depth edges
+is larger at a shifted position than at the calibrated one, the calibration is wrong by that shift. A shift of the
+camera moves near edges by more pixels than far ones, which distinguishes it from a shift of the image.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _COARSEST_M = 0.01
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ColorAgreement:
-    """Where the colour camera sees its edges: (x, y) metres from where the calibration has it, in its own frame.
+    """The best position of the colour camera: (x, y) metres from its calibrated position, in its own frame.
 
-    `offset_px` is the same at the median depth of the borders. `gain`: how many times the change of light there is that
-    of no offset; `share` of the `num_frames` frames gain by it.
+    `offset_px` is the offset in pixels at the median depth of the edges. `gain` is the intensity gradient there over
+    that without an offset; for a `share` of the `num_frames` frames it is greater than 1.
     """
 
     offset_m: tuple[float, float]
@@ -58,7 +58,7 @@ class ColorAgreement:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BorderScores:
-    """What a frame says of each offset: `change` (y steps, x steps) of light along borders, and their median depth."""
+    """Scores of one frame: `change` (y steps, x steps) is the gradient along depth edges; the edges' median depth."""
 
     change: NDArray[np.float64]
     depth_m: float
@@ -69,7 +69,7 @@ _STEPS_M = np.arange(-round(_REACH_M / _STEP_M), round(_REACH_M / _STEP_M) + 1) 
 
 
 def border_scores(frame: Frame) -> BorderScores | None:
-    """Return what a frame says of where the colour camera is; None where it shows too few borders of depth."""
+    """Return the scores of one frame; None if it has too few depth edges."""
     v, u, z = _borders(frame.depth_m)
     if len(z) < _MIN_PIXELS:
         return None
@@ -84,9 +84,9 @@ def border_scores(frame: Frame) -> BorderScores | None:
 
 
 def color_agreement(frames: Sequence[BorderScores]) -> ColorAgreement | None:
-    """Return how colour lies on depth.
+    """Return the registration of colour and depth.
 
-    None where it cannot be told: too few frames, pixels of more than a centimetre, or colour that shows nothing at all.
+    None if it cannot be determined: too few frames, pixels of more than a centimetre, or images without edges.
     """
     if len(frames) < _MIN_FRAMES:
         return None
@@ -109,9 +109,9 @@ def color_agreement(frames: Sequence[BorderScores]) -> ColorAgreement | None:
 
 
 def _borders(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return rows, columns and depths (N,) where something near ends before something far, evenly drawn.
+    """Return the rows, columns and near depths (N,) of occluding edges, subsampled evenly.
 
-    What has no depth beside a border, as stereo leaves it, is bridged.
+    Gaps without depth of a few pixels beside an edge, as stereo leaves them, are bridged.
     """
     is_seen = np.isfinite(depth_m)
     kernel = np.ones((_BORDER_PX, _BORDER_PX), dtype=np.uint8)
@@ -127,7 +127,7 @@ def _borders(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray
 
 
 def _change_of_light(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return (H, W) how much light changes, 0..1: strong edges are all alike, or one lamp would decide."""
+    """Return the intensity gradient (H, W) in 0..1, saturated so that a few very strong edges do not dominate."""
     gray = cv2.GaussianBlur(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY), (5, 5), 0).astype(np.float32)
     change = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
     full = max(float(np.percentile(change, _FULL_PERCENTILE)), 1e-6)

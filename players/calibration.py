@@ -1,4 +1,4 @@
-"""From a `CameraInfo` to a pinhole camera, and images to what that camera sees: lens distortion taken out.
+"""Pinhole cameras from `CameraInfo` messages, and the rectification of images.
 
 In ROS, `K` and `D` describe the raw image and `P` the rectified one, in the same message; the topic's name tells which
 of the two an image is.
@@ -27,7 +27,7 @@ _RADIAL = ("plumb_bob", "rational_polynomial", "")
 
 @dataclass(frozen=True)
 class Lens:
-    """A camera and, where the images are distorted, the coefficients to take that out."""
+    """A pinhole camera and, if its images are distorted, the distortion coefficients."""
 
     camera: Camera
     distortion: tuple[float, ...] = ()
@@ -61,10 +61,10 @@ class Lens:
 
 
 def lens_of(info: CameraInfo, *, topic: str, image_size: tuple[int, int] | None, is_rectified: bool) -> Lens:
-    """Return the lens of a calibration; `image_size` stands in where the message leaves the size unset.
+    """Return the lens of a calibration; `image_size` is used if the message leaves the size unset.
 
     Raises:
-        CalibrationError: no focal length, no size, or a distortion model that is not known.
+        CalibrationError: it has no focal length, no size, or an unknown distortion model.
     """
     distortion = tuple(float(d) for d in info.D)
     matrix = info.P if is_rectified and info.P[0, 0] > 0 and any(distortion) else info.K

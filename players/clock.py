@@ -1,7 +1,8 @@
 """The choice of a log's time base: header stamps, unless they are unusable, else the recorder's.
 
-Headers say when an image was taken; the log time, when a recorder got it. A header time that was never set (all zero,
-or one value) or that puts colour and depth far apart is of no use, and then all streams take the log time.
+The header stamp is the time at which an image was taken; the log time is that at which the recorder received it. Header
+stamps are unusable if they were never set (all zero, or all equal) or if colour and depth are far apart by them; then
+the log time is used for all streams.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ if TYPE_CHECKING:
     from players.rig import PosePlan, RigReader
 
 _APART_NS = 60_000_000_000
-"""Streams that begin so far from each other by header and not by log time have clocks of their own."""
+"""Streams whose first header stamps differ by more than this, but whose log times do not, have different clocks."""
 
 
 def choose_clock(
     asked: Clock, color: Probe, depth: Probe, reader: RigReader, plan: PosePlan
 ) -> tuple[Literal["header", "log"], str]:
-    """Return which clock counts, and why in words."""
+    """Return which clock is used, and the reason in words."""
     if asked == "log":
         return "log", "log time, as asked"
     if asked == "header":

@@ -1,7 +1,7 @@
 """What all recorded logs have in common: topics, raw messages in the order of the file, and their types.
 
-A message type is compiled from the definition that the log holds, or from ROS 2's own where it holds none; a definition
-that cannot be parsed makes its topic unreadable, not the log.
+A message type is compiled from the definition in the log, or from ROS 2's own if the log has none. A definition that
+cannot be parsed makes only its topic unreadable.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Wire = Literal["cdr", "ros1", "protobuf", "json", "other"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Topic:
-    """A topic of a log; `type_name` is package/msg/Name for ROS 1 and ROS 2, `num_messages` None where not known."""
+    """A topic of a log; `type_name` is package/msg/Name for ROS 1 and ROS 2, `num_messages` is None if unknown."""
 
     name: str
     type_name: str
@@ -32,11 +32,11 @@ class Topic:
     definition_format: DefinitionFormat
     definition: str
     foreign_type: str = ""
-    """The name of a type that is not ROS's, of which `type_name` is the equal."""
+    """The name of a type from outside ROS; `type_name` is then its equivalent in ROS."""
 
 
 class LogMessage(NamedTuple):
-    """A message as it lies in the log; `log_ns` is when it was received, which says little about when it was true."""
+    """A serialised message; `log_ns` is the time at which it was received, which may be much later than its stamp."""
 
     topic: str
     log_ns: int
@@ -44,7 +44,7 @@ class LogMessage(NamedTuple):
 
 
 class UnreadableMessageError(Exception):
-    """One message cannot be deserialised; counted by whoever reads it, never shown to the user."""
+    """One message cannot be deserialised. The reader counts it; it is not shown to the user."""
 
 
 class Log(Protocol):
@@ -72,22 +72,22 @@ class Log(Protocol):
 
     @property
     def flaws(self) -> Flaws:
-        """What was found to be damaged so far; complete after a pass over all topics."""
+        """The damage found so far; complete after a pass over all topics."""
         ...
 
     @property
     def checksum(self) -> str:
-        """What protects the messages against altered bytes, in words; "" where nothing does."""
+        """The checksum that protects the messages against altered bytes, in words; "" if there is none."""
         ...
 
     def declared(self) -> Mapping[str, int] | None:
-        """Return how many messages of each topic the log says to hold, None where it does not say."""
+        """Return the declared number of messages of each topic, None if the log declares none."""
         ...
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics, from the beginning, reading each chunk of the file once.
 
-        What cannot be read is skipped and noted in `flaws`.
+        Unreadable messages are skipped and noted in `flaws`.
         """
         ...
 
@@ -132,7 +132,7 @@ def deserialize(topic: Topic, data: Any) -> Any:
             return store.deserialize_cdr(data, topic.type_name)
         if topic.wire == "ros1":
             return store.deserialize_ros1(data, topic.type_name)
-    # Generated code meets torn bytes with whatever its operations raise.
+    # The generated code raises errors of any kind on damaged bytes.
     except (SerdeError, TypesysError, struct.error, LookupError, ValueError, AssertionError) as error:
         raise UnreadableMessageError(f"{topic.name}: {error!r}") from error
     raise UnreadableMessageError(f"{topic.name}: messages are neither CDR nor ROS 1, nor Foxglove's")

@@ -9,7 +9,8 @@ from threading import Lock
 class Ledger:
     """Counts by name; frames are decoded in other threads than the one that reads, hence the lock.
 
-    `read` and `rejected` count messages by topic; what was read and is in a frame is neither rejected nor unreadable.
+    `read` and `rejected` count messages by topic; messages that were read and are neither rejected nor unreadable are
+    used.
     """
 
     def __init__(self) -> None:
@@ -21,7 +22,7 @@ class Ledger:
         self.is_complete = False
 
     def count(self, fate: str, number: int = 1) -> None:
-        """Add `number` to the count of a fate."""
+        """Add `number` to the count of that name."""
         with self._lock:
             self._counts[fate] += number
 

@@ -1,7 +1,7 @@
 """Seeded damage to logs, as disks, networks and killed recorders cause it.
 
-For tests and `tools/bench damage`: `damaged(...)` says which bytes it touched, so that what must still be readable is
-known from the sound log, not from the reader under test.
+For tests and `tools/bench damage`: `damaged(...)` returns the bytes that it changed, so that the messages that must
+still be readable follow from the sound log rather than from the reader under test.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Part:
-    """A piece of a log that stands or falls together: the bytes it needs, and the messages in it, (topic, data)."""
+    """The smallest piece of a log that can be lost: the bytes it needs, and the messages in it, (topic, data)."""
 
     spans: tuple[Span, ...]
     messages: tuple[tuple[str, bytes], ...]
@@ -59,7 +59,7 @@ def parts_of(log: McapLog | Ros1Log | SqliteLog) -> list[Part]:
 
 
 def damaged(data: bytes, parts: list[Part], kind: Kind, rng: np.random.Generator) -> tuple[bytes, list[Span]]:
-    """Return a damaged copy of a file, and the spans of the original that it no longer has as they were."""
+    """Return a damaged copy of a file, and the spans of the original that it changed."""
     size = len(data)
     spans = sorted(span for part in parts for span in part.spans)
     match kind:
@@ -93,12 +93,12 @@ def damaged(data: bytes, parts: list[Part], kind: Kind, rng: np.random.Generator
 
 
 def np_lengths() -> list[int]:
-    """Return lengths that no reader may believe."""
+    """Return lengths that a reader must reject."""
     return [1 << 62, 1 << 40, (1 << 32) - 1, (1 << 31) - 1]
 
 
 def survivors(parts: list[Part], touched: list[Span]) -> list[tuple[str, bytes]]:
-    """Return the messages of all pieces that the damage did not touch."""
+    """Return the messages of all pieces outside the damage."""
     return [
         message
         for part in parts
@@ -115,7 +115,7 @@ def _with(data: bytes, patches: dict[int, bytes]) -> tuple[bytes, list[Span]]:
 
 
 def _shuffled(data: bytes, spans: list[Span], rng: np.random.Generator) -> bytes:
-    """Return the file with its pieces, and what lies behind each of them, in another order; the index stays."""
+    """Return the file with its pieces, each with the bytes behind it, in another order; the index is unchanged."""
     starts = [start for start, _ in spans]
     ends = [*starts[1:], spans[-1][1]]
     blocks = [data[start:end] for start, end in zip(starts, ends, strict=True)]
@@ -130,7 +130,7 @@ def _chunks_of(log: McapLog | Ros1Log) -> list[tuple[Span, int]]:
 
 
 def _rows_of(log: SqliteLog) -> list[Part]:
-    """Return the rows of a database; page 1 holds the header, without which there is none."""
+    """Return the rows of a database; page 1, with the header, is needed by all of them."""
     pages = PageFile(log.path)
     names = {number: row[0] for number, row in log.topic_rows.items()}
     parts = []

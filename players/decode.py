@@ -1,6 +1,6 @@
-"""Images as logs hold them, into arrays: colour (H, W, 3) uint8 RGB, depth (H, W) float32 metres with NaN.
+"""Decoding of the images in logs: colour (H, W, 3) uint8 RGB, depth (H, W) float32 metres with NaN.
 
-A torn image is refused rather than shown: decoders fill the missing rows with grey, or with whatever lies there.
+Truncated images are refused, since decoders fill the missing rows with grey or with uninitialised memory.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _RAW_TYPES = {
     **dict.fromkeys(("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8"), ("u1", 1)),
     **dict.fromkeys(("bayer_rggb16", "bayer_bggr16", "bayer_gbrg16", "bayer_grbg16"), ("u2", 1)),
 }
-# OpenCV names a Bayer pattern by the second row's second and third pixel: rggb there is BG.
+# OpenCV names a Bayer pattern by the second and third pixel of the second row: ROS's rggb is its BG.
 _CONVERSIONS = {
     **dict.fromkeys(("yuv422", "uyvy", "UYVY"), cv2.COLOR_YUV2RGB_UYVY),
     **dict.fromkeys(("yuv422_yuy2", "yuyv", "YUYV"), cv2.COLOR_YUV2RGB_YUYV),
@@ -56,7 +56,7 @@ DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 
 
 def compressed_size(data: bytes) -> tuple[int, int] | None:
-    """Return (width, height) as the header of a JPEG or PNG says, without decoding; None where there is no header."""
+    """Return (width, height) from the header of a JPEG or PNG, without decoding; None if there is no header."""
     if data[:8] == _PNG and len(data) >= 24:
         return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     if data[:3] != _JPEG:
@@ -118,10 +118,10 @@ def _decode_u16_png(data: bytes, what: str) -> NDArray[np.uint16]:
 
 
 def decode_compressed_depth(data: bytes, encoding: str, units_per_m: float, what: str) -> NDArray[np.float32]:
-    """Return the depth (H, W) float32 metres of a CompressedImage, whatever its format string says of it.
+    """Return the depth (H, W) float32 metres of a CompressedImage; its format string is not relied on.
 
-    16-bit PNG, bare or behind the 12 bytes of `compressedDepth` (int32 kind, float32 A, float32 B); RVL behind the same
-    bytes. Where `encoding` begins with 32FC1 the numbers are inverse depth: A / (number - B) metres.
+    Accepted are 16-bit PNG, with or without the 12-byte header of `compressedDepth` (int32 kind, float32 A, float32 B),
+    and RVL with that header. If `encoding` begins with 32FC1, the numbers are inverse depth: A / (number - B) metres.
 
     Raises:
         RecordingError: it is empty, torn, of another kind, or inverse depth without its parameters.
@@ -156,7 +156,7 @@ def _depth_numbers(data: bytes, what: str) -> NDArray[np.uint16]:
 
 
 def rvl_size(data: bytes) -> tuple[int, int]:
-    """Return (width, height) as RVL says behind the 12 bytes of `compressedDepth`; (0, 0) if too short or absurd."""
+    """Return (width, height) of RVL data behind the `compressedDepth` header; (0, 0) if too short or implausible."""
     if len(data) < 24:
         return 0, 0
     width, height = struct.unpack_from("<ii", data, 12)
@@ -190,7 +190,7 @@ def raw_pixels(message: Any, what: str) -> NDArray[Any]:
     big = bool(message.is_bigendian)
     wire = np.dtype(dtype).newbyteorder(">" if big else "<")
     row_bytes = message.width * channels * wire.itemsize
-    # The planes of colour follow those of brightness as rows of their own: half as many again.
+    # NV12 and NV21: the chroma plane follows the luma plane, with half as many rows.
     height = message.height * 3 // 2 if message.encoding in ("nv12", "nv21") else message.height
     step = max(int(message.step), row_bytes)
     data = np.asarray(message.data, dtype=np.uint8)
@@ -204,7 +204,7 @@ def raw_pixels(message: Any, what: str) -> NDArray[Any]:
 
 
 def color_of_pixels(pixels: NDArray[Any], encoding: str) -> NDArray[np.uint8]:
-    """Return raw pixels of one of `COLOR_ENCODINGS` as (H, W, 3) uint8 RGB, without alpha, of 16 bits the top 8."""
+    """Return raw pixels of one of `COLOR_ENCODINGS` as (H, W, 3) uint8 RGB, without alpha, the top 8 of 16 bits."""
     conversion = _CONVERSIONS.get(encoding.removesuffix("16").removesuffix("8"))
     if conversion is not None:
         if pixels.dtype == np.uint16:
@@ -226,7 +226,7 @@ def depth_of_pixels(pixels: NDArray[Any], units_per_m: float = 1000.0) -> NDArra
 
 
 def _check_whole(data: bytes, what: str) -> None:
-    """Refuse an image without its end marker; some cameras pad with zeros behind it."""
+    """Check that an image has its end marker, behind which some cameras pad with zeros; raises `RecordingError`."""
     if not data:
         raise RecordingError(f"{what} is empty")
     tail = data[-4096:].rstrip(b"\0")[-16:]

@@ -1,8 +1,8 @@
 """Estimates of a log's depth camera: its noise on flat surfaces, and a constant bias.
 
-Rooms are full of planes. A plane is linear in inverse depth; what is left beside it over a patch is noise, which a
-triangulating camera has alike everywhere in inverse depth. Patches are larger than the windows over which stereo
-matching makes neighbours err alike. A constant added to depth lowers the floor near by more than far away.
+Noise: a plane is linear in inverse depth, so that the residual of a plane fitted to a flat patch is noise; for a
+triangulating camera it is uniform in inverse depth. The patches are larger than the windows of stereo matching, within
+which errors are correlated. Bias: a constant added to depth lowers the floor at near points by more than at far ones.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _ACROSS, _LEAST_SIDE_PX, _SAMPLED_PX = 13, 8, 2
 _FILLED = 0.85
 _MIN_PATCHES, _BINS = 40, 6
 _WORST_SHARE = 0.03
-# Of what a patch really has, after three parameters were fitted to about twenty independent errors.
+# Expected ratio of residual to noise after fitting three parameters to about twenty independent errors.
 _LEFT = 0.92
 _LEVEL, _LEAST_FALL, _FALL_RATIO, _SAME_FLOOR_M, _MIN_COPLANAR = 0.95, 0.1, 1.5, 0.12, 6
 _MIN_FRAMES = 3
-# Less is within what distortion and drift of a good camera do to a floor.
+# A smaller bias cannot be distinguished from the effect of lens distortion and drift on a floor.
 _OFF_M, _OFF_SIGMAS = 0.02, 3.0
 _OTHER_RATIO = 2.0
 
@@ -48,18 +48,18 @@ class DepthNoise:
         return self.noise_m + self.noise_per_m * depth_m * depth_m
 
     def ratio_to(self, sensor: DepthSensor) -> float:
-        """Return how many times the noise of a sensor this is, in the middle of what was seen."""
+        """Return the ratio of this noise to that of a sensor model, in the middle of the observed range."""
         middle_m = float(np.sqrt(self.near_m * self.far_m))
         return self.sigma_m(middle_m) / float(sensor.sigma_m(np.array([middle_m], dtype=np.float32))[0])
 
     def is_other_than(self, sensor: DepthSensor) -> bool:
-        """Whether a sensor is believed to be twice as noisy as this, or half."""
+        """Whether the noise differs from that of a sensor model by a factor of two or more, in either direction."""
         return not 1 / _OTHER_RATIO <= self.ratio_to(sensor) <= _OTHER_RATIO
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DepthBias:
-    """By how much depth is too large at every distance, its standard error, and the frames that showed a floor."""
+    """The constant by which depth is too large, its standard error, and the number of frames that showed a floor."""
 
     bias_m: float
     error_m: float
@@ -75,8 +75,9 @@ class DepthBias:
 class FlatPatches:
     """The patches of a frame on which a plane fits, N of them.
 
-    `depth_m` (N,) of the middle and `sigma_m` (N,) of the depths beside the plane; `points_world`, `normals_world` and
-    `rays_world` (N, 3): the middle, and the way there from the camera per metre of depth.
+    `depth_m` (N,) is the depth of the centre and `sigma_m` (N,) the residual of the plane; `points_world`,
+    `normals_world` and `rays_world` (N, 3) are the centre, the normal, and the ray from the camera to the centre per
+    metre of depth.
     """
 
     depth_m: NDArray[np.float64]
@@ -87,7 +88,7 @@ class FlatPatches:
 
 
 def flat_patches(frame: Frame) -> FlatPatches:
-    """Return the patches of a frame that are flat, or nearly."""
+    """Return the (nearly) flat patches of a frame."""
     camera = frame.camera
     side = max(camera.width // _ACROSS, _LEAST_SIDE_PX)
     rows, columns = camera.height // side, camera.width // side
@@ -107,7 +108,7 @@ def flat_patches(frame: Frame) -> FlatPatches:
     inverse = 1.0 / depth
     planes = _planes(u, v, inverse, np.isfinite(inverse))
     off = inverse - _on(planes, u, v)
-    # Fitted again without outliers: the rim of a hole, a switch on the wall.
+    # Fitted again without outliers such as the rim of a hole or a switch on the wall.
     close = np.abs(off) <= 4.0 * 1.4826 * np.nanmedian(np.abs(off), axis=1, keepdims=True) + 1e-9
     planes = _planes(u, v, inverse, close)
     off = np.where(close, inverse - _on(planes, u, v), np.nan)
@@ -129,14 +130,14 @@ def flat_patches(frame: Frame) -> FlatPatches:
 
 
 def depth_noise(frames: Sequence[FlatPatches]) -> DepthNoise | None:
-    """Return the noise of depth as the flat patches of some frames have it; None where there are too few."""
+    """Return the depth noise estimated from the flat patches of some frames; None if there are too few."""
     depth_m = np.concatenate([patches.depth_m for patches in frames]) if frames else np.zeros(0)
     sigma_m = np.concatenate([patches.sigma_m for patches in frames]) if frames else np.zeros(0)
     if len(depth_m) < _MIN_PATCHES:
         return None
     bins = np.array_split(np.argsort(depth_m, kind="stable"), _BINS)
     z = np.array([np.median(depth_m[chosen]) for chosen in bins])
-    # The flatter half: windows with a crease or an object have more than noise.
+    # The flatter half of the patches: others may contain a crease or an object.
     sigma = np.array([np.quantile(sigma_m[chosen], 0.4) for chosen in bins])
     constant, quadratic = _law_of(z, sigma)
     return DepthNoise(
@@ -149,10 +150,11 @@ def depth_noise(frames: Sequence[FlatPatches]) -> DepthNoise | None:
 
 
 def depth_bias(frames: Sequence[FlatPatches]) -> DepthBias | None:
-    """Return by how much depth is too large; None where too few frames show a floor that goes far enough away.
+    """Return the constant bias of depth; None if too few frames show a floor over a sufficient range of depths.
 
-    A ray that reaches the floor with b too much of depth ends lower by b times its fall per metre of depth. The floor
-    may be tilted by what gravity is off, and each frame at a height of its own, by what the poses are off.
+    With a bias b, the end of a ray lies below the floor by b times the ray's descent per metre of depth. Least squares
+    over all floor patches; also estimated are a tilt of the floor (error of gravity) and a height per frame (error of
+    the poses).
     """
     floors = [floor for patches in frames if (floor := _floor_of(patches)) is not None]
     if len(floors) < _MIN_FRAMES:
@@ -182,7 +184,7 @@ def depth_bias(frames: Sequence[FlatPatches]) -> DepthBias | None:
 
 
 def _floor_of(patches: FlatPatches) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the (N, 3) middles of the patches on the floor and how far their rays fall per metre of depth."""
+    """Return the (N, 3) centres of the patches on the floor, and the descent of their rays per metre of depth."""
     if len(patches.depth_m) < _MIN_COPLANAR:
         return None
     points, falls = patches.points_world, patches.rays_world[:, 2]
@@ -198,7 +200,7 @@ def _floor_of(patches: FlatPatches) -> tuple[NDArray[np.float64], NDArray[np.flo
 
 
 def _law_of(z: NDArray[np.float64], sigma: NDArray[np.float64]) -> tuple[float, float]:
-    """Return (constant, quadratic) of the law that fits best in relative terms; neither is negative."""
+    """Return the non-negative (constant, quadratic) coefficients of the noise with the least relative error."""
     weight = 1.0 / (sigma * sigma)
     z2 = z * z
     a, b, c = weight.sum(), (weight * z2).sum(), (weight * z2 * z2).sum()

@@ -38,7 +38,7 @@ def choose_images(
     """Return the topics of colour and depth: those `listed` by role, else the best names of one camera.
 
     Raises:
-        RecordingError: there is none, or the one that was named is not there; lists those that are.
+        RecordingError: there is none, or the log lacks the one that was named; the message lists those it has.
     """
     images = [topic for topic in topics if topic.type_name in (IMAGE, COMPRESSED_IMAGE) and topic.num_messages != 0]
     colors = [topic for topic in images if "depth" not in topic.name.lower() and not _words(topic) & _NEITHER]
@@ -70,7 +70,7 @@ def choose_images(
 def pose_topics(
     path: object, topics: Sequence[Topic], options: SourceOptions, listed: Sequence[str] = ()
 ) -> list[Topic]:
-    """Return the topics that may hold the camera's pose: the one that was named or listed, or all of them, TF apart.
+    """Return the topics that may hold the camera's pose: the one that was named or listed, else all, except TF.
 
     Raises:
         NoPosesError: there is neither pose nor TF.
@@ -99,18 +99,18 @@ def camera_infos(topics: Sequence[Topic]) -> list[Topic]:
 
 
 def info_names(image: Topic) -> tuple[str, str]:
-    """Return the two names under which the calibration of an image topic is published: beside it and below it."""
+    """Return the two usual names of the calibration of an image topic: NAMESPACE/camera_info and TOPIC/camera_info."""
     base = re.sub(r"/(compressed|compressedDepth)$", "", image.name)
     return f"{base.rsplit('/', 1)[0]}/camera_info", f"{base}/camera_info"
 
 
 def is_rectified(image: Topic) -> bool:
-    """Return whether the name says that the images are rectified (`image_rect`, `color/rect/image`)."""
+    """Return whether images are rectified according to the topic's name (`image_rect`, `color/rect/image`)."""
     return any(word.startswith("rect") for word in _words(image))
 
 
 def _first_of(topics: Iterable[Topic], names: Sequence[str]) -> Topic | None:
-    """Return the topic that a list names first, or None where none of them is there."""
+    """Return the first topic of a list that the log has, None if it has none of them."""
     by_name = {topic.name: topic for topic in topics}
     return next((by_name[name] for name in names if name in by_name), None)
 
@@ -131,18 +131,18 @@ def _depth_rank(topic: Topic, color: Topic | None) -> tuple[int, int, int, str]:
 
 
 def _shared_parts(a: str, b: str) -> int:
-    """Return how many leading parts of two names are equal: topics of one camera begin alike."""
+    """Return how many leading parts of two names are equal; the topics of one camera share a prefix."""
     parts = list(zip(a.strip("/").split("/")[:-1], b.strip("/").split("/")[:-1], strict=False))
     return next((i for i, (x, y) in enumerate(parts) if x != y), len(parts))
 
 
 def _reversed(name: str) -> str:
-    """Return a key by which the first name in the alphabet is the greatest."""
+    """Return a key that sorts names in reverse alphabetical order."""
     return "".join(chr(0x10FFFF - ord(letter)) for letter in name)
 
 
 def _named(path: object, topics: Iterable[Topic], name: str | None, option: str) -> Topic | None:
-    """Return the topic that was asked for by name, or None where none was."""
+    """Return the topic that was asked for by name, None if none was."""
     if name is None:
         return None
     candidates = list(topics)

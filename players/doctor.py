@@ -1,6 +1,7 @@
 """Diagnosis of a log before it is mapped: its contents, its flaws, and how many frames could be mapped.
 
-Two passes: one over every message, for stamps and damage, and one as `play` would make it, with a few frames decoded.
+Two passes are made: one over every message, for stamps and damage, and one like that of `play`, which decodes a few
+frames.
 """
 
 from __future__ import annotations
@@ -44,20 +45,20 @@ if TYPE_CHECKING:
 SOUND, UNUSABLE, WITH_LOSSES = 0, 2, 3
 
 _SAMPLES = 12
-# A frame with less depth than this says nothing of a floor.
+# A frame with a larger share of missing depth is not examined for a floor.
 _NO_DEPTH = 0.9
 _KEYFRAME_S, _MEGAPIXEL_S, _SHAPE_S = 0.12, 0.9, 0.05
 _BASE_MB, _MEGAPIXEL_MB, _KEYFRAME_MB = 550.0, 260.0, 0.35
-"""What `play` took on two shared cores without a GPU: to say minutes or hours, not to bet on."""
+"""Time and memory of `play` on two shared cores without a GPU, for a rough estimate."""
 
 
-# A log of 5 Hz has about 0.62 of the keyframes that are due to a walking camera, one of 2 Hz has half.
+# For a walking camera, a log of 5 Hz has about 0.62 of the keyframes that an unlimited rate would give, 2 Hz half.
 _DUE_SHARE, _LEAST_DUE = 0.55, 8.0
 
 
 @dataclass(slots=True)
 class Diagnosis:
-    """What was found. `problems` cost messages or frames, `notes` do not; `refusal` is why the log cannot be mapped."""
+    """The findings. `problems` cost messages or frames, `notes` do not; `refusal` is why the log cannot be mapped."""
 
     uri: str
     kind: str = ""
@@ -94,7 +95,7 @@ def examine(
     options: SourceOptions,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Diagnosis:
-    """Return the diagnosis of a log or an image folder; whatever is wrong with it is in there, not raised."""
+    """Return the diagnosis of a log or an image folder; faults of the log are part of the result, not exceptions."""
     paths = [Path(uri) for uri in uris]
     found = Diagnosis(uri=" ".join(str(path) for path in paths))
     log: Log | None = None
@@ -112,7 +113,7 @@ def examine(
 def examine_log(
     found: Diagnosis, log: Log, options: SourceOptions, progress: Callable[[str], None], *, is_heard: bool = False
 ) -> Diagnosis:
-    """Complete a diagnosis by what is in a log; `is_heard`: it is what a live route sent, and no file of anybody's."""
+    """Complete a diagnosis with the contents of a log; `is_heard`: it was just recorded from a live route."""
     found.kind, found.checksum = log.kind, log.checksum
     found.num_bytes = sum(file.stat().st_size for file in log.files)
     for reason in getattr(log, "unreadable", ()):
@@ -160,7 +161,7 @@ def _examine_folder(
 
 
 def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_heard: bool) -> Source:
-    """Return what is played; a log without poses by those that odometry estimates, unless a robot is heard."""
+    """Return the source to be played; poses are estimated for a log without poses, but not for a live route."""
     try:
         _examine_opening(found, log, options)
         source = open_log(log, options)
@@ -175,7 +176,7 @@ def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_hea
 
 
 def _examine_opening(found: Diagnosis, log: Log, options: SourceOptions) -> None:
-    """Note what the beginning says about images and frames, also of a log that will be refused."""
+    """Note the image topics and coordinate frames at the beginning, also of a log that will be refused."""
     opening = read_opening(log, options)
     for role, probe in (("color", opening.color), ("depth", opening.depth)):
         first = probe.first
@@ -290,7 +291,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
 
 
 def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> float:
-    """Return how many keyframes there would be from one to the next if frames came as fast as can be."""
+    """Return the number of keyframes that an unlimited frame rate would give between two keyframes."""
     if now.stamp_ns <= last.stamp_ns:
         return 0.0
     elapsed = (now.stamp_ns - last.stamp_ns) / 1e9 / config.min_interval_s
@@ -300,7 +301,7 @@ def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> flo
 
 
 def judge_keyframes(found: Diagnosis, number: int, due: float, seconds: float, confirm: int) -> None:
-    """Say where too few keyframes come for the motion of the camera, or for anything to be mapped."""
+    """Report too few keyframes for the motion of the camera, or for any object to be confirmed."""
     if number < confirm:
         found.problems.append(f"{number} keyframes: a thing is mapped that is seen in {confirm}; record for longer")
     elif due >= _LEAST_DUE and number - 1 < _DUE_SHARE * due:
@@ -311,7 +312,7 @@ def judge_keyframes(found: Diagnosis, number: int, due: float, seconds: float, c
 
 
 def judge_color(found: Diagnosis, agreement: ColorAgreement | None) -> None:
-    """Say where colour does not lie on depth."""
+    """Report a wrong registration of colour and depth."""
     if agreement is None or not agreement.is_off:
         return
     x_mm, y_mm = (1e3 * value for value in agreement.offset_m)
@@ -322,7 +323,7 @@ def judge_color(found: Diagnosis, agreement: ColorAgreement | None) -> None:
 
 
 def judge_depth(found: Diagnosis, noise: DepthNoise | None, bias: DepthBias | None, sensor: DepthSensor) -> None:
-    """Say where depth is off by a constant, or much noisier or better than the sensor is believed to be."""
+    """Report a constant bias of depth, or a noise that differs much from that of the sensor model."""
     if bias is not None and bias.is_off:
         long = "long" if bias.bias_m > 0 else "short"
         found.problems.append(
@@ -339,7 +340,7 @@ def judge_depth(found: Diagnosis, noise: DepthNoise | None, bias: DepthBias | No
 
 
 def judge_mounting(found: Diagnosis, source: LogSource) -> None:
-    """Say where the camera sits elsewhere than the profile has it; TF is believed."""
+    """Report a camera pose on the body that differs from the profile's; one from TF is not checked."""
     if not is_assumed(source):
         return
     estimated = estimated_mounting(source)
@@ -360,7 +361,7 @@ def judge_mounting(found: Diagnosis, source: LogSource) -> None:
 
 
 def judge_light(found: Diagnosis, light: Light | None) -> None:
-    """Say where colour tells nothing, or less than it could."""
+    """Report images that are dark or without colour."""
     if light is not None and light.is_dark:
         found.problems.append(
             f"colour is black or nearly so (half of the pixels are below {light.median:.0f} of 255): things are told "
@@ -393,7 +394,7 @@ def _tell_stamps(found: Diagnosis, *, is_heard: bool) -> None:
 
 
 def _tell_frames(found: Diagnosis, fates: dict[str, int]) -> None:
-    """Turn what became no frame into problems; colour that is merely faster than depth is none."""
+    """Report messages that became no frame as problems, except for colour images at a higher rate than depth."""
     total = found.frames["frames"] + sum(
         fates.get(name, 0) for name in ("no_pose", "color_without_depth", "frame_of_other_size", "late_color")
     )

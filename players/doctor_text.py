@@ -103,7 +103,7 @@ def ledger_table(account: dict[str, Any]) -> str:
 
 
 def damage_line(account: dict[str, Any]) -> str:
-    """Return in one line that a log is damaged, and where; "" where it is sound."""
+    """Return the damage of a log in one line; "" if it is sound."""
     number = account["damaged_places"]
     if not number:
         return ""
@@ -144,7 +144,7 @@ def _frames_line(frames: dict[str, Any]) -> str:
 
 
 def _depth_line(frames: dict[str, Any]) -> str:
-    """Return what was found of the depth camera, in one line."""
+    """Return the findings on the depth camera in one line."""
     noise, bias, sensor = frames["depth_noise"], frames["depth_bias"], frames["sensor"]
     believed = f"{sensor['noise_per_m']:.4f} z2" + (f" + {1e3 * sensor['noise_m']:.1f} mm" * (sensor["noise_m"] > 0))
     told = f"depth: too little is flat to tell its noise, taken for {believed}"
@@ -192,7 +192,7 @@ svg text { font: 11px system-ui, sans-serif; fill: #4a5568; }
 
 
 def diagnosis_page(found: Diagnosis) -> str:
-    """Return the diagnosis as a page that needs nothing else."""
+    """Return the diagnosis as a self-contained HTML page."""
     e = html.escape
     parts = [
         f"<!doctype html><meta charset=utf-8><title>{e(found.uri)}</title><style>{_STYLE}</style>",
@@ -247,7 +247,7 @@ def _topic_table(topics: dict[str, dict[str, Any]]) -> str:
 
 
 def _timeline(topics: dict[str, dict[str, Any]]) -> str:
-    """Return a bar per topic from its first to its last stamp; topics whose clock is elsewhere are told apart."""
+    """Return a bar per topic from its first to its last stamp; topics of another clock are marked."""
     spans = {name: (f["first_s"], f["last_s"]) for name, f in topics.items() if f.get("first_s")}
     if not spans:
         return ""

@@ -27,7 +27,7 @@ def _without_depth(raw: RawFrame) -> Frame:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Faults:
-    """What goes wrong with a source, each as the share of its frames; `stall_s` is how long a stalled frame takes.
+    """The share of frames with each kind of fault; `stall_s` is how long a stalled frame takes.
 
     `drop`, `duplicate`, `delay` (a frame comes three frames later, with its own stamp), `reorder` (two neighbours
     change places), `corrupt` (decoding raises), `stall`, `freeze` (a frame has the stamp of the one before), `teleport`
@@ -77,7 +77,7 @@ def parse_faults(text: str) -> Faults:
 
 
 class FaultySource(SourceAround):
-    """A `Source` that plays another one badly: the same faults at the same frames for the same seed."""
+    """A `Source` that plays another one with faults; the same seed gives the same faults at the same frames."""
 
     def __init__(self, source: Source, faults: Faults, seed: int = 0) -> None:
         super().__init__(source)
@@ -92,7 +92,7 @@ class FaultySource(SourceAround):
             yield replace(frame, index=index, decode=partial(_renumbered, frame.decode, index))
 
     def _in_disorder(self) -> Iterator[RawFrame]:
-        """Yield the frames in the order that delays and swaps give."""
+        """Yield the frames in the order that results from delays and swaps."""
         held: list[tuple[int, RawFrame]] = []
         swapped: RawFrame | None = None
         for number, frame in enumerate(self._with_faults()):
@@ -113,7 +113,7 @@ class FaultySource(SourceAround):
         yield from (frame for _, frame in held)
 
     def _with_faults(self) -> Iterator[RawFrame]:
-        """Yield the frames with what happens to each of them alone."""
+        """Yield the frames with the faults that concern a single frame."""
         last_ns: int | None = None
         is_small = False
         for number, frame in enumerate(self._source.frames()):
@@ -151,7 +151,7 @@ class FaultySource(SourceAround):
         return happens
 
     def ledger(self) -> Mapping[str, int]:
-        """Return that of the other one, and how often each fault was made, as `injected_NAME`."""
+        """Return the ledger of the other source, and how often each fault was injected, as `injected_NAME`."""
         made = {f"injected_{name}": number for name, number in sorted(self._injected.items()) if number}
         return {**self._source.ledger(), **made}
 
@@ -161,7 +161,7 @@ def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:
 
 
 def _restamped(raw: RawFrame) -> Frame:
-    """Return what the frame shows, under the stamp and the pose that it pretends to have."""
+    """Return the decoded frame with the stamp and the pose that the fault gives it."""
     return replace(raw.decode(), stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
 
 

@@ -26,7 +26,7 @@ class FirstFrames(SourceAround):
 
     @property
     def info(self) -> SourceInfo:
-        """What the other source found, with fewer frames."""
+        """The info of the other source, with fewer frames."""
         info = self._source.info
         known = info.num_frames if info.num_frames is not None else self._count
         return replace(info, num_frames=min(known, self._count))

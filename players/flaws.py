@@ -1,4 +1,4 @@
-"""Flaws in the bytes of a log: each is listed once, with its place and what was lost by it.
+"""Flaws in the bytes of a log: each is listed once, with its position and the messages lost to it.
 
 A log may be read several times; the same flaw is found each time, hence the set of places.
 """
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 class Flaw:
     """Bytes that could not be read: `what` in words, from `offset` on, `num_bytes` of them.
 
-    `lost` are the messages that lay there, by topic, as far as an index tells; `num_unknown` is how many more there
-    were of which the topic is not known.
+    `lost` is the number of lost messages by topic, as far as an index tells; `num_unknown` is the number of further
+    lost messages of unknown topics.
     """
 
     file: str
@@ -35,13 +35,13 @@ class Flaw:
 
 
 class Flaws:
-    """The flaws of one log; a flaw that is found again is the same flaw."""
+    """The flaws of one log; a flaw found again at the same place replaces the earlier one."""
 
     def __init__(self) -> None:
         self._by_place: dict[tuple[str, int], Flaw] = {}
 
     def add(self, flaw: Flaw) -> None:
-        """Note a flaw; of two at one place the later one is kept: it knows more."""
+        """Note a flaw; of two at one place the later one is kept, since it is more complete."""
         self._by_place[flaw.file, flaw.offset] = flaw
 
     def __iter__(self) -> Iterator[Flaw]:

@@ -1,7 +1,7 @@
-"""Image folders as a source: what the layouts have in common, once `folder_layouts` has read one.
+"""Image folders as a source: the part that all layouts of `folder_layouts` share.
 
 Every file was found and paired when the folder was opened; images are read when a frame is reached (colour) or decoded
-(depth). Frames come out in the colour camera; their poses were moved to it.
+(depth). Frames are those of the colour camera, and the poses are its poses.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FolderFrame:
-    """A pair of image files with its stamp and the pose of the colour camera, None where odometry has to find it."""
+    """A pair of image files with its stamp and the colour camera's pose, None if odometry has to estimate it."""
 
     stamp_ns: int
     color: Path
@@ -41,7 +41,7 @@ class FolderFrame:
 
     @property
     def pose(self) -> NDArray[np.float64]:
-        """The pose (4, 4); without one, the frame is in its own camera's frame."""
+        """The pose (4, 4), the identity if there is none."""
         return self.world_from_camera if self.world_from_camera is not None else np.eye(4)
 
 
@@ -49,8 +49,8 @@ class FolderFrame:
 class FolderContent:
     """What a layout found in a folder.
 
-    `frames` are in the order of their stamps. `fates` counts the files that became no frame, and why. `text_files` hold
-    poses and intrinsics; with the images' names and sizes they tell two folders apart.
+    `frames` are in the order of their stamps. `fates` counts, by reason, the files that became no frame. `text_files`
+    hold poses and intrinsics; with the names and sizes of the images they identify the folder.
     """
 
     kind: str
@@ -67,7 +67,7 @@ class FolderSource:
     """A `Source` of an image folder."""
 
     def __init__(self, folder: Path, content: FolderContent) -> None:
-        """Check that something can be played.
+        """Check that the folder has frames.
 
         Raises:
             RecordingError: no frame has colour, depth and a pose.
@@ -97,7 +97,7 @@ class FolderSource:
         """Yield the frames from the beginning; a frame whose colour has another size is counted and skipped.
 
         Raises:
-            CalibrationError: every frame has another size than the intrinsics are for.
+            CalibrationError: no frame has the size that the intrinsics are for.
         """
         ledger = self._ledger = Ledger()
         for fate, number in self._content.fates.items():
@@ -133,7 +133,7 @@ class FolderSource:
         return self._ledger.as_dict()
 
     def account(self) -> Account:
-        """Return what became of every image file in the latest pass."""
+        """Return the ledger of all image files in the latest pass."""
         counts, content = self._ledger.as_dict(), self._content
         frames, other_size = counts.get("frames", 0), counts.get("frame_of_other_size", 0)
         not_played = len(content.frames) - frames - other_size
@@ -187,7 +187,7 @@ def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes:
 
 
 def _check_size(depth_m: NDArray[np.float32], camera: Camera, file: Path) -> None:
-    """Refuse depth of another size than its intrinsics are for."""
+    """Check that depth has the size that its intrinsics are for; raises `RecordingError`."""
     height, width = depth_m.shape
     if (width, height) != (camera.width, camera.height):
         raise RecordingError(f"{file} has {width}x{height} pixels; expected {camera.width}x{camera.height}")

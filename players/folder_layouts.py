@@ -51,7 +51,7 @@ def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     """Return the source of `frame-NNNNNN.{color.jpg|color.png, depth.png, pose.txt}` with `camera-intrinsics.txt`.
 
     Intrinsics and poses are the depth camera's; the profile (default: seven_scenes) says where the colour camera is.
-    Stamps are the number in the name over the profile's frame rate.
+    A stamp is the number in the file's name divided by the profile's frame rate.
     """
     profile_name = options.profile or "seven_scenes"
     profile = load_profile(profile_name)
@@ -142,8 +142,8 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
 def open_posed_folder(folder: Path, options: SourceOptions) -> FolderSource:
     """Return the source of `rgb/`, `depth/`, `cam_params.json` and `camera_poses.txt` (world_from_camera, a line each).
 
-    Colour and depth are registered; images are paired by name and numbered by their order, and so are the poses. Stamps
-    are that number over the profile's frame rate (default: 30 Hz).
+    Colour and depth are registered. Images are paired by name; images and poses are numbered in their order. A stamp is
+    that number divided by the profile's frame rate (default: 30 Hz).
     """
     profile = load_profile(options.profile or "registered")
     for name in (CAM_PARAMS, CAMERA_POSES):
@@ -251,7 +251,7 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
 
 
 class _Collector:
-    """Sorts what a layout found into frames and fates, and moves the poses to the colour camera in an upright world."""
+    """Collects frames, counts the other files, and converts poses to the colour camera in an upright world."""
 
     def __init__(self, folder: Path, profile: Profile, options: SourceOptions) -> None:
         self._folder = folder
@@ -269,7 +269,7 @@ class _Collector:
     def add(
         self, stamp_ns: int, color: Path | None, depth: Path | None, log_from_depth: NDArray[np.float64] | None
     ) -> None:
-        """Add a frame, or count what became of its files."""
+        """Add a frame, or count its files under the reason why there is none."""
         if color is None or not color.is_file():
             self._fates["depth_without_color"] += 1
         elif depth is None or not depth.is_file():

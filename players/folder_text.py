@@ -80,7 +80,7 @@ def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
         units_per_m = next((float(table[name]) for name in names if name in table), 1000.0)
     except (ValueError, TypeError, AttributeError, KeyError) as error:
         raise CalibrationError(f"{file}: {error!r}; expected fx, fy, cx, cy (or K) and scale, in JSON") from error
-    # A scale below one is metres per unit, as some writers have it.
+    # Some files give the scale as metres per unit, which is below one.
     units_per_m = 1.0 / units_per_m if 0 < units_per_m < 1 else units_per_m
     if not (fx > 0 and fy > 0 and units_per_m > 0):
         raise CalibrationError(f"{file}: fx {fx}, fy {fy}, scale {units_per_m}; all must be positive")
@@ -88,7 +88,7 @@ def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
 
 
 def read_world_from_log(folder: Path) -> NDArray[np.float64]:
-    """Return the rotation (4, 4) that makes z up: from `gravity-direction.txt`, or the identity without one.
+    """Return the rotation (4, 4) that turns z up: from `gravity-direction.txt`, else the identity.
 
     Raises:
         RecordingError: the file holds no direction.
@@ -103,12 +103,12 @@ def read_world_from_log(folder: Path) -> NDArray[np.float64]:
 
 
 def read_pose_file(file: Path) -> NDArray[np.float64] | None:
-    """Return the pose of a file with a 4x4 or 3x4 matrix, or None where it is none (lost tracking writes NaN)."""
+    """Return the pose of a file with a 4x4 or 3x4 matrix, None if it is invalid (NaN where tracking was lost)."""
     return _rigid_of_row(read_numbers(file))
 
 
 def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArray[np.float64] | None]:
-    """Return the intrinsics and world_from_camera (4, 4) of a HOPE json; None where its extrinsics are no pose.
+    """Return the intrinsics and world_from_camera (4, 4) of a HOPE json; None if its extrinsics are no rigid transform.
 
     Raises:
         CalibrationError: it cannot be read, or has no intrinsics.
@@ -130,7 +130,7 @@ def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArra
 
 
 def read_pose_rows(file: Path) -> list[NDArray[np.float64] | None]:
-    """Return a pose per line of 16 or 12 numbers, row by row; None where a line is no rigid transform.
+    """Return a pose per line of 16 or 12 numbers, row by row; None for a line that is no rigid transform.
 
     Raises:
         RecordingError: a line has another number of numbers.
@@ -194,5 +194,5 @@ def read_tum_track(file: Path, max_gap_ns: int) -> PoseTrack:
 
 
 def _rigid_of_row(row: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the pose of 12 or 16 numbers, row by row, or None where they are no rigid transform."""
+    """Return the pose of 12 or 16 numbers, row by row, or None if they are no rigid transform."""
     return nearest_rigid(row.reshape(-1, 4)[:3]) if row.size in (12, 16) else None

@@ -1,6 +1,6 @@
-"""Foxglove's own messages, as protobuf or JSON: the same things as ROS's under other names.
+"""Foxglove's own messages, as protobuf or JSON, converted to the equivalent ROS messages.
 
-They are turned into objects with the fields of the ROS message, so that everything above sees one kind.
+They are converted to objects with the fields of the ROS message, so that the rest of the package handles one kind.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ ROS_TYPES = {
     "foxglove.FrameTransform": TF[0],
     "foxglove.FrameTransforms": TF[0],
 }
-"""The ROS message that each of Foxglove's stands for."""
+"""The equivalent ROS message of each Foxglove message."""
 
 
 def decode_foxglove(name: str, wire: str, definition: str, data: Any) -> Any:
-    """Return a message as the ROS message that it stands for.
+    """Return a message as its equivalent ROS message.
 
     Raises:
         ValueError: the bytes do not fit the type.
@@ -52,7 +52,7 @@ def _protobuf(name: str, definition: str, data: bytes) -> Any:
         message.ParseFromString(data)
     except DecodeError as error:
         raise ValueError(str(error)) from error
-    # Bytes are taken as they are: through a dictionary they would become base64.
+    # Bytes are copied directly: the conversion to a dictionary would encode them as base64.
     content = getattr(message, "data", None)
     if isinstance(content, bytes):
         message.ClearField("data")
@@ -71,7 +71,7 @@ def _protobuf(name: str, definition: str, data: bytes) -> Any:
 
 @lru_cache(maxsize=64)
 def _message_class(name: str, definition: str) -> Any:
-    """Return the class of a message whose descriptors a log brings along (kept one to one as Latin-1)."""
+    """Return the class of a message from the descriptors in the log (bytes, stored as Latin-1 text)."""
     from google.protobuf import descriptor_pool, message_factory
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
     from google.protobuf.message import DecodeError

@@ -33,7 +33,7 @@ class SeenFloor:
 
 
 def floor_in(frame: Frame) -> SeenFloor:
-    """Return what a frame by itself shows of the floor."""
+    """Return the floor that a single frame shows."""
     surface = surface_of(frame, SurfaceConfig())
     room = room_structure_of(surface, None, StructureConfig(), _SUPPORT_M2)
     level = room.shown & (surface.normals_world[..., 2] > 0.9)
@@ -42,7 +42,7 @@ def floor_in(frame: Frame) -> SeenFloor:
 
 
 def gravity_notes(seen: Sequence[SeenFloor]) -> list[str]:
-    """Return what there is to say of the floor of some frames: nothing where it is in view, and level."""
+    """Return the notes on the floor of some frames; none if it is in view and level."""
     heights = [floor.floor_z_m for floor in seen if floor.floor_z_m is not None]
     if not seen:
         return []

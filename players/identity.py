@@ -15,7 +15,7 @@ _SAMPLE_BYTES = 1 << 20
 def files_identity(files: Sequence[Path], sampled: Sequence[Path] | None = None) -> str:
     """Return the sha256 over name and size of all files, and the first and last MiB of the `sampled` ones (or of all).
 
-    Folders are not part of a name, so that a log that was moved stays the same.
+    The folder is not included, so that a log keeps its identity when it is moved.
     """
     digest = hashlib.sha256()
     for file in files:

@@ -32,7 +32,7 @@ _UNITS_PER_M = 1000.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogImage:
-    """An image message; `size` is (width, height) as its header says, None where the header is torn."""
+    """An image message; `size` is (width, height) from its header, None if the header is damaged."""
 
     topic: str
     stamp_ns: int
@@ -46,7 +46,7 @@ class LogImage:
 
     @property
     def encoding(self) -> str:
-        """The encoding of raw pixels, or the format of a compressed image, as the message says."""
+        """The encoding of raw pixels, or the format of a compressed image, as stated in the message."""
         return str(self.message.format if self.is_compressed else self.message.encoding)
 
     def data(self) -> bytes:
@@ -55,7 +55,7 @@ class LogImage:
 
 
 def image_of(topic: Topic, message: Any, stamp_ns: int | None = None) -> LogImage:
-    """Return the image of a message of an image topic; `stamp_ns` stands in for that of its header."""
+    """Return the image of a message of an image topic; `stamp_ns` replaces that of its header."""
     is_compressed = topic.type_name == COMPRESSED_IMAGE
     return LogImage(
         topic=topic.name,
@@ -68,7 +68,7 @@ def image_of(topic: Topic, message: Any, stamp_ns: int | None = None) -> LogImag
 
 
 def check_color_encoding(image: LogImage) -> None:
-    """Refuse colour that cannot be decoded; compressed colour is told by its bytes, whatever its format says.
+    """Check that colour can be decoded; compressed colour is recognised by its bytes, not by its format string.
 
     Raises:
         RecordingError: the encoding is not known.
@@ -81,13 +81,13 @@ def check_color_encoding(image: LogImage) -> None:
 
 
 def check_depth_encoding(image: LogImage) -> None:
-    """Refuse depth that cannot be decoded, or that would be decoded to wrong distances.
+    """Check that depth can be decoded, to the right unit.
 
     Raises:
         RecordingError: the encoding is not known.
     """
     if image.is_compressed:
-        return  # told by its bytes: format strings are written in every way
+        return  # Recognised by its bytes: drivers write the format string in many ways.
     if image.encoding not in DEPTH_ENCODINGS:
         raise RecordingError(
             f"{image.topic} is encoded as {image.encoding!r}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
@@ -108,7 +108,7 @@ def color_of(image: LogImage) -> NDArray[np.uint8]:
 
 
 def depth_of(image: LogImage, units_per_m: float = _UNITS_PER_M) -> NDArray[np.float32]:
-    """Return the depth (H, W) float32 in metres, NaN = no return; integers are of `units_per_m`.
+    """Return the depth (H, W) float32 in metres, NaN = no return; integers are divided by `units_per_m`.
 
     Raises:
         RecordingError: the image is empty, torn, or of an encoding that is not known.
@@ -125,6 +125,6 @@ def _raw_size(message: Any) -> tuple[int, int]:
 
 def _compressed_size(message: Any) -> tuple[int, int] | None:
     """Return the size of a JPEG or PNG, also behind the header of `compressedDepth`."""
-    # A JPEG's size stands behind its tables and whatever a camera wrote into its comments.
+    # The size of a JPEG follows its tables and comments, which may be long.
     head = np.asarray(message.data[: 1 << 16], dtype=np.uint8).tobytes()
     return compressed_size(head) or compressed_size(head[12:]) or (rvl_size(head) if any(rvl_size(head)) else None)

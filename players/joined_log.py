@@ -1,7 +1,7 @@
-"""Several logs as one: split recordings, and odometry that was recorded in a bag of its own.
+"""Several logs as one: split recordings, or odometry in a separate bag.
 
-Merged by header stamp, not by the time of recording: odometry that was computed later from a replay carries the stamps
-of the images and the recording time of the replay.
+They are merged by header stamp rather than by log time: odometry that was computed later, in a replay, has the header
+stamps of the images but the log times of the replay.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _Head:
-    """The next message of a log, and where that log is in time."""
+    """The next message of a log, and the log's position in time."""
 
     message: LogMessage
     rest: Iterator[LogMessage]
@@ -45,7 +45,7 @@ class JoinedLog:
 
     @property
     def flaws(self) -> Flaws:
-        """The flaws of all of them."""
+        """The flaws of all logs."""
         flaws = Flaws()
         for log in self.logs:
             for flaw in log.flaws:
@@ -54,12 +54,12 @@ class JoinedLog:
 
     @property
     def checksum(self) -> str:
-        """What protects all of them, "" where one is not protected."""
+        """The checksums of all logs, "" if one of them has none."""
         found = sorted({log.checksum for log in self.logs})
         return ", ".join(found) if all(found) else ""
 
     def declared(self) -> dict[str, int] | None:
-        """Return the sums over the logs, None where one of them does not say."""
+        """Return the sums over the logs, None if one of them declares no counts."""
         total: Counter[str] = Counter()
         for log in self.logs:
             declared = log.declared()
@@ -69,7 +69,7 @@ class JoinedLog:
         return dict(total)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
-        """Yield the messages of all logs, always the next of the one that is furthest behind."""
+        """Yield the messages of all logs, each time from the log with the oldest next message."""
         heads: list[_Head | None] = [
             self._next(i, log.messages([name for name in topics if name in self._topic_of[i]]), None)
             for i, log in enumerate(self.logs)
@@ -88,7 +88,7 @@ class JoinedLog:
         message = next(rest, None)
         if message is None:
             return None
-        # A static transform may have any stamp: it never holds its log back, nor does a stamp that was not set.
+        # Static transforms may have any stamp, and stamps may be unset: neither changes the log's position in time.
         stamp_ns = peek_stamp_ns(self._topic_of[i][message.topic], message.data) or 0
         if before_ns is None and stamp_ns == 0:
             return _Head(message, rest, 0)

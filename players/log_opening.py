@@ -1,7 +1,7 @@
 """Opening a log: which topics play which role, how depth gets into the colour image, and where the camera was.
 
-Only the beginning of the log is read: as far as the first images of both topics, their calibrations, and poses that
-carry the camera.
+Only the beginning of the log is read, up to the first images of both topics, their calibrations, and poses that are
+connected to the camera.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from players.options import SourceOptions
 
 _PATIENCE_NS = 10_000_000_000
-"""So much of the log is read for topics that have not come yet, once everything needed is there."""
+"""How much more of the log is read for topics without a message, once everything needed has been found."""
 
 _HORIZON_NS = 300_000_000_000
 """How much of the log is read to find the links that are needed: a recording in which they come later is refused."""
@@ -55,7 +55,7 @@ _HORIZON_NS = 300_000_000_000
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Opening:
-    """What the beginning of a log says; `plan` is None where no pose carries the camera (yet)."""
+    """The contents of the beginning of a log; `plan` is None while no pose is connected to the camera."""
 
     log: Log
     options: SourceOptions
@@ -77,7 +77,7 @@ class Opening:
 
 
 def choose_profile(topics: Sequence[Topic], options: SourceOptions) -> tuple[Profile, bool]:
-    """Return the profile that was named or that the topics fit (an empty one where none does), and if it is a guess."""
+    """Return the profile that was named or fits the topics (empty if none does), and whether it was guessed."""
     if options.profile == "none":
         profile, is_guessed = Profile(), False
     elif options.profile is not None:
@@ -91,7 +91,7 @@ def choose_profile(topics: Sequence[Topic], options: SourceOptions) -> tuple[Pro
 
 
 def _check_robot(robot: str, profile: Profile, topics: Sequence[Topic]) -> None:
-    """Refuse a robot that nothing in the log could be of: it would change nothing, or nothing to the good.
+    """Check that the named robot has topics in the log, since the name would otherwise have no effect.
 
     Raises:
         CalibrationError: the profile has no robots, or the log has no topic of this one.
@@ -108,7 +108,7 @@ def _check_robot(robot: str, profile: Profile, topics: Sequence[Topic]) -> None:
 
 
 def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogSource:
-    """Return the source of a log; `is_live`: of messages that arrive while they are read.
+    """Return the source of a log; `is_live`: its messages arrive while it is read.
 
     Raises:
         RecordingError: colour, depth or poses are missing, or never meet in time.
@@ -184,7 +184,7 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
 
 
 def read_opening(log: Log, options: SourceOptions) -> Opening:
-    """Return what the beginning of a log says, whether it is enough or not.
+    """Return the contents of the beginning of a log, whether or not they suffice to play it.
 
     Raises:
         RecordingError: there are no messages, or no topics of colour, depth or poses.
@@ -227,7 +227,7 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
 
 
 def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Topic]:
-    """Return the topics that may hold poses; none where odometry does without."""
+    """Return the topics that may hold poses; none if odometry is to estimate them without."""
     try:
         return pose_topics(log.path, log.topics, options, profile.topics.get("pose", ()))
     except NoPosesError:
@@ -237,7 +237,7 @@ def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Top
 
 
 def _filled(opening: Opening, wanted: set[str]) -> Opening:
-    """Read until everything that is needed is there."""
+    """Read messages until everything needed has been found."""
     from dataclasses import replace
 
     log, reader, topics = opening.log, opening.reader, opening.topics
@@ -249,7 +249,8 @@ def _filled(opening: Opening, wanted: set[str]) -> Opening:
         if probe is None:
             reader.add(message)
         else:
-            # Time passes by the images: another bag of the log may have been recorded years later, from a replay.
+            # Progress is measured by the images: another bag of the log may have been recorded years later, in a
+            # replay.
             first_ns = message.log_ns if first_ns is None else first_ns
             passed_ns = max(passed_ns, message.log_ns - first_ns)
             if not probe.is_full:
@@ -280,7 +281,7 @@ def _look_at(probe: Probe, data: object, log_ns: int) -> None:
 
 
 def _infos(opening: Opening) -> tuple[str | None, str | None]:
-    """Return the calibration topics of colour and depth, None where there is none yet."""
+    """Return the calibration topics of colour and depth, None if not found yet."""
     named = (opening.options.color_info_topic, opening.options.depth_info_topic)
     found = []
     for probe, name, role in zip((opening.color, opening.depth), named, ("color_info", "depth_info"), strict=True):
@@ -355,7 +356,7 @@ def _lens(reader: RigReader, info: str, topic: Topic, image: LogImage) -> Lens:
 
 
 def _depth_lens(opening: Opening, color_info: str, color_lens: Lens) -> tuple[str, Lens]:
-    """Return the depth's calibration: its own, or the colour's where frame and size are the same."""
+    """Return the depth's calibration: its own, or that of colour if frame and size are the same."""
     color, depth = opening.color.first, opening.depth.first
     assert color is not None and depth is not None
     if opening.options.depth_info_topic is None and opening.infos[1] is None:
@@ -367,7 +368,7 @@ def _depth_lens(opening: Opening, color_info: str, color_lens: Lens) -> tuple[st
 
 
 def _color_from_depth(opening: Opening, color_frame: str, depth_frame: str) -> tuple[NDArray[np.float64], str]:
-    """Return the transform between the two cameras, and where it comes from, in words.
+    """Return the transform between the two cameras, and its origin in words.
 
     Raises:
         CalibrationError: neither TF nor the profile connects them rigidly.

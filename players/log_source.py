@@ -1,8 +1,7 @@
-"""A recorded log as a source: images paired and poses interpolated while the log streams by.
+"""A recorded log as a source: images are paired and poses interpolated in one pass over the log.
 
 Opening reads up to the first complete frame, so that a log that cannot be mapped is refused before anything is written.
-One pass over the log is enough: a pair of images waits until the poses have reached its stamp, or it is clear that they
-will not.
+A pair of images waits until poses up to its stamp have been read, or none can be expected.
 """
 
 from __future__ import annotations
@@ -44,10 +43,10 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 _PATIENCE_NS = 500_000_000
-"""So long, beyond the widest gap, a pair waits for poses while the images go on: it bounds what is held in memory."""
+"""How long, beyond the widest gap between poses, a pair waits for poses; it bounds the memory."""
 
 _KEPT_NS = 5_000_000_000
-"""Poses are kept for so long behind the frame at hand."""
+"""How long poses older than the current frame are kept."""
 
 
 _KEPT_WITHOUT_FRAMES_NS = 60_000_000_000
@@ -61,7 +60,8 @@ class LogSource:
         """Read up to the first frame.
 
         Raises:
-            RecordingError: there is no frame with colour, depth and a pose; says what does not meet what.
+            RecordingError: there is no frame with colour, depth and a pose; the message says which do not coincide in
+            time.
             CalibrationError: all images have another size than their calibration.
         """
         self._log = log
@@ -83,14 +83,14 @@ class LogSource:
 
     @property
     def info(self) -> SourceInfo:
-        """What was found when the log was opened; `num_frames` is the most there can be: images may lack partners."""
+        """What was found when the log was opened; `num_frames` is an upper bound, since images may lack partners."""
         return self._info
 
     def with_plan(self, plan: PosePlan) -> LogSource:
-        """Return the same log with poses that come about in another way.
+        """Return the same log with poses from another plan.
 
         Raises:
-            RecordingError: then no frame has one.
+            RecordingError: no frame has a pose by that plan.
         """
         streams = {**dict(self._setup.streams), "frames": plan.path, "extrinsics": plan.extrinsics}
         return LogSource(self._log, replace(self._setup, plan=plan, streams=tuple(streams.items())))
@@ -102,11 +102,11 @@ class LogSource:
 
     @property
     def setup(self) -> LogSetup:
-        """What opening the log has settled, for whoever explains it."""
+        """The topics, calibrations and poses that were determined when the log was opened."""
         return self._setup
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames from the beginning, in the order of their stamps; what became no frame is in the ledger.
+        """Yield the frames from the beginning, in the order of their stamps; the ledger counts what became no frame.
 
         After a jump back in time (a looped log) the stamps begin again.
         """
@@ -125,7 +125,7 @@ class LogSource:
             if match is None:
                 is_ended = True
             elif match[1] is None:
-                pass  # what came may be the pose that the first pair waits for
+                pass  # The message may be the pose that the first pair waits for.
             elif isinstance(match[1], Leftover):
                 self._count_leftover(match[1], ledger)
             else:
@@ -174,7 +174,7 @@ class LogSource:
         return self._ledger.as_dict()
 
     def account(self) -> Account:
-        """Return where every message of the log has ended in the latest pass."""
+        """Return the ledger of every message in the latest pass."""
         from players.account import account_of
 
         return account_of(self._log, self._setup, self._ledger)
@@ -185,9 +185,9 @@ class LogSource:
     def _images(
         self, ledger: Ledger, reader: RigReader, newest: dict[int, int]
     ) -> Iterator[tuple[int, Stamped | None]]:
-        """Yield the images of both topics with their epochs as they lie in the log; the rest goes to the rig.
+        """Yield the images of both topics with their epochs, in the order of the log; other messages go to the rig.
 
-        `newest` gets the newest stamp of each epoch. Where what is read is live, None says that something else came.
+        `newest` is updated with the newest stamp of each epoch. For a live log, None is yielded for other messages.
         """
         topics = self._setup.topics
         roles = {topics.color.name: ("color", topics.color), topics.depth.name: ("depth", topics.depth)}
@@ -198,14 +198,15 @@ class LogSource:
                 reader.add(message)
                 if self._setup.is_live:
                     if ledger.read[message.topic] % _FORGET_EVERY == 0:
-                        # Without images no frame forgets poses: a camera that is off must not fill the memory.
+                        # Poses are otherwise dropped per frame: without images, a camera that is off would fill the
+                        # memory.
                         reader.forget_older(_KEPT_WITHOUT_FRAMES_NS)
                     yield 0, None
                 continue
             stream, topic = roles[message.topic]
             stamp_ns = message.log_ns if self._setup.uses_log_time else peek_stamp_ns(topic, message.data)
             if stamp_ns is None:
-                stamp_ns = message.log_ns  # too short to have a header: it will not be readable either
+                stamp_ns = message.log_ns  # Too short for a header, hence unreadable.
             for placed in timelines[message.topic].add(stamp_ns, message):
                 if placed.order in (Order.OFF, Order.DUPLICATE):
                     fate = f"{stream}_stamp_off" if placed.order is Order.OFF else f"duplicate_{stream}"
@@ -230,16 +231,16 @@ class LogSource:
             return None
 
     def _is_settled(self, epoch: int, pair: Pair, reader: RigReader, newest: dict[int, int]) -> bool:
-        """Return whether the pose of a pair is known, or will not be."""
+        """Return whether the pose of a pair is known, or cannot be expected any more."""
         needed_ns = max(pair.stamp_ns, pair.depth_stamp_ns) if self._moves_depth(pair) else pair.stamp_ns
         if self._setup.plan.reaches(needed_ns, epoch, reader) or max(newest) > epoch:
             return True
         return newest[epoch] - pair.stamp_ns > self._setup.max_gap_ns + _PATIENCE_NS
 
     def _moves_depth(self, pair: Pair) -> bool:
-        """Return whether depth is of another camera and another moment, so that the way between counts.
+        """Return whether depth has to be moved by the camera's motion: it is of another camera and another stamp.
 
-        Depth that is registered already is left as it is; by the recorder's clock nobody knows when it was taken.
+        Registered depth is left as it is, and so is depth with log times, which are not the times of exposure.
         """
         is_apart = pair.depth_stamp_ns != pair.stamp_ns
         return is_apart and not self._setup.uses_log_time and not self._setup.registration.is_identity
@@ -247,7 +248,7 @@ class LogSource:
     def _registration(
         self, pair: Pair, world_from_camera: NDArray[np.float64], epoch: int, reader: RigReader
     ) -> Registration:
-        """Return how the depth of a pair gets into its colour: with the camera's way between their stamps, if known."""
+        """Return the registration of the depth of a pair, with the camera's motion between the two stamps if known."""
         registration = self._setup.registration
         then = self._setup.plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
         return registration if then is None else with_motion(registration, compose(invert(world_from_camera), then))
@@ -303,7 +304,7 @@ class LogSource:
         ledger.reject(pair.depth.topic, fate)
 
     def _why_empty(self) -> RecordingError | CalibrationError:
-        """Return the error for a log whose images, depth, poses and calibration never come together."""
+        """Return the error for a log without a complete frame."""
         fates, path, topics = self._ledger.as_dict(), self._log.path, self._setup.topics
         if fates.get("no_pose"):
             images = _span_text(self._stamps(topics.color))
@@ -354,7 +355,7 @@ def _decode(
     rgb = setup.color_lens.rectified_color(rgb)
     depth_m = register_depth(setup.depth_lens.rectified_depth(depth_m), registration)
     for image in (rgb, depth_m):
-        image.flags.writeable = False  # nobody else has them: the frame need not copy them
+        image.flags.writeable = False  # No other references exist, so that the frame need not copy the arrays.
     return Frame(
         index=index,
         stamp_ns=pair.stamp_ns,
@@ -367,14 +368,14 @@ def _decode(
 
 
 def _check_size(shape: tuple[int, ...], lens: Lens, image: LogImage) -> None:
-    """Refuse an image whose header was torn and whose pixels have another size."""
+    """Check the size of the decoded pixels, for images whose header was damaged; raises `RecordingError`."""
     if shape[:2] != (lens.camera.height, lens.camera.width):
         expected = f"{lens.camera.width}x{lens.camera.height}"
         raise RecordingError(f"{image} has {shape[1]}x{shape[0]} pixels; expected {expected}")
 
 
 def _has_size(image: LogImage, lens: Lens) -> bool:
-    """Return whether an image has its calibration's size; of a torn header, decoding will tell."""
+    """Return whether an image has its calibration's size; with a damaged header this is known after decoding only."""
     return image.size is None or image.size == (lens.camera.width, lens.camera.height)
 
 

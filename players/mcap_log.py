@@ -1,8 +1,9 @@
 """MCAP files, whole or damaged: chunk by chunk in the order of the file, every checksum verified.
 
-A bad chunk is skipped and the rest read. The index at the end is believed as long as it fits the file; where it is
-missing, damaged or wrong, the records are walked from the beginning, and after bytes that are no record the walk goes
-on at the next chunk. The order of the file rather than of log time: what is late by header stamp is sorted further up.
+A bad chunk is skipped and the rest read. The index at the end is used as long as it fits the file. If it is missing,
+damaged or wrong, the records are read one after another from the beginning; after bytes that are no record, reading
+resumes at the next chunk. Messages come in the order of the file rather than of log time; they are sorted by header
+stamp later (`sync.py`).
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ _RECORD_PATTERN = re.compile(rb"[\x03-\x05\x0f](?=[\s\S]{4}\x00{4})")
 
 @dataclass(slots=True)
 class _Chunk:
-    """A chunk record at `offset`, `num_bytes` with its header; `counts` by channel id, None where no index tells."""
+    """A chunk record at `offset`, `num_bytes` with its header; `counts` by channel id, None without an index."""
 
     offset: int
     num_bytes: int
@@ -62,7 +63,7 @@ class _Chunk:
 
 @dataclass(slots=True)
 class _Survey(Described):
-    """What is known of a file: schemas and channels by id, its chunks, how many messages it declares."""
+    """The structure of a file: schemas and channels by id, chunks, and the declared number of messages."""
 
     chunks: list[_Chunk] = field(default_factory=list)
     loose_counts: Counter[int] = field(default_factory=Counter)
@@ -71,7 +72,7 @@ class _Survey(Described):
 
 
 class _WrongIndexError(Exception):
-    """The index names a chunk where there is none."""
+    """The index refers to a chunk that is not there."""
 
 
 class McapLog:
@@ -80,7 +81,7 @@ class McapLog:
     kind = "MCAP"
 
     def __init__(self, path: Path) -> None:
-        """Read the summary; a file without a sound one is walked for its channels.
+        """Read the summary; without a valid one, all records are read to find the channels.
 
         Raises:
             RecordingError: not one channel can be read.
@@ -106,7 +107,7 @@ class McapLog:
         return "CRC-32 per chunk" if self._survey.chunks else ""
 
     def declared(self) -> dict[str, int] | None:
-        """Return how many messages of each topic the file says to hold, or None where it does not say."""
+        """Return the declared number of messages of each topic, None if the file declares none."""
         counts = self._survey.declared
         if counts is None:
             return None
@@ -116,7 +117,7 @@ class McapLog:
         return dict(by_topic)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
-        """Yield the messages of some topics in the order of the file; what cannot be read is among the `flaws`."""
+        """Yield the messages of some topics in the order of the file; unreadable ones are noted in `flaws`."""
         wanted = set(topics)
         with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             if not self._survey.chunks:
@@ -132,7 +133,7 @@ class McapLog:
                 yield from self._chunked(data, wanted, read)
 
     def chunk_spans(self, data: mmap.mmap) -> list[tuple[tuple[int, int], int]]:
-        """Return where each chunk begins and ends, and how many messages its index says it has."""
+        """Return the first and last byte of each chunk, and its number of messages by the index."""
         for chunk in self._survey.chunks:
             _is_chunk_at(data, chunk)
         return [((c.offset, c.offset + c.num_bytes), sum((c.counts or {}).values())) for c in self._survey.chunks]
@@ -183,7 +184,7 @@ class McapLog:
             self._flaw(chunk.offset, "the chunk ends within a record", end - at)
 
     def _loose(self, data: mmap.mmap, wanted: set[str]) -> Iterator[LogMessage]:
-        """Yield the messages of a file without chunks; one checksum over all of them is verified in passing."""
+        """Yield the messages of a file without chunks, and verify the one checksum over all of them."""
         view, crc, crc_at = memoryview(data), 0, 0
         try:
             for opcode, at, length in self._walk(data):
@@ -205,7 +206,7 @@ class McapLog:
     # ---- the walk ----------------------------------------------------------------------------------------------------
 
     def _walk_whole(self, data: mmap.mmap) -> _Survey:
-        """Return the result of a pass over all records; bytes that are not a record are noted."""
+        """Return the structure of a file from a pass over all records; bytes that are no record are noted as flaws."""
         survey = _Survey()
         for opcode, at, length in self._walk(data):
             if opcode == CHUNK_OP:
@@ -245,7 +246,7 @@ class McapLog:
             at = following
 
     def _learn_chunk(self, data: mmap.mmap, chunk: _Chunk, survey: _Survey) -> None:
-        """Learn channels from a chunk and count its messages, where no index does."""
+        """Read the channels in a chunk and count its messages, if there is no index."""
         try:
             records = unpacked_chunk(data, chunk.offset + HEAD.size, chunk.offset + chunk.num_bytes)
         except UnpackError as error:
@@ -297,7 +298,7 @@ class McapLog:
 
 
 def _read_summary(data: mmap.mmap) -> _Survey | None:
-    """Return what the summary at the end says, or None where there is none that is sound."""
+    """Return the content of the summary at the end, or None if there is no valid one."""
     tail = len(data) - len(MAGIC) - _FOOTER_BYTES
     if tail < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or data[: len(MAGIC)] != MAGIC:
         return None
@@ -323,7 +324,7 @@ def _read_summary(data: mmap.mmap) -> _Survey | None:
             at += length
     except (struct.error, UnicodeDecodeError):
         return None
-    # A summary without channels or counts is no help; one without chunk indices only where the file has chunks.
+    # A summary must have channels and counts, and chunk indices if the file has chunks.
     if not survey.channels or survey.declared is None:
         return None
     is_complete = bool(survey.chunks) or _CHUNK_PATTERN.search(data[: min(len(data), 1 << 20)]) is None
@@ -333,13 +334,13 @@ def _read_summary(data: mmap.mmap) -> _Survey | None:
 
 def _chunk_of_index(record: bytes) -> _Chunk:
     _, _, offset, length, size = struct.unpack_from("<QQQQI", record, 0)
-    # The index says which channels are in the chunk, not how many messages: -1 counts as "some".
+    # The chunk index lists the channels of a chunk without counts: -1 stands for "some".
     counts = {struct.unpack_from("<HQ", record, 36 + at)[0]: 0 for at in range(0, min(size, len(record) - 36), 10)}
     return _Chunk(offset, length, counts or None)
 
 
 def _is_chunk_at(data: mmap.mmap, chunk: _Chunk) -> bool:
-    """Return whether a chunk is where the index says; completes its counts from the message indices behind it."""
+    """Return whether a chunk is where the index says, and complete its counts from the message indices behind it."""
     if chunk.offset + chunk.num_bytes > len(data) or chunk.num_bytes < HEAD.size + 40:
         return False
     opcode, length = HEAD.unpack_from(data, chunk.offset)
@@ -360,9 +361,9 @@ def _is_chunk_at(data: mmap.mmap, chunk: _Chunk) -> bool:
 
 
 def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
-    """Return where the next record begins that can be trusted, or the end of the file.
+    """Return the beginning of the next valid record, or the end of the file.
 
-    In a file with chunks only a chunk will do: what looks like a message may lie inside one whose header is damaged.
+    In a file with chunks this must be a chunk: what looks like a message may lie inside a chunk with a damaged header.
     """
     end = len(data)
     pattern = _CHUNK_PATTERN if is_chunked else _RECORD_PATTERN
@@ -370,7 +371,7 @@ def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
         at = match.start()
         if _is_chain(data, at, 1 if is_chunked else 3):
             return at
-    # Behind the last chunk: the summary, found by the footer's place, may still hold channels.
+    # No chunk follows: the summary, found from the footer, may still hold channels.
     tail = end - len(MAGIC) - _FOOTER_BYTES
     if tail > start and data[-len(MAGIC) :] == MAGIC:
         (summary,) = struct.unpack_from("<Q", data, tail + HEAD.size)
@@ -380,7 +381,7 @@ def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
 
 
 def _is_chain(data: mmap.mmap, at: int, links: int) -> bool:
-    """Return whether so many records follow each other from here on; fewer where the file ends."""
+    """Return whether this many records follow each other from here on, or up to the end of the file."""
     for _ in range(links):
         if at + HEAD.size > len(data):
             return at == len(data)

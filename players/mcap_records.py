@@ -1,4 +1,4 @@
-"""The records of MCAP, as they lie in a file or come through a pipe: their kinds, schemas, channels and chunks."""
+"""The record types of MCAP, in a file or a stream: schemas, channels and chunks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MESSAGE = struct.Struct("<HIQQ")
 CHUNK = struct.Struct("<QQQII")
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE_OP, CHUNK_OP, INDEX = 1, 2, 3, 4, 5, 6, 7
 CHUNK_INDEX, STATISTICS, DATA_END = 8, 0x0B, 0x0F
-# The least that a record of each kind holds; a shorter one is no record.
+# The minimum length of a record of each type; a shorter one is invalid.
 _LEAST_BYTES = {
     1: 8,
     2: 20,
@@ -51,7 +51,7 @@ _LEAST_BYTES = {
 
 @dataclass(slots=True)
 class Described:
-    """What records say of messages: (name, encoding, definition) of schemas, (schema, topic, encoding) of channels."""
+    """The descriptions of messages: (name, encoding, definition) of schemas, (schema, topic, encoding) of channels."""
 
     schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
     channels: dict[int, tuple[int, str, str]] = field(default_factory=dict)
@@ -67,7 +67,7 @@ def topic_of(described: Described, channel: int, num_messages: int | None) -> To
 def make_topic(
     name: str, encoding: str, type_name: str, schema_encoding: str, definition: bytes, num_messages: int | None
 ) -> Topic:
-    """Return a topic from what a channel and its schema say."""
+    """Return the topic of a channel and its schema."""
     return Topic(
         name=name,
         type_name=ROS_TYPES.get(type_name, normalized_type(type_name)),
@@ -80,7 +80,7 @@ def make_topic(
 
 
 def schema_of(topic: Topic) -> tuple[str, str, bytes]:
-    """Return name, encoding and definition of a topic's type, from ROS 2's own where the topic brings none."""
+    """Return name, encoding and definition of a topic's type; the definition is ROS 2's own if the log has none."""
     encodings = {"msg": "ros2msg", "idl": "ros2idl", "protobuf": "protobuf", "jsonschema": "jsonschema", "none": ""}
     encoding, definition = encodings[topic.definition_format], topic.definition
     if topic.wire == "cdr" and not definition.strip():
@@ -94,7 +94,7 @@ def schema_of(topic: Topic) -> tuple[str, str, bytes]:
 
 
 def learn(described: Described, opcode: int, record: bytes) -> None:
-    """Note a schema or a channel; one that does not parse is left out, and its messages are of no known topic."""
+    """Note a schema or a channel; one that does not parse is left out, so that its messages are of no known topic."""
     try:
         (number,) = struct.unpack_from("<H", record, 0)
         if opcode == SCHEMA:
@@ -150,5 +150,5 @@ def _string(record: bytes, at: int) -> tuple[str, int]:
 
 
 def _text_of(definition: bytes, encoding: str) -> str:
-    """Return a definition as text; protobuf's descriptors are bytes, kept one to one as Latin-1."""
+    """Return a definition as text; the descriptors of protobuf are bytes, stored as Latin-1 text."""
     return definition.decode("latin-1" if encoding == "protobuf" else "utf-8", errors="replace")

@@ -31,7 +31,7 @@ HEADER_FIRST = frozenset(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StampedPose:
-    """Where `child` is in `parent`: `row` = tx ty tz qx qy qz qw. A message without a child frame has an empty one."""
+    """The pose parent_from_child as `row` = tx ty tz qx qy qz qw; `child` is "" for messages without a child frame."""
 
     stamp_ns: int
     parent: str
@@ -41,7 +41,7 @@ class StampedPose:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CameraInfo:
-    """A calibration as logs hold it: `K` (3, 3), `P` (3, 4), `D` (n,); `size` is (width, height), (0, 0) if unset."""
+    """The fields of a `CameraInfo`: `K` (3, 3), `P` (3, 4), `D` (n,); `size` is (width, height), (0, 0) if unset."""
 
     frame: str
     size: tuple[int, int]
@@ -67,7 +67,7 @@ def poses_of(type_name: str, message: Any) -> list[StampedPose]:
     if type_name in TF:
         return [_transform(transform) for transform in message.transforms]
     if type_name == PATH:
-        # A path is told anew with every message, corrected as a whole; its last pose is the one that is new.
+        # Every Path message repeats the whole path with corrections; only its last pose is new.
         return [_stamped(p, "", p.pose.position, p.pose.orientation) for p in message.poses[-1:]]
     pose = message.pose if type_name == POSE else message.pose.pose
     child = frame_name(message.child_frame_id) if type_name == ODOMETRY else ""

@@ -1,6 +1,6 @@
-"""Where the camera sits on the body whose poses a log has, by the motion of both: pose topic against depth odometry.
+"""Hand-eye calibration: the camera's pose on the body, from the motions of pose topic and depth odometry.
 
-For logs without TF, whose profile can only assume it.
+It serves logs without TF, for which the profile can only assume that pose.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
     from players.log_source import LogSource
 
 _MAX_FRAMES = 400
-"""The number of frames that are examined: about a minute of walking suffices."""
+"""The number of frames that are examined; about a minute of walking suffices."""
 
 _LEAST_STEP_NS = 90_000_000
 _MOTION_NS = 1_000_000_000
-"""Motions of a second: long against the noise of poses, short against the drift of odometry."""
+"""The time between two poses of a motion: large compared with pose noise, small compared with odometry drift."""
 
 
 def is_assumed(source: LogSource) -> bool:
-    """Return whether it is the profile that says where the camera sits on the body, not the log."""
+    """Return whether the camera's pose on the body comes from the profile rather than from the log."""
     plan = source.setup.plan
     return plan.stream is not None and plan.is_static and plan.extrinsics.startswith("profile")
 
 
 def estimated_mounting(source: LogSource) -> HandEye | NoHandEye:
-    """Return where the camera sits, by the beginning of a log; the log's own answer says where open directions stay."""
+    """Return the camera's pose on the body, from the beginning of a log; undetermined directions stay the log's."""
     plan = source.setup.plan
     if plan.stream is None or not plan.is_static:
         return NoHandEye(reason="the poses of the log are not those of one body")
@@ -69,10 +69,10 @@ def estimated_mounting(source: LogSource) -> HandEye | NoHandEye:
 
 
 def with_estimated_mounting(source: LogSource) -> LogSource:
-    """Return the log with its camera where its motion says that it sits.
+    """Return the log with the estimated pose of its camera on the body.
 
     Raises:
-        CalibrationError: that cannot be said.
+        CalibrationError: the motion does not determine that pose.
     """
     found = estimated_mounting(source)
     if isinstance(found, NoHandEye):
@@ -87,7 +87,7 @@ def with_estimated_mounting(source: LogSource) -> LogSource:
 
 
 def mounting_text(found: HandEye) -> str:
-    """Return where a camera sits and how sure that is, in the body's axes."""
+    """Return the camera's pose on the body and its uncertainty in words, in the body's axes."""
     place = ", ".join(f"{value:+.3f}" for value in found.body_from_camera[:3, 3])
     sigma = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     return (
@@ -99,7 +99,7 @@ def mounting_text(found: HandEye) -> str:
 def _motions(
     track: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]],
 ) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return the motions of body and camera over a second, half of one overlapping the next."""
+    """Return the motions of body and camera over a second each; consecutive motions overlap by half."""
     motions = []
     next_ns, last = None, 0
     for stamp_ns, body, camera in track:

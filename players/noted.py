@@ -1,7 +1,7 @@
-"""A note of how a source was opened, from which it can be opened again in the same way.
+"""A record of how a source was opened, from which it can be opened again in the same way.
 
-A note is kept in a map, which may come from anybody: its paths are only read, and only where they are files or folders
-of this machine. That it is the right log is known by its identity, before anything of it gets into the map.
+The record is kept in the map folder, which may come from an untrusted source: its paths are only read, and only if they
+are files or folders of this machine. The identity of the log is compared before anything of it is mapped.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def note_of(
     faults: str | None = None,
     fault_seed: int = 0,
 ) -> dict[str, Any]:
-    """Return what `open_noted` needs, made of what JSON knows; relative paths become absolute ones."""
+    """Return the arguments of `open_noted` as JSON values; relative paths become absolute ones."""
     said = asdict(options)
     if options.pose_file is not None:
         said["pose_file"] = str(options.pose_file.absolute())
@@ -65,12 +65,12 @@ def note_of(
 def open_noted(
     note: Mapping[str, Any], clock: PlaybackClock | None = None, keyframes: KeyframeConfig | None = None
 ) -> Source:
-    """Return the source that was noted, following a clock (None: as fast as can be) that steps by `keyframes`.
+    """Return the source that was noted, following a clock (None: as fast as possible) that steps by `keyframes`.
 
     Raises:
         RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs; or the note is damaged.
         CalibrationError: intrinsics or extrinsics are missing or contradict the images.
-        InputError: the faults cannot be, or the log is over before the start.
+        InputError: the faults are invalid, or the log ends before the start.
     """
     _check(note)
     known = {field.name for field in fields(SourceOptions)}
@@ -79,8 +79,8 @@ def open_noted(
         options["pose_file"] = Path(options["pose_file"])
     source: Source = open_source(note["uris"], SourceOptions(**options))
     if note.get("start_s", 0.0) > 0:
-        # Most logs do not say where they end. Reading on to the start is cheap beside mapping, and a start beyond the
-        # end is refused before a map is begun.
+        # Most logs do not declare their end. Reading up to the start is cheap compared with mapping, and a start beyond
+        # the end is refused before a map is begun.
         next(PlayedSource(source, PlaybackClock(), start_s=note["start_s"]).frames(), None)
     if note.get("faults") is not None:
         source = FaultySource(source, parse_faults(note["faults"]), note.get("fault_seed", 0))
@@ -91,7 +91,7 @@ def open_noted(
 
 
 def _check(note: Mapping[str, Any]) -> None:
-    """Refuse a note that `note_of` does not make, and paths of anything but files and folders of this machine."""
+    """Check that `note_of` can have made a note, and that its paths are files or folders of this machine."""
     for name, kinds in _KINDS.items():
         value = note.get(name)
         is_missing = value is None and name != "uris"
@@ -110,6 +110,6 @@ def _check(note: Mapping[str, Any]) -> None:
 def _check_path(path: object) -> None:
     if not isinstance(path, str) or not path or "\0" in path or path.startswith(("//", "\\\\")):
         raise RecordingError(f"found the path {path!r:.60}, expected one of this machine; name the log itself")
-    # A name that is no file is that of a profile, or of a log that is missed: both are told later.
+    # A name that is no file is the name of a profile, or of a missing log; both are checked later.
     if Path(path).exists() and not (Path(path).is_file() or Path(path).is_dir()):
         raise RecordingError(f"{path} is neither a file nor a folder; name the log itself")

@@ -1,8 +1,8 @@
 """A source whose poses are estimated: from its LiDAR or its depth images, by an `Odometry`.
 
-The world begins where the first frame was taken: at its pose where the log has one, else level by the surfaces of the
-room, at the height 0 of the camera. A frame whose scan cannot be registered is left out and counted: a map takes no
-guesses. Poses of the log, where it has any, predict the motion.
+The world frame is that of the first frame's pose if the log has one; else its origin is the first camera position, and
+the surfaces of the room level it. A frame whose scan cannot be registered is left out and counted. The poses of the
+log, if it has any, are used to predict the motion.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class OdometrySource(SourceAround):
 
     @property
     def info(self) -> SourceInfo:
-        """That of the other one; its poses come from elsewhere."""
+        """The info of the other source, with estimated poses."""
         info = self._source.info
         told = {**dict(info.streams), "pose": f"odometry: {self.poses_by}"}
         if self._lidar is not None:
@@ -73,16 +73,16 @@ class OdometrySource(SourceAround):
 
     @property
     def played(self) -> Source:
-        """The source whose frames are placed."""
+        """The source whose poses are estimated."""
         return self._source
 
     @property
     def poses_by(self) -> str:
-        """The method's name, and that of the sensor."""
+        """The names of the method and the sensor."""
         return f"{self._name} on {self._sensor}"
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames that have a pose, from the beginning; each call estimates anew."""
+        """Yield the frames that have a pose, from the beginning; each call repeats the estimation."""
         counts = self._counts = Counter()
         placed = self._by_lidar(counts) if self._lidar is not None else self._by_depth(counts)
         index = 0
@@ -99,23 +99,23 @@ class OdometrySource(SourceAround):
             yield frame
 
     def ledger(self) -> Mapping[str, int]:
-        """Return that of the other one, and what odometry said.
+        """Return the ledger of the other source, and the counts of odometry.
 
-        `odometry_lost` frames have no pose and are left out; of `odometry_degenerate` scans a direction was predicted
-        only; `odometry_scans` is how many were registered.
+        `odometry_lost` frames have no pose and are left out; `odometry_degenerate` scans do not constrain all
+        directions, which were predicted instead; `odometry_scans` were registered.
         """
         return {**self._source.ledger(), **{name: count for name, count in sorted(self._counts.items()) if count}}
 
     def continue_from(self, stamp_ns: int, world_from_camera: NDArray[np.float64]) -> None:
-        """Place what follows the frame of this stamp by the pose (4, 4) that the journal has of it."""
+        """Continue after the frame of this stamp, with the pose (4, 4) that the journal has of it."""
         self._resumes_at = (stamp_ns, world_from_camera)
 
     def _handed_over(
         self, placed: Iterator[tuple[RawFrame, NDArray[np.float64], Frame | None]]
     ) -> Iterator[tuple[RawFrame, NDArray[np.float64], Frame | None]]:
-        """Yield the frames; after an interruption in the world of the poses that were journaled.
+        """Yield the frames; after an interruption, in the world frame of the journaled poses.
 
-        On the same kind of processor these are the same to the last bit, and nothing is changed.
+        On the same type of processor the two frames are equal to the last bit, and nothing is changed.
         """
         journaled_from_estimated: NDArray[np.float64] | None = None
         for raw, pose, decoded in placed:
@@ -151,7 +151,7 @@ class OdometrySource(SourceAround):
             yield raw, compose(world_from_start, found.start_from_sensor), frame
 
     def _by_lidar(self, counts: Counter[str]) -> Iterator[tuple[RawFrame, NDArray[np.float64], Frame | None]]:
-        """Yield frames at poses between those of sweeps; the poses of the log predict how a sweep moved."""
+        """Yield frames with poses interpolated between sweeps; the poses of the log predict the motion of a sweep."""
         assert self._lidar is not None and isinstance(self._source, LogSource)
         topic, camera_from_lidar, _ = self._lidar
         lidar_from_camera = invert(camera_from_lidar)
@@ -197,7 +197,7 @@ class OdometrySource(SourceAround):
                 yield first, compose(world_from_start, start_from_camera), None
 
     def _world_from_first(self, raw: RawFrame, scan: Scan) -> NDArray[np.float64]:
-        """Return the pose of the first frame: that of the log, else upright by what it sees of the room."""
+        """Return the pose of the first frame: that of the log, else one levelled by the surfaces that it sees."""
         if raw.is_posed:
             return raw.world_from_camera
         up = up_in(scan, _CAMERA_UP)
@@ -213,7 +213,7 @@ class OdometrySource(SourceAround):
 
 
 class _Told:
-    """Counts what an odometry says of its scans, and warns once of each time that it is lost."""
+    """Counts the results of an odometry, and warns once for each period in which it is lost."""
 
     def __init__(self, counts: Counter[str], name: str) -> None:
         self._counts = counts
@@ -237,7 +237,7 @@ class _Told:
 
 
 def with_odometry(source: Source, choice: OdometryChoice) -> Source:
-    """Return a source that estimates its poses as asked: a method's name takes the LiDAR, where there is none depth.
+    """Return a source that estimates its poses by the named sensor or method; a method uses LiDAR, else depth.
 
     Raises:
         HickoryError: as `OdometrySource` does.
@@ -257,7 +257,7 @@ def _can_use_lidar(source: Source) -> bool:
 
 
 def _lidar_of(source: Source) -> tuple[str, NDArray[np.float64], str]:
-    """Return the topic of a log's LiDAR, `camera_from_lidar` (4, 4), and where that comes from, in words."""
+    """Return the topic of a log's LiDAR, `camera_from_lidar` (4, 4), and the origin of that transform in words."""
     topics = source.clouds() if isinstance(source, LogSource) else ()
     if not isinstance(source, LogSource) or not topics:
         raise RecordingError(f"{source.info.uri} has no LiDAR (sensor_msgs/PointCloud2); choose --odometry depth")
@@ -281,7 +281,7 @@ def _lidar_of(source: Source) -> tuple[str, NDArray[np.float64], str]:
 def _step(
     known: GrowingTrack, last_ns: int | None, now_ns: int, camera_from_lidar: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Return the LiDAR's motion (4, 4) between two stamps by the log's poses of the camera, None where it has none."""
+    """Return the LiDAR's motion (4, 4) between two stamps from the log's camera poses, None without poses."""
     before = known.at(last_ns) if last_ns is not None else None
     now = known.at(now_ns)
     if before is None or now is None:

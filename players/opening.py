@@ -32,7 +32,7 @@ _KINDS = (
 
 
 def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions | None = None) -> Source:
-    """Return the source that plays a recorded log or an image folder; a list of logs is played as one log.
+    """Return the source for a recorded log or an image folder; a list of logs is played as one log.
 
     Raises:
         RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs.
@@ -52,7 +52,7 @@ def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptio
     """Return a source that estimates its poses, by the odometry that was chosen ("auto": LiDAR, else depth).
 
     Raises:
-        HickoryError: as `open_source` does; or the sensor or the method that was chosen is not there.
+        HickoryError: as of `open_source`; or the chosen sensor or method is not available.
     """
     from players.odometry_source import with_odometry
 
@@ -61,7 +61,7 @@ def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptio
 
 
 def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
-    """Return the source of a log or a folder, by the poses that it has."""
+    """Return the source of a log or a folder, with its own poses."""
     paths = [Path(uri)] if isinstance(uri, str | Path) else [Path(part) for part in uri]
     if len(paths) == 1 and paths[0].is_dir():
         source = _open_folder(paths[0], options)
@@ -82,7 +82,7 @@ def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Sou
 
 
 def open_container(*paths: Path) -> Log:
-    """Return the messages of a recorded log; those of several logs as one.
+    """Return the container of a recorded log, or of several logs as one.
 
     Raises:
         RecordingError: nothing is there, or it is of no known kind.
@@ -121,7 +121,7 @@ def _open_file(path: Path) -> Log:
         from players.ros2_bag import open_bag_file
 
         return open_bag_file(path)
-    # The first bytes may be what is damaged.
+    # The first bytes may be damaged.
     suffix = path.name.removesuffix(".zstd").rsplit(".", 1)[-1]
     damaged = f"{path} is of no known kind (it begins with {magic[:8].hex(' ')}); expected {_KINDS}"
     if suffix in ("bag", "mcap", "db3"):
@@ -133,7 +133,7 @@ def _open_file(path: Path) -> Log:
 
 
 def _open_by_suffix(path: Path, suffix: str) -> Log:
-    """Return the log in a file whose first bytes are not those of its kind."""
+    """Return the log in a file of a known suffix whose first bytes are damaged."""
     from players.mcap_log import McapLog
     from players.ros1_log import Ros1Log
     from players.sqlite_log import SqliteLog
@@ -168,12 +168,12 @@ def _open_bag_folder(folder: Path) -> Log:
 
 
 def _is_split(names: list[str]) -> bool:
-    """Return whether names differ in one number only, as those of a split recording do."""
+    """Return whether names differ in a single number, as those of a split recording do."""
     return len({re.sub(r"\d+(?=\D*$)", "#", name.split(".")[0]) + name[name.index(".") :] for name in names}) == 1
 
 
 def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
-    """Return the source of a folder of images, told by the files in it; None for a folder of bags."""
+    """Return the source of a folder of images, recognised by its files; None for a folder of bags."""
     try:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Options for what a log does not say itself; by default everything is discovered."""
+"""Options for what a log does not contain; by default everything is discovered."""
 
 from __future__ import annotations
 
@@ -12,30 +12,35 @@ if TYPE_CHECKING:
 
 DEFAULT_MAX_POSE_GAP_NS = 500_000_000
 MAX_GAP_NS = 3_600_000_000_000
-"""The maximum of both tolerances: longer ones are mistakes."""
+"""The maximum of both tolerances; larger values are taken for mistakes."""
 
 Clock = Literal["auto", "header", "log"]
 
 OdometryChoice = Literal["auto", "topic", "lidar", "depth", "small_gicp", "kiss-icp"]
 NO_TOPIC = "none"
-"""As `pose_topic`: a log is played as if it had no poses."""
+"""The `pose_topic` that makes a log be played as if it had no poses."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceOptions(Ranged):
-    """Topics, tolerances and calibration of a source; None means: the profile's, or discover, or what is stated here.
+    """Topics, tolerances and calibration of a source; None is the profile's value, or as stated here.
 
-    The topics are for logs and not used by image folders. `pose_frame` is the frame whose pose the pose topic gives:
-    None is the message's own child frame. `sync_tolerance_ns` is the largest difference of stamps within a pair of
-    colour and depth: None is the profile's, or half the period of the slower stream. `max_pose_gap_ns` is the widest
-    gap between two poses over which is interpolated: None is the profile's, or 0.5 s. `profile` is what is known of the
-    kind of log, by its name in `players/profiles` or as a path: None is the profile that the topics or the layout fit,
-    "none" is no profile. `robot` is the robot's name in the topics, for profiles with one. `pose_file` holds poses as
-    text (TUM, or CSV with a header) in place of a pose topic. `clock` is which stamps count: those of the headers
-    ("header"), those of the recording ("log"), or the headers' unless they are of no use ("auto"). `odometry` is where
-    poses come from: the pose topic ("topic"), estimates from "lidar" or "depth", or the method of that name on the
-    LiDAR, where there is none on depth; "auto" estimates where the log has no poses. `extrinsics` is where the camera
-    sits on the body whose poses the log has: as TF or the profile say ("log"), or by its motion ("estimate").
+    Attributes:
+        color_topic, depth_topic, color_info_topic, depth_info_topic, pose_topic: for logs only; None discovers them.
+        pose_frame: the frame whose pose the pose topic gives; None is the message's child frame.
+        sync_tolerance_ns: the largest difference of stamps within a pair of colour and depth; None is half the period
+            of the slower stream.
+        max_pose_gap_ns: the widest gap between two poses across which poses are interpolated; None is 0.5 s.
+        profile: a name in `players/profiles` or a path; None is the profile that fits the topics or the layout, "none"
+            is no profile.
+        robot: the robot's name in the topics, for profiles with one.
+        pose_file: poses as text (TUM, or CSV with a header) in place of a pose topic.
+        clock: the stamps that are used: of the headers ("header"), of the recording ("log"), or of the headers unless
+            they are unusable ("auto").
+        odometry: the origin of the poses: the pose topic ("topic"), estimates from "lidar" or "depth", or from the
+            method of that name, on the LiDAR if there is one, else on depth; "auto" estimates if the log has no poses.
+        extrinsics: the camera's pose on the body of the pose topic: from TF or the profile ("log"), or estimated from
+            the motion ("estimate").
     """
 
     color_topic: str | None = None
@@ -55,5 +60,5 @@ class SourceOptions(Ranged):
 
     @property
     def estimates_poses(self) -> bool:
-        """Whether odometry is asked for, whatever poses the log has."""
+        """Whether poses are to be estimated even if the log has some."""
         return self.odometry not in ("auto", "topic")

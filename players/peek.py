@@ -26,7 +26,7 @@ def peek_stamp_ns(topic: Topic, data: Any) -> int | None:
         return None
     if len(data) < at + 8:
         return None
-    # ROS 1 has a sequence number before the stamp, CDR four bytes that say its byte order: 1 is little.
+    # ROS 1 has a sequence number before the stamp; CDR has four bytes for the byte order, of which 1 is little endian.
     layout = _BIG if topic.wire == "cdr" and not data[1] & 1 else _LITTLE
     if topic.wire not in ("cdr", "ros1"):
         return None
@@ -35,7 +35,7 @@ def peek_stamp_ns(topic: Topic, data: Any) -> int | None:
 
 
 def _foreign_stamp_ns(topic: Topic, data: Any) -> int | None:
-    """Return the stamp of a message whose fields have no fixed places."""
+    """Return the stamp of a message whose fields have no fixed offsets."""
     try:
         message = deserialize(topic, data)
     except UnreadableMessageError:

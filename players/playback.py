@@ -1,7 +1,7 @@
 """The playback clock, and a source that follows it: rate, pause, step, seek, from any thread.
 
-A `PlayedSource` hands on a frame when the clock lets it. What time it is, it asks a function that tests replace; how
-long there is to wait is decided in one place, `PlaybackClock.due_in_s`.
+A `PlayedSource` yields a frame when it is due by the clock. The time comes from a function that tests replace;
+`PlaybackClock.due_in_s` alone decides how long to wait.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Step = Literal["frame", "keyframe"]
 
 
 class PlaybackClock:
-    """When frames are due. `rate` 1.0 is real time, None as fast as can be; everything may be called at any time."""
+    """When frames are due. `rate` 1.0 is real time, None as fast as possible; all methods are thread-safe."""
 
     def __init__(self, rate: float | None = None, now_s: Callable[[], float] = time.monotonic) -> None:
         self._changed = threading.Condition()
@@ -46,12 +46,12 @@ class PlaybackClock:
 
     @property
     def rate(self) -> float | None:
-        """The factor of real time, None as fast as can be."""
+        """The factor of real time; None is as fast as possible."""
         return self._rate
 
     @property
     def is_paused(self) -> bool:
-        """Whether nothing but steps is let through."""
+        """Whether playback is paused, so that frames pass by `step` only."""
         return self._is_paused
 
     def set_rate(self, rate: float | None) -> None:
@@ -61,7 +61,7 @@ class PlaybackClock:
             self._changed.notify_all()
 
     def pause(self, paused: bool | None = None) -> None:
-        """Pause (True), go on (False), or change between the two (None)."""
+        """Pause (True), continue (False), or toggle (None)."""
         with self._changed:
             self._is_paused = not self._is_paused if paused is None else paused
             self._origin = None
@@ -75,7 +75,7 @@ class PlaybackClock:
             self._changed.notify_all()
 
     def seek(self, seconds: float, *, relative: bool = False) -> None:
-        """Go to a place of the log: seconds from its beginning, or from here."""
+        """Seek to a time of the log, in seconds from its beginning or from the current time."""
         with self._changed:
             origin_ns = self.position_ns if relative else (self.first_ns or 0)
             self._seek_ns = max(origin_ns + round(seconds * 1e9), self.first_ns or 0)
@@ -83,7 +83,7 @@ class PlaybackClock:
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Let everything through without waiting, so that whoever waits can end."""
+        """Let all frames pass without waiting, so that waiting threads end."""
         with self._changed:
             self._is_stopped = True
             self._changed.notify_all()
@@ -95,9 +95,9 @@ class PlaybackClock:
             return target
 
     def due_in_s(self, stamp_ns: int, *, is_keyframe: bool) -> float | None:
-        """Return in how many seconds a frame is due (0: now), None while it is held by a pause.
+        """Return the seconds until a frame is due (0: now), None while playback is paused.
 
-        A step that this frame uses up is taken.
+        A pending step is consumed by this frame.
         """
         if self._is_stopped or self._seek_ns is not None:
             return 0.0
@@ -125,7 +125,7 @@ class PlaybackClock:
             self.position_ns = stamp_ns
 
     def describe(self) -> str:
-        """Return where playback is, for the progress bar."""
+        """Return the state of playback as text for the progress bar."""
         seconds = 0.0 if self.first_ns is None else (self.position_ns - self.first_ns) / 1e9
         state = "paused" if self._is_paused else "max" if self._rate is None else f"{self._rate:g}x"
         return f"at {seconds:.1f} s, {state}"
@@ -153,17 +153,17 @@ class PlayedSource(SourceAround):
 
     @property
     def info(self) -> SourceInfo:
-        """That of the other one; of a part of it the number of frames is not known."""
+        """The info of the other source; if only a part is played, the number of frames is unknown."""
         info = self._source.info
         return info if self._start_s <= 0 and self._end_s is None else replace(info, num_frames=None)
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames when they are due; the first after a seek back says so, and the stamps begin again earlier.
+        """Yield the frames when they are due; the first one after a seek back is marked, and has an earlier stamp.
 
-        A jump of the odometry in what is skipped comes with the next frame.
+        A jump of the odometry in a skipped part is attached to the next frame.
 
         Raises:
-            InputError: the log is over before the start.
+            InputError: the log ends before the start.
         """
         self._num_skipped = 0
         index, last, goes_back = 0, None, False
@@ -214,17 +214,17 @@ class PlayedSource(SourceAround):
                 )
 
     def ledger(self) -> Mapping[str, int]:
-        """Return that of the other one, the frames that were skipped over, and how often somebody sought."""
+        """Return the ledger of the other source, and the numbers of skipped frames and of seeks."""
         own = {"frames_skipped": self._num_skipped, "seeks": self._num_seeks}
         return {**self._source.ledger(), **{name: count for name, count in own.items() if count}}
 
     @property
     def num_seeks(self) -> int:
-        """How often somebody sought in it."""
+        """The number of seeks so far."""
         return self._num_seeks + super().num_seeks
 
     def interrupt(self) -> None:
-        """Wake whoever waits for a frame: the run is to end."""
+        """Wake the thread that waits for a frame, since the run is to end."""
         self._clock.stop()
 
     def close(self) -> None:
@@ -234,7 +234,7 @@ class PlayedSource(SourceAround):
 
 
 def _joined(first: NDArray[np.float64] | None, second: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    """Return two jumps of the odometry, one after the other, as one; None where there is none."""
+    """Return two consecutive jumps of the odometry as one; None if there is none."""
     return second if first is None else first if second is None else compose(second, first)
 
 

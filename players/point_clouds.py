@@ -1,7 +1,7 @@
-"""Point clouds as logs hold them (sensor_msgs/PointCloud2) into scans: what LiDAR odometry is made of.
+"""Conversion of point clouds (sensor_msgs/PointCloud2) to the scans of LiDAR odometry.
 
-Where a point lies in the message, and as what number, the message says itself; drivers agree on x, y and z, and on
-little else. When a point was measured within the sweep is told by a field of one of a few names.
+The message describes its own fields, their offsets and number types. All drivers have x, y and z; the time of a point
+within the sweep is in a field whose name depends on the driver.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""The numbers of a PointField's datatypes."""
+"""The number types by a PointField's `datatype`."""
 
 _TIMES = ("t", "offset_time", "time", "timestamp", "time_stamp")
-"""Fields that tell when, as Ouster, Livox, Velodyne and Hesai name them: integers are nanoseconds, floats seconds."""
+"""Names of the time field with Ouster, Livox, Velodyne and Hesai; integers are nanoseconds, floats seconds."""
 
 _LONGEST_SWEEP_S = 10.0
 MAX_POINTS = 16_000_000
-"""A cloud that claims more is damaged or a bomb."""
+"""The maximum number of points; a cloud that declares more is damaged or malicious."""
 
 
 def scan_of(message: Any, stamp_ns: int | None = None) -> Scan:
-    """Return the points of a message that are finite; `stamp_ns` stands in for that of its header.
+    """Return the finite points of a message; `stamp_ns` replaces that of its header.
 
     Raises:
-        RecordingError: it has no x, y and z, or is shorter than it says.
+        RecordingError: it has no x, y and z, or is shorter than declared.
     """
     fields = {field.name: field for field in message.fields}
     at = f"a cloud of {message.header.frame_id!r}"
@@ -67,7 +67,7 @@ def _rows(message: Any, fields: list[Any], at: str) -> NDArray[Any]:
     data = np.ascontiguousarray(message.data, dtype=np.uint8)
     if height * width > MAX_POINTS:
         raise RecordingError(f"{at} claims {height} x {width} points, over the limit of {MAX_POINTS}")
-    # Some drivers leave the length of a row at 0 where there is but one.
+    # Some drivers leave the length of a row at 0 if there is only one row.
     row_step = row_step if height > 1 or row_step >= width * step else width * step
     order = ">" if message.is_bigendian else "<"
     formats = []
@@ -95,11 +95,11 @@ def _rows(message: Any, fields: list[Any], at: str) -> NDArray[Any]:
 
 
 def _since(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float32] | None:
-    """Return seconds since the stamp; None where the values are none: a driver may leave the field empty."""
+    """Return seconds since the stamp; None if the values are no times, since some drivers leave the field empty."""
     if not len(values):
         return np.zeros(0, dtype=np.float32)
     seconds = values.astype(np.float64) * (1e-9 if np.issubdtype(values.dtype, np.integer) else 1.0)
     if (np.abs(seconds) > _LONGEST_SWEEP_S).any():
-        seconds = seconds - stamp_ns / 1e9  # a time of day
+        seconds = seconds - stamp_ns / 1e9  # absolute time
     is_sweep = bool((np.abs(seconds) <= _LONGEST_SWEEP_S).all())
     return seconds.astype(np.float32) if is_sweep else None

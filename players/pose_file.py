@@ -1,7 +1,7 @@
 """Poses from a text file: TUM rows, or CSV whose header names its columns.
 
-Without a profile that describes it, a header line names the columns (`#timestamp_kf,x,y,z,qw,qx,qy,qz`), a file without
-one is TUM (`stamp tx ty tz qx qy qz qw`); the unit of time is told by how large the numbers are.
+Unless a profile describes the file, its header line names the columns (`#timestamp_kf,x,y,z,qw,qx,qy,qz`), and a file
+without a header is TUM (`stamp tx ty tz qx qy qz qw`). The unit of time follows from the size of the numbers.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def read_pose_file(file: Path, described: PoseColumns | None) -> tuple[list[int]
 
 
 def _layout(lines: list[str]) -> PoseColumns | None:
-    """Return the columns that a header line names, or None where there is none."""
+    """Return the columns that a header line names, None without a header."""
     for line in lines[:20]:
         separator = "," if "," in line else ";" if ";" in line else " "
         words = [word.strip().lower() for word in line.lstrip("# ").split(separator if separator != " " else None)]
@@ -76,5 +76,5 @@ def _layout(lines: list[str]) -> PoseColumns | None:
 
 
 def _unit_ns(largest: Decimal) -> int:
-    """Return the unit of stamps since 1970 by their size; smaller numbers are seconds."""
+    """Return the unit of stamps since 1970, inferred from their size; smaller numbers are seconds."""
     return 1 if largest > 10**17 else 1_000 if largest > 10**14 else 1_000_000 if largest > 10**11 else 1_000_000_000

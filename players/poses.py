@@ -1,6 +1,7 @@
 """Poses over time: interpolated between two of them, never extrapolated.
 
-Beyond the ends, and in a gap that is too wide, the nearest pose is held for `HOLD_NS` and there is none after that.
+Beyond the ends, and in a gap that is too wide, the nearest pose is used for up to `HOLD_NS`; farther away there is
+none.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 HOLD_NS = 20_000_000
-"""For so long a pose stands in for a missing one: at 1 m/s and 1 rad/s an error of 2 cm and 1.1 degrees."""
+"""How long a pose replaces a missing one: at 1 m/s and 1 rad/s, an error of 2 cm and 1.1 degrees."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -45,7 +46,7 @@ class PoseTrack:
         return int(self.stamps_ns[0]), int(self.stamps_ns[-1])
 
     def at(self, stamp_ns: int) -> NDArray[np.float64] | None:
-        """Return the pose (4, 4) at a stamp, or None where the track does not reach."""
+        """Return the pose (4, 4) at a stamp, None outside the track."""
         after = int(np.searchsorted(self.stamps_ns, stamp_ns))
         if after < len(self.stamps_ns) and self.stamps_ns[after] == stamp_ns:
             return pose_of_row(self.rows[after])
@@ -63,7 +64,7 @@ class PoseTrack:
 def track_of(
     stamps_ns: Sequence[int], rows: Sequence[Sequence[float]] | NDArray[np.float64], max_gap_ns: int
 ) -> PoseTrack | None:
-    """Return the track of poses in any order, or None when there is none; of several at one stamp the first stays."""
+    """Return the track of poses given in any order, None without poses; of several with one stamp the first is kept."""
     if not len(stamps_ns):
         return None
     unique_ns, first = np.unique(np.asarray(stamps_ns, dtype=np.int64), return_index=True)
@@ -72,8 +73,8 @@ def track_of(
 
 
 def is_pose_row(row: Sequence[float]) -> bool:
-    """Return whether tx ty tz qx qy qz qw is a pose: finite, the quaternion of some length (it is normalised later)."""
-    # Asked for every pose, several to a frame: of seven numbers Python is quicker than NumPy.
+    """Return whether tx ty tz qx qy qz qw is a pose: finite, with a non-zero quaternion (which is normalised later)."""
+    # Called for every pose, several times a frame: for seven numbers Python is faster than NumPy.
     return all(map(math.isfinite, row)) and sum(x * x for x in row[3:]) > 1e-6
 
 
@@ -83,9 +84,10 @@ def pose_of_row(row: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def nearest_rigid(a_from_b: NDArray[Any], tolerance: float = 0.02) -> NDArray[np.float64] | None:
-    """Return the rigid transform next to a (4, 4) or (3, 4) matrix as logs write it, or None where it is far from one.
+    """Return the rigid transform nearest to a (4, 4) or (3, 4) matrix of a log, None if the matrix is far from rigid.
 
-    The rotation is projected onto SO(3) by singular values; printed matrices are orthogonal to a few digits only.
+    The rotation is projected onto SO(3) by singular value decomposition; matrices printed as text are orthogonal to a
+    few digits only.
     """
     if not np.isfinite(a_from_b).all():
         return None

@@ -1,4 +1,4 @@
-"""The beginning of an image topic, as it is read when a log is opened."""
+"""The first messages of an image topic, which are read when a log is opened."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ if TYPE_CHECKING:
     from players.images import LogImage
 
 _PROBE_IMAGES = 15
-"""Images of each topic that are looked at for frame names, encodings and periods."""
+"""The number of images of each topic that are read for frame names, encodings and periods."""
 
 
 @dataclass(slots=True)
 class Probe:
-    """The beginning of an image topic: its first image, the stamps of its headers and of the recording."""
+    """The first messages of an image topic: the first image, header stamps and log times."""
 
     topic: Topic
     first: LogImage | None = None
@@ -25,6 +25,6 @@ class Probe:
 
     @property
     def is_full(self) -> bool:
-        """Whether enough images were seen."""
+        """Whether enough images were read."""
         number = self.topic.num_messages
         return len(self.stamps_ns) >= (_PROBE_IMAGES if number is None else min(_PROBE_IMAGES, number))

@@ -1,7 +1,7 @@
-"""Profiles of kinds of logs (`players/profiles/*.toml`): what such a log does not say itself; each file has comments.
+"""Profiles of data sets and robots (`players/profiles/*.toml`): what their logs do not contain.
 
-A profile names the topics of a data set, the frames between pose and camera where the log has no TF, and the
-tolerances that fit its sensors. It is named with `--profile`, or recognised by its topics.
+A profile names the topics, the links between the body of the poses and the camera if the logs have no TF, and the
+tolerances of the sensors; the files have comments. It is chosen with `--profile`, or recognised by its topics.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _FOLDER = Path(__file__).parent / "profiles"
 _ROLES = ("color", "depth", "color_info", "depth_info", "pose")
 
 OPTICAL_FROM_FLU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-"""Axes x forward, y left, z up (ROS bodies) in x right, y down, z forward (cameras)."""
+"""The rotation of optical axes (x right, y down, z forward) into body axes of ROS (x forward, y left, z up)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Intrinsics(Ranged):
-    """A pinhole without its image size, in pixels."""
+    """Pinhole intrinsics in pixels, without the image size."""
 
     fx: float = required(1e-3, 1e6, "px")
     fy: float = required(1e-3, 1e6, "px")
@@ -58,9 +58,9 @@ class Intrinsics(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RigLinks:
-    """The rig of a data set without TF: `body` is what the pose topic gives, in its own tree of static links.
+    """The rig of a data set without TF: static links in a tree of their own, with the `body` of the pose topic.
 
-    `lidar` is the frame of its point clouds, "" where it has none that is connected.
+    `lidar` is the frame of the point clouds, "" if none is connected.
     """
 
     body: str
@@ -72,7 +72,7 @@ class RigLinks:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PoseColumns:
-    """How a text file of poses is written: names of columns (`t x y z qx qy qz qw`, others skipped), unit of time."""
+    """The format of a text file of poses: names of columns (`t x y z qx qy qz qw`, others skipped), unit of time."""
 
     columns: tuple[str, ...]
     separator: str
@@ -81,13 +81,13 @@ class PoseColumns:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Profile(Ranged):
-    """What is known of a kind of log.
+    """The properties of a kind of log.
 
-    For folders: `color` are the intrinsics of a colour camera that is not the depth camera; `depth` those that the
-    depth camera of such data usually has, for an image without a folder; `color_from_depth_m` the translation between
-    the two, in metres: P_color = P_depth + color_from_depth_m. For logs: `topics` by role (the first that is there is
-    taken), `rig`, tolerances in ns. `parameters` are what `{robot}` and the like stand for. `sensor` is what the depth
-    camera's returns are worth.
+    For folders: `color` are the intrinsics of a colour camera separate from the depth camera; `depth` are the usual
+    intrinsics of the depth camera, for an image without a folder; `color_from_depth_m` is the translation between the
+    two, in metres: P_color = P_depth + color_from_depth_m. For logs: `topics` by role (the first that the log has is
+    used), `rig`, tolerances in ns. `parameters` are the values of `{robot}` and other placeholders. `sensor` is the
+    noise model of the depth camera.
     """
 
     name: str = ""
@@ -110,14 +110,14 @@ class Profile(Ranged):
 
     @property
     def has_robots(self) -> bool:
-        """Whether its topics are named by a robot."""
+        """Whether its topics contain the name of a robot."""
         return _name_robots(self.patterns)
 
 
 def load_profile(name_or_path: str, topics: Sequence[Topic] = (), robot: str | None = None) -> Profile:
-    """Return a profile by its name among those that come with the players, or from a TOML file.
+    """Return a profile of this package by its name, or one from a TOML file.
 
-    `robot`, or what the names of the `topics` say, stands for `{robot}` in it.
+    `{robot}` in it is replaced by `robot`, or by the name found in the `topics`.
 
     Raises:
         CalibrationError: there is no such profile, a key or value in it is wrong, or its robot is not known.
@@ -145,19 +145,19 @@ def profile_names() -> tuple[str, ...]:
 
 
 def profiles_with_robots() -> tuple[str, ...]:
-    """Return the names of those profiles of the players whose topics are named by a robot."""
+    """Return the names of those profiles whose topics contain the name of a robot."""
     tables = {name: tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8")) for name in profile_names()}
     return tuple(name for name, table in tables.items() if _name_robots(table.get("match", {}).get("topics", ())))
 
 
 def robots_in(topics: Sequence[Topic], profile: Profile) -> tuple[str, ...]:
-    """Return the robots whose topics, as a profile names them, are there."""
+    """Return the robots whose topics, by the pattern of a profile, are in the log."""
     hits = [re.fullmatch(pattern, topic.name) for pattern in profile.patterns for topic in topics]
     return tuple(sorted({hit["robot"] for hit in hits if hit is not None and "robot" in hit.groupdict()}))
 
 
 def guess_profile(topics: Sequence[Topic], robot: str | None = None) -> Profile | None:
-    """Return the profile whose topics are all there, the most demanding of several; None where none fits."""
+    """Return the profile whose topics are all in the log, of several the most demanding one; None if none fits."""
     found = []
     for name in profile_names():
         table = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
@@ -171,7 +171,7 @@ def _name_robots(patterns: Sequence[str]) -> bool:
 
 
 def _match(table: Mapping[str, Any], topics: Sequence[Topic]) -> dict[str, str] | None:
-    """Return the parameters that the topics give when every pattern of the profile is the name of one, else None."""
+    """Return the parameters if every topic pattern of the profile matches a topic, else None."""
     patterns = table.get("match", {}).get("topics", [])
     parameters: dict[str, str] = {}
     for pattern in patterns:
@@ -187,7 +187,7 @@ def _match(table: Mapping[str, Any], topics: Sequence[Topic]) -> dict[str, str] 
 
 
 def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Profile:
-    """Return the profile of a TOML table; keys that are no field raise TypeError."""
+    """Return the profile of a TOML table; unknown keys raise TypeError."""
     patterns = tuple(table.pop("match", {}).get("topics", ()))
     color, depth = table.pop("color", None), table.pop("depth", None)
     sensor = table.pop("sensor", {})
@@ -221,7 +221,7 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
 
 
 def _ns(time: dict[str, Any], name: str) -> int | None:
-    """Take a tolerance in milliseconds out of the table of times; None where it names none."""
+    """Remove a tolerance in milliseconds from the table of times, and return it in ns; None if it has none."""
     milliseconds = time.pop(name, None)
     if milliseconds is None:
         return None
@@ -230,7 +230,7 @@ def _ns(time: dict[str, Any], name: str) -> int | None:
 
 
 def _filled(names: Sequence[str] | str, parameters: Mapping[str, str]) -> tuple[str, ...]:
-    """Return topic names with the parameters put in; those whose parameters are not known are left out."""
+    """Return topic names with the parameters filled in; names with unknown parameters are left out."""
     names = (names,) if isinstance(names, str) else names
     filled = []
     for name in names:

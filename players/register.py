@@ -1,7 +1,7 @@
 """Depth of one camera seen from another: reprojected point by point, with a z-buffer.
 
-A depth pixel is a small square of surface, not a point: it covers the square that it projects to, grown a little, so
-that neighbours leave no holes between them where the resolutions are alike, and the nearest surface wins.
+A depth pixel is treated as a small square of surface rather than a point. It covers the square that it projects to,
+slightly enlarged, so that adjacent pixels leave no holes if the resolutions are similar; the nearest surface wins.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
 
 _GROWTH = 1.15
-"""Neighbours on a slanted surface move apart by parallax; this closes the seams between their squares."""
+"""The enlargement of a square. It closes the gaps that parallax opens between neighbours on a slanted surface."""
 
 _MAX_MAGNIFICATION = 8.0
-"""A pixel covers at most so many pixels: a point that is nearly in the target's camera plane would fill the image."""
+"""The maximum side of a square: a point close to the target's camera plane would otherwise fill the image."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Registration:
-    """How depth gets into the colour image: both cameras, and `color_from_depth` (4, 4) between them."""
+    """The transform of depth into the colour image: both cameras, and `color_from_depth` (4, 4) between them."""
 
     depth_camera: Camera
     color_camera: Camera
@@ -40,20 +40,20 @@ class Registration:
 
     @property
     def is_identity(self) -> bool:
-        """Whether the depth image is registered as it is."""
+        """Whether the depth image is already registered to colour."""
         return self.depth_camera == self.color_camera and bool(np.abs(self.color_from_depth - np.eye(4)).max() < 1e-9)
 
 
 def with_motion(registration: Registration, color_from_then: NDArray[np.float64]) -> Registration:
-    """Return the registration of depth that was taken when the colour camera was elsewhere.
+    """Return the registration of depth that was taken at another stamp than colour, while the camera moved.
 
-    `color_from_then` (4, 4) takes what the colour camera would have seen then into what it saw at its own stamp.
+    `color_from_then` (4, 4) is the transform from the colour camera at the stamp of depth to the one at its own stamp.
     """
     return replace(registration, color_from_depth=compose(color_from_then, registration.color_from_depth))
 
 
 def register_depth(depth_m: NDArray[np.float32], registration: Registration) -> NDArray[np.float32]:
-    """Return depth (H, W) float32 as the colour camera would see it; NaN where nothing projects."""
+    """Return depth (H, W) float32 in the image of the colour camera, NaN where no depth pixel projects to."""
     if registration.is_identity:
         return depth_m
     depth, color = registration.depth_camera, registration.color_camera

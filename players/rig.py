@@ -1,11 +1,11 @@
 """Camera poses of a log: from pose messages and TF frames to poses of the colour camera's optical frame.
 
-By default the pose is that of an odometry topic whose body carries the camera by static links of TF; else it is a chain
-of TF from a fixed frame; where the log has no TF, the links are those of its profile. A link that nobody knows is an
-error that names both ends: frames are never guessed.
+By default, the pose comes from an odometry topic whose body frame is connected to the camera by static TF links; else
+from a TF chain that starts at a fixed frame. If the log has no TF, the links are those of its profile. An unknown link
+is an error that names both ends: frames are never guessed.
 
-`RigReader` takes the small messages as they stream by; a `PosePlan`, made when the log is opened, says which of them
-carry the camera.
+`RigReader` collects these messages as the log streams by; a `PosePlan`, made when the log is opened, defines which of
+them form the camera's pose.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from players.tracks import Jump
 
 Key = tuple[str, str, str]
-"""A moving link: the topic (or "tf"), parent and child."""
+"""The key of a moving link: the topic (or "tf"), parent and child."""
 
 _FIXED_FRAMES = ("odom", "world", "map", "earth")
 """Fixed frames for poses from TF alone: odom first, since it does not jump when a loop is closed."""
@@ -45,7 +45,7 @@ _FIXED_FRAMES = ("odom", "world", "map", "earth")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PoseStream:
-    """A pose topic: where `child` is in `parent` over time; an empty `child` is a frame that the topic leaves open."""
+    """A pose topic: parent_from_child over time; `child` is "" if the topic does not name it."""
 
     topic: str
     type_name: str
@@ -55,13 +55,13 @@ class PoseStream:
 
     @property
     def key(self) -> Key:
-        """The link that it moves."""
+        """The key of its link."""
         return self.topic, self.parent, self.child
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Link:
-    """A link of a plan: static, or the key of a moving one with the value it had when the log was opened."""
+    """A link of a plan: static, or the key of a moving one with its value when the log was opened."""
 
     static: NDArray[np.float64]
     key: Key | None
@@ -70,7 +70,7 @@ class _Link:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PosePlan:
-    """How `world_from_camera` is put together: a stream (None: TF alone), then links from its body to the camera.
+    """The composition of `world_from_camera`: a stream (None: TF alone), then the links from its body to the camera.
 
     `path` names the frames, for people; `extrinsics` says where the links come from. `is_static`: no link moves.
     """
@@ -105,7 +105,7 @@ class PosePlan:
         return world_from_camera
 
     def reaches(self, stamp_ns: int, epoch: int, reader: RigReader) -> bool:
-        """Return whether no later message can change the pose at a stamp."""
+        """Return whether the pose at a stamp is final: no later message can change it."""
         for key in self.keys:
             if reader.epoch_of(key) > epoch:
                 continue
@@ -125,11 +125,11 @@ class PosePlan:
 
 
 UNPOSED = PosePlan(stream=None, links=(), is_static=True, source="none", path="none", extrinsics="none")
-"""The plan of a log without poses: each frame is in its own camera's frame until odometry places it."""
+"""The plan of a log without poses: each frame has the identity as its pose until odometry estimates one."""
 
 
 def _moving(link: _Link, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
-    """Return a link of TF at a stamp; one that never changed holds at any time, as static links on /tf do in ROS 1."""
+    """Return a TF link at a stamp; one that never changed is valid at any time, like static links on /tf in ROS 1."""
     assert link.key is not None
     track = reader.track(link.key, epoch)
     if track is None or not track.num_added:
@@ -183,7 +183,7 @@ class RigReader:
         self._loaded.append(stream)
 
     def end(self) -> None:
-        """Take the items that were held back because no later message had come."""
+        """Add the messages that were held back for want of a later one."""
         for name, timeline in self._timelines.items():
             for _ in timeline.end():
                 self._reject(self._topics[name], "pose_stamp_off")
@@ -193,17 +193,17 @@ class RigReader:
         return self._tracks.get((key, epoch))
 
     def epoch_of(self, key: Key) -> int:
-        """Return the epoch that a link is in by now."""
+        """Return the current epoch of a link."""
         timeline = self._timelines.get(self._topic_of.get(key, ""))
         return timeline.epoch if timeline else 0
 
     def forget(self, before_ns: int) -> None:
-        """Drop poses that no frame will ask for."""
+        """Drop poses that no later frame needs."""
         for track in self._tracks.values():
             track.forget(before_ns)
 
     def forget_older(self, kept_ns: int) -> None:
-        """Drop of each link the poses that are so much older than its newest."""
+        """Drop the poses of each link that are older than its newest by more than this."""
         for track in self._tracks.values():
             if track.newest_ns is not None:
                 track.forget(track.newest_ns - kept_ns)
@@ -213,7 +213,7 @@ class RigReader:
         return [(key, track) for (key, _), track in self._tracks.items()]
 
     def streams(self) -> tuple[PoseStream, ...]:
-        """Return the pose streams so far, each with how many poses the log says to have of it."""
+        """Return the pose streams so far, each with the declared number of its poses."""
         found = {stream.key: stream for stream in self._loaded}
         for key, epoch in self._tracks:
             name, parent, child = key
@@ -226,7 +226,7 @@ class RigReader:
         return tuple(found.values())
 
     def tree(self) -> FrameTree:
-        """Return the frames of TF as they are by now; what has not changed so far is static."""
+        """Return the current TF tree; links that have not changed so far are static."""
         edges = [Edge(parent=p, child=c, parent_from_child=pose) for (p, c), pose in self._statics.items()]
         for ((name, parent, child), epoch), track in self._tracks.items():
             if name == "tf" and epoch == 0 and track.num_added:
@@ -235,7 +235,7 @@ class RigReader:
         return FrameTree(edges)
 
     def _add_info(self, topic: Topic, message: LogMessage) -> None:
-        # Behind the stamp everything is the same in every message of one calibration.
+        # The bytes behind the stamp are equal in every message of one calibration.
         content = bytes(message.data[12:]) if not topic.foreign_type else bytes(message.data)
         if self._info_bytes.get(topic.name) == content:
             return
@@ -293,13 +293,13 @@ class RigReader:
 
 
 def mounted(plan: PosePlan, body_from_camera: NDArray[np.float64], told: str) -> PosePlan:
-    """Return a plan whose camera sits elsewhere on its body; `told` says where that comes from."""
+    """Return the plan with another camera pose on its body; `told` states its origin."""
     link = _Link(static=body_from_camera, key=None, is_inverted=False)
     return replace(plan, links=(link,), is_static=True, extrinsics=told)
 
 
 def body_from_camera_of(plan: PosePlan) -> NDArray[np.float64]:
-    """Return where a plan without moving links has the camera on its body."""
+    """Return `body_from_camera` (4, 4) of a plan without moving links."""
     body_from_camera = np.eye(4)
     for link in plan.links:
         body_from_camera = compose(body_from_camera, invert(link.static) if link.is_inverted else link.static)
@@ -317,13 +317,13 @@ def plan_poses(
     rig_topics: Collection[str],
     profile_name: str,
 ) -> PosePlan:
-    """Return how the camera's pose comes about; `is_named`: a pose topic was asked for, so that TF is no substitute.
+    """Return the plan of the camera's pose; `is_named`: a pose topic was asked for, so that TF does not replace it.
 
-    `rig` is the profile's, and holds for `rig_topics` only: what another topic's body is, a profile does not know.
+    `rig` is the profile's and is valid for `rig_topics` only, since a profile does not know the body of other topics.
 
     Raises:
-        CalibrationError: no pose can be carried to the camera's frame.
-        NoPosesError: there is no pose at all.
+        CalibrationError: no pose is connected to the camera's frame.
+        NoPosesError: there is no pose.
     """
     tree, streams = reader.tree(), reader.streams()
     if rig is None or not is_named:
@@ -367,10 +367,7 @@ def plan_poses(
 
 
 def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame: str | None) -> PosePlan | None:
-    """Return the camera's poses from a stream, or None where its body is not connected to the camera.
-
-    The camera's frame itself needs no connection.
-    """
+    """Return the plan that uses a stream, None if its body is neither the camera's frame nor connected to it."""
     body = pose_frame or stream.child
     chain = tree.chain(body, camera_frame) if body else None
     if chain is None or stream.parent in chain.frames[1:]:
@@ -403,14 +400,14 @@ def _links(chain: Chain) -> tuple[_Link, ...]:
 
 
 def _preference(plan: PosePlan) -> tuple[bool, bool, int, str]:
-    """Rank plans: carried by static links, not of wheels alone, then the most poses."""
+    """Return the rank of a plan: static links, then other odometry than wheels alone, then the most poses."""
     assert plan.stream is not None
     is_wheels = any(word in plan.source.lower() for word in ("wheel", "velocity_controller"))
     return plan.is_static, not is_wheels, plan.stream.num_poses, plan.source
 
 
 def _chain_from_fixed(tree: FrameTree, camera_frame: str) -> Chain | None:
-    """Return the chain from a fixed frame above the camera: one of a known name, else the top if it moves."""
+    """Return the TF chain from a fixed frame to the camera: a frame of a known name, else the root if it moves."""
     above = tree.ancestors(camera_frame)[1:]
     names = {frame.rsplit("/", 1)[-1]: frame for frame in reversed(above)}
     named = next((names[name] for name in _FIXED_FRAMES if name in names), None)
@@ -421,7 +418,7 @@ def _chain_from_fixed(tree: FrameTree, camera_frame: str) -> Chain | None:
 
 
 def _unconnected(path: object, streams: Sequence[PoseStream], tree: FrameTree, camera_frame: str) -> str:
-    """Return what is missing between the poses and the camera."""
+    """Return the missing link between the poses and the camera, in words."""
     known = f"frames of TF: {', '.join(sorted(tree.edges)) or 'none'}"
     open_ended = [stream for stream in streams if not stream.child]
     ended = [stream for stream in streams if stream.child]

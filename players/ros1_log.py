@@ -1,8 +1,8 @@
 """ROS 1 bags, whole or damaged: indexed, unindexed, cut off, none, bz2 or lz4.
 
-Read here rather than with rosbags, which refuses a bag whose index is damaged. The index at the end is believed as long
-as it fits; else the records are walked from the beginning. Every message of a chunk is held against the chunk's own
-index, since a ROS 1 bag has no checksums: what starts, ends or belongs elsewhere than the index says is not believed.
+The library rosbags is not used, since it refuses a bag whose index is damaged. The index at the end is used as long as
+it fits; else the records are read one after another from the beginning. ROS 1 bags have no checksums; instead, every
+message of a chunk is compared with the chunk's own index, and rejected if its beginning, end or connection differ.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ class _NoRecordError(Exception):
 
 
 class _WrongIndexError(Exception):
-    """The index names a chunk where there is none."""
+    """The index refers to a chunk that is not there."""
 
 
 @dataclass(slots=True)
 class _Chunk:
-    """A chunk: its place, how its content is packed, and the index behind it: (connection, log time) by offset."""
+    """A chunk: its position, its compression, and the index behind it: (connection, log time) by offset."""
 
     offset: int
     data_at: int
@@ -61,10 +61,10 @@ class Ros1Log:
 
     kind = "ROS 1 bag"
     checksum = ""
-    """ROS 1 bags have none; bz2, and lz4 where its writer wanted, bring their own."""
+    """ROS 1 bags have no checksum; the formats bz2 and (optionally) lz4 have their own."""
 
     def __init__(self, path: Path) -> None:
-        """Read the index, or walk the bag where it has none that fits.
+        """Read the index, or all records if no index fits.
 
         Raises:
             RecordingError: not one connection can be read.
@@ -91,7 +91,7 @@ class Ros1Log:
         self.topics = self._topics()
 
     def declared(self) -> dict[str, int] | None:
-        """Return how many messages of each topic the bag says to hold, or None where its index is gone."""
+        """Return the declared number of messages of each topic, None without an index."""
         if self._declared is None:
             return None
         by_topic: Counter[str] = Counter()
@@ -100,7 +100,7 @@ class Ros1Log:
         return dict(by_topic)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
-        """Yield the messages of some topics in the order of the file; what cannot be read is among the `flaws`."""
+        """Yield the messages of some topics in the order of the file; unreadable ones are noted in `flaws`."""
         read: set[int] = set()
         with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             try:
@@ -144,7 +144,7 @@ class Ros1Log:
         return spans
 
     def _content(self, content: Any, chunk: _Chunk, names: dict[int, str]) -> Iterator[LogMessage]:
-        """Yield the messages of a chunk; after a record that cannot be believed, goes on at the next of the index."""
+        """Yield the messages of a chunk; after an invalid record, continue at the next one of the index."""
         view, at, end = memoryview(content), 0, len(content)
         starts = sorted(chunk.index)
         lost: Counter[str] = Counter()
@@ -177,10 +177,10 @@ class Ros1Log:
     def _checked(
         self, header: dict[bytes, bytes], at: int, data_end: int, chunk: _Chunk, end: int, view: memoryview
     ) -> int | None:
-        """Return the connection of a message that can be believed, None for a record that is no message.
+        """Return the connection of a valid message, None for a record that is no message.
 
         Raises:
-            _NoRecordError: it is not what the index of the chunk says, or of no known connection.
+            _NoRecordError: it differs from the index of the chunk, or its connection is unknown.
         """
         op = _op(header)
         if op == _CONNECTION:
@@ -227,8 +227,8 @@ class Ros1Log:
             return False
         self._declared = declared
         is_whole = len(self._connections) == num_connections and len(self._chunk_places) == num_chunks
-        # An overwritten bag has chunks elsewhere than its index says. A few are looked at, the others when they are
-        # read: to touch all chunks of a long bag would take minutes on a disk.
+        # In an overwritten bag, chunks are not where the index says. Only a few are checked here, the others when they
+        # are read: checking all chunks of a long bag would take minutes on a disk.
         self._chunk_places.sort()
         step = max(1, len(self._chunk_places) // _LOOKED_AT)
         if not is_whole or not all(_is_chunk(data, place) for place in self._chunk_places[::step]):
@@ -237,7 +237,7 @@ class Ros1Log:
         return True
 
     def _walk_whole(self, data: mmap.mmap) -> None:
-        """Walk all records; after damaged bytes, search for the next chunk."""
+        """Read all records; after damaged bytes, continue at the next chunk."""
         at, end = len(MAGIC), len(data)
         while at < end:
             try:
@@ -264,7 +264,7 @@ class Ros1Log:
                 at = data_end
 
     def _learn_chunk(self, data: mmap.mmap, at: int) -> None:
-        """Note a chunk, and learn the connections in it unless all that its index names are known."""
+        """Note a chunk, and read the connections in it unless its index names only known ones."""
         chunk = _chunk_at(data, at)
         self._chunk_places.append(at)
         if chunk.index and all(connection in self._connections for connection, _ in chunk.index.values()):
@@ -284,7 +284,7 @@ class Ros1Log:
                 return
 
     def _learn(self, header: dict[bytes, bytes], content: Any) -> None:
-        """Note a connection; one that is known already is left as it is."""
+        """Note a connection, unless it is known already."""
         number = _number(header, b"conn")
         if number in self._connections or not len(content):
             return
@@ -354,7 +354,7 @@ def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
 def _record(data: Any, at: int, end: int, *, is_cut_off_well: bool = False) -> tuple[dict[bytes, bytes], int, int]:
     """Return the header fields of the record at a place, and where its data begins and ends.
 
-    `is_cut_off_well`: data that goes beyond the end is taken as far as it goes.
+    `is_cut_off_well`: data that exceeds the end is accepted as far as it is there.
 
     Raises:
         _NoRecordError: there is none, or it does not fit before `end`.
@@ -432,7 +432,7 @@ def _chunk_at(data: Any, at: int, *, with_index: bool = True) -> _Chunk:
     chunk.size = _number(header, b"size")
     (declared,) = _SIZE.unpack_from(data, data_at - 4)
     if declared != data_end - data_at:
-        # The last chunk of a bag that was cut off: what is not compressed is read as far as it goes.
+        # The last chunk of a truncated bag: an uncompressed one is read up to its end.
         if chunk.compression != "none" or declared != chunk.size:
             raise _NoRecordError("a chunk beyond the end")
         chunk.size = data_end - data_at

@@ -1,7 +1,7 @@
 """ROS 2 bags as folders: sqlite3 or MCAP, whole or split, with or without metadata.yaml, compressed by file or message.
 
-`metadata.yaml` says in which order the files belong; nothing else in it is needed. Without one, or where it names files
-that are not there, the files of the folder are taken in the order of their names.
+Only the order of the files is taken from `metadata.yaml`. Without one, or if it names files that are missing, the files
+of the folder are read in the order of their names.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ def bag_files(folder: Path) -> list[Path]:
     metadata = folder / METADATA
     listed = _listed(metadata) if metadata.is_file() else []
     named = [folder / name for name in listed if (folder / name).is_file()]
-    # A file beside those that are listed belongs to the bag all the same: a recorder that was killed lists too few.
+    # Files that are not listed belong to the bag too: a recorder that was killed does not list all of them.
     return named + sorted((file for file in present if file not in named), key=_natural)
 
 
 def open_bag_file(file: Path) -> Log:
-    """Return the log of one file of a ROS 2 bag, unpacked into a temporary file where it is compressed as a whole."""
+    """Return the log of one file of a ROS 2 bag; one that is compressed as a whole is unpacked to a temporary file."""
     from players.mcap_log import McapLog
     from players.mcap_records import MAGIC
     from players.sqlite_log import SqliteLog
@@ -71,7 +71,7 @@ def open_bag_file(file: Path) -> Log:
 
 
 def _listed(metadata: Path) -> list[str]:
-    """Return the files that a metadata.yaml names, however damaged the rest of it is."""
+    """Return the files that a metadata.yaml names, even if the rest of it is damaged."""
     text = metadata.read_text(encoding="utf-8", errors="replace")
     block = re.search(r"relative_file_paths:\s*\n((?:\s*-\s*\S.*\n?)+)", text)
     if block is None:
@@ -104,7 +104,7 @@ def _unpacked_file(file: Path) -> Path:
                     raise RecordingError(f"{file} unpacks to more than there is room for on {target.parent}")
                 unpacked.write(block)
     except zstandard.ZstdError as error:
-        # What was unpacked before the damage is read as a file that was cut off.
+        # The part before the damage is read like a truncated file.
         if target.stat().st_size == 0:
             raise RecordingError(f"{file} cannot be unpacked: {error}") from error
     return target

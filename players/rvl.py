@@ -1,7 +1,8 @@
 """RVL: lossless depth in nibbles (Wilson, "Fast Lossless Depth Image Compression", ISS 2017), as ROS transports it.
 
-Runs of zeros alternate with runs of differences, zigzag coded; a number is nibbles of three bits, the lowest first, the
-top bit of a nibble saying that another follows; eight nibbles to a little-endian word, the highest first.
+Runs of zeros alternate with runs of zigzag-coded differences. A number is a sequence of nibbles with three bits of
+payload, lowest first; the top bit of a nibble is set if another follows. Eight nibbles form a little-endian 32-bit
+word, highest first.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def decode_rvl(data: bytes, num_pixels: int) -> NDArray[np.uint16] | None:
-    """Return the pixels (num_pixels,), or None where the data end before them or go beyond."""
+    """Return the pixels (num_pixels,), or None if the data hold fewer or more."""
     words = np.frombuffer(data[: len(data) // 4 * 4], dtype="<u4").astype(np.uint32)
     pixels = np.zeros(num_pixels, dtype=np.uint16)
     return pixels if _decode(words, pixels) else None

@@ -1,6 +1,6 @@
 """The sqlite3 files of ROS 2 bags, whole or damaged.
 
-A sound file is read by SQLite, in the order of its rows. Where SQLite gives up, the pages are read one by one
+A sound file is read by SQLite, in the order of its rows. If SQLite reports damage, the pages are read one by one
 (`sqlite_pages`): every message whose own pages are whole is found again. SQLite files have no checksums.
 """
 
@@ -33,7 +33,7 @@ class SqliteLog:
     checksum = ""
 
     def __init__(self, path: Path, definitions: dict[str, str] | None = None) -> None:
-        """Read the topics; `definitions` are message definitions by type where the bag's own table has none.
+        """Read the topics; `definitions` are message definitions by type, for types missing from the bag's own table.
 
         Raises:
             RecordingError: no topic can be read, or it is a database of something else.
@@ -54,7 +54,7 @@ class SqliteLog:
                 values = row.values()
                 if values is None or len(values) < 4 or not all(isinstance(value, str) for value in values[1:4]):
                     continue
-                # Rows of topics and of message definitions look alike, but for the slash of a topic's name.
+                # Rows of topics and of message definitions have the same columns; a topic's name begins with a slash.
                 if values[1].startswith("/"):
                     self.topic_rows[row.rowid] = (values[1], values[2], values[3])
                 elif values[2] in ("ros2msg", "ros2idl"):
@@ -66,7 +66,7 @@ class SqliteLog:
         self.topics = merged_topics([self._topic(number) for number in sorted(self.topic_rows)])
 
     def declared(self) -> dict[str, int] | None:
-        """Return how many messages of each topic the database holds, or None where it is damaged."""
+        """Return the number of messages of each topic in the database, None if it is damaged."""
         if self._counts is None:
             return None
         by_topic: Counter[str] = Counter()
@@ -76,7 +76,7 @@ class SqliteLog:
         return dict(by_topic)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
-        """Yield the messages of some topics in the order of the rows; what cannot be read is among the `flaws`."""
+        """Yield the messages of some topics in the order of the rows; unreadable ones are noted in `flaws`."""
         names = {number: row[0] for number, row in self.topic_rows.items() if row[0] in topics}
         last = -(1 << 63)
         if self._is_sound:
@@ -106,7 +106,7 @@ class SqliteLog:
                 self._flaw(row.offset, f"row {row.rowid} is no message", 0, num_unknown=1)
 
     def _message(self, name: str, log_ns: int, data: Any, rowid: int) -> LogMessage | None:
-        """Return a message, unpacked where it was compressed one by one: CDR never begins like zstd."""
+        """Return a message, unpacked if it is zstd, which CDR data cannot be mistaken for."""
         if not isinstance(data, bytes):
             self._flaw(rowid, f"row {rowid} holds no bytes", 0, lost=((name, 1),))
             return None
@@ -174,15 +174,15 @@ class SqliteLog:
         )
 
 
-class _connected:  # used like a function
-    """A connection that reads only: a log is never changed, and may lie on a medium that cannot be."""
+class _connected:  # used as a function
+    """A read-only connection: a log is never changed, and may lie on a read-only medium."""
 
     def __init__(self, path: Path) -> None:
         wal = path.with_name(path.name + "-wal")
-        # A write-ahead log holds messages, too; without one nothing beside the file is needed.
+        # A write-ahead log beside the file may hold messages too.
         mode = "mode=ro" if wal.is_file() and wal.stat().st_size else "mode=ro&immutable=1"
         self._connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True)
-        # The schema of a bag is fixed: what a damaged or hostile file puts there must not run.
+        # The schema of a bag is fixed; triggers and functions in a damaged or hostile file must not run.
         self._connection.execute("PRAGMA trusted_schema = OFF")
 
     def __enter__(self) -> sqlite3.Connection:

@@ -1,8 +1,8 @@
-"""The rows of a damaged SQLite file, page by page, after the description of its format on sqlite.org.
+"""The rows of a damaged SQLite file, page by page, by the file format documented on sqlite.org.
 
-Every leaf page of a table describes its own rows, so that they are found without the tree above them. To which table
-a leaf belongs is told by what its rows look like: rosbag2 has few tables. A row whose overflow pages do not form a
-chain of the right length has no values.
+Every leaf page of a table describes its own rows, so that they are found without the B-tree above them. The table of a
+leaf is inferred from the column types of its rows, since rosbag2 has few tables. A row whose overflow pages do not form
+a chain of the right length has no values.
 """
 
 from __future__ import annotations
@@ -41,27 +41,27 @@ class PageFile:
         with path.open("rb") as stream:
             head = stream.read(100)
         page_bytes = int.from_bytes(head[16:18], "big")
-        # The header may be what is damaged: 4096 is what every version of SQLite since 2016 writes.
+        # The header may be damaged; 4096 is the default of every version of SQLite since 2016.
         is_valid = page_bytes == 1 or (page_bytes >= 512 and page_bytes & (page_bytes - 1) == 0)
         self._page_bytes = 65536 if page_bytes == 1 else page_bytes if is_valid else 4096
         self._usable = self._page_bytes - (head[20] if len(head) > 20 and head[20] < 64 else 0)
         self._num_pages = -(-path.stat().st_size // self._page_bytes)
 
     def rows(self, table: Literal["topics", "messages"]) -> Iterator[Row]:
-        """Yield the rows that look like a table's, by their ids; of two messages with one id that of the later page."""
+        """Yield the rows of a table by their ids; of two rows with one id, the one on the later page."""
         found: dict[tuple[int, str], Row] = {}
         with self._path.open("rb") as stream:
             for number in range(1, self._num_pages + 1):
                 page = self._page(stream, number)
                 for row, head in self._leaf(page, number):
                     if _table_of(head) == table:
-                        # Two tables whose rows look alike count their rows separately.
+                        # Two tables with the same column types number their rows separately.
                         found[row.rowid, "" if table == "messages" else str(row.offset)] = row
         for place in sorted(found):
             yield found[place]
 
     def read(self, row: Row) -> list[Any] | None:
-        """Return the columns of a row, or None where it cannot be put together."""
+        """Return the columns of a row, or None if a page of it is damaged."""
         with self._path.open("rb") as stream:
             page_at = row.offset // self._page_bytes * self._page_bytes
             stream.seek(page_at)
@@ -137,7 +137,7 @@ class PageFile:
 
 
 def _table_of(head: bytes) -> str:
-    """Return the table that a row looks like: messages are (null, int, int, blob), topics (null, text, text, ...)."""
+    """Return the table by a row's column types: messages are (null, int, int, blob), topics (null, text, text, ...)."""
     types = _types(head)
     if types is None or len(types) < 4:
         return ""

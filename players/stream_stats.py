@@ -1,4 +1,4 @@
-"""Statistics of a topic's stamps: rate, order, gaps, and how far the recording lags behind."""
+"""Statistics of a topic's stamps: rate, order, gaps, and the lag of the log time behind the header stamp."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _GAP_PERIODS = 5.0
 
 @dataclass(slots=True)
 class StreamStats:
-    """The messages of a topic: header stamps (log stamps where a type has no header), log stamps, sizes."""
+    """The messages of a topic: header stamps (log times for types without a header), log times, sizes."""
 
     topic: Topic
     num_bytes: int = 0
@@ -81,7 +81,7 @@ class StreamStats:
 
 
 def nearest_ms(color_ns: NDArray[np.int64], depth_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return (N,) how far, in signed milliseconds, the nearest depth is from each colour image."""
+    """Return the signed milliseconds (N,) from each colour image to the nearest depth image."""
     if not len(color_ns) or not len(depth_ns):
         return np.zeros(0)
     depth_ns = np.sort(depth_ns)

@@ -1,8 +1,8 @@
 """Pairs of colour and depth by their stamps: one to one, within a tolerance, while the log streams by.
 
-The oldest waiting item decides: it joins the nearest item of the other stream, unless that one has a nearer partner of
-its own. Two items that are each other's nearest are therefore always paired, in whatever order they arrive, as long as
-a stream is at most `HORIZON_NS` behind the other and `DISORDER_NS` out of order in itself.
+The oldest waiting image is decided first: it is paired with the nearest image of the other stream, unless that one has
+a nearer partner. Two images that are each other's nearest are therefore always paired, in any order of arrival, as long
+as one stream is at most `HORIZON_NS` behind the other and each is at most `DISORDER_NS` out of order.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ HORIZON_NS = 1_000_000_000
 """How long an item waits for a stream that has fallen silent: this bounds the memory of waiting items."""
 
 DISORDER_NS = 100_000_000
-"""How late an item may be within its own stream."""
+"""How late an image may be within its own stream."""
 
 FALLBACK_TOLERANCE_NS = 50_000_000
-"""The tolerance where a stream is too short to have a period."""
+"""The tolerance if a stream is too short to estimate its period."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stamped:
-    """An image of either stream; `item` is what the caller wants back."""
+    """An image of either stream; `item` is the caller's own record of it."""
 
     stream: Stream
     stamp_ns: int
@@ -50,7 +50,7 @@ class Pair:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Leftover:
-    """An image without a partner; `is_late` when it came after its neighbours had been decided."""
+    """An image without a partner; `is_late`: it arrived after its neighbours had been decided."""
 
     stream: Stream
     stamp_ns: int
@@ -73,10 +73,9 @@ def pair_nearest(images: Iterable[Stamped], tolerance_ns: int) -> Iterator[Pair 
 def pair_arriving(
     images: Iterable[Stamped | None], tolerance_ns: int, *, is_live: bool = False
 ) -> Iterator[Pair | Leftover | None]:
-    """Yield what `pair_nearest` does.
+    """Yield the same as `pair_nearest`, for a stream of images with None in between, which is passed on.
 
-    `is_live`: images of one stamp are a pair at once, unless the streams have been out of order before, and then after
-    as long as they have been. None is passed on: something else than an image has come.
+    `is_live`: images of equal stamps are paired at once, or after the largest disorder of the streams so far.
     """
     waiting: dict[Stream, list[Stamped]] = {"color": [], "depth": []}
     newest_ns: dict[Stream, int] = {}
@@ -98,7 +97,7 @@ def pair_arriving(
         settled_ns = max(newest_ns.values()) - horizon_ns
         certain_ns = settled_ns
         if len(newest_ns) == 2:
-            # A partner is at most one tolerance away, and a rival for that partner one more.
+            # A partner is at most one tolerance away, and a nearer partner of that one at most one more.
             settled_ns = max(settled_ns, min(newest_ns.values()) - 2 * tolerance_ns - disorder_ns)
             certain_ns = min(newest_ns.values()) - disorder_ns if is_live else settled_ns
         while (oldest := _oldest(waiting)) is not None and (
@@ -117,10 +116,10 @@ def pair_arriving(
 def pair_epochs(
     images: Iterable[tuple[int, Stamped | None]], tolerance_ns: int, *, is_live: bool = False
 ) -> Iterator[tuple[int, Pair | Leftover | None]]:
-    """Yield the pairs of images that come with their epoch: what was before a jump back in time is paired by itself.
+    """Yield the pairs of images that are given with their epoch; images before and after a jump in time are not paired.
 
-    The two streams jump one after the other; the epoch of the first ends when the other has jumped, too, or when it has
-    not done so for `HORIZON_NS`. `is_live` and None are those of `pair_arriving`.
+    The two streams jump one after the other. An epoch ends when the second stream has jumped too, or `HORIZON_NS` after
+    the first one. `is_live` and None are those of `pair_arriving`.
     """
     source = iter(images)
     held: deque[tuple[int, Stamped]] = deque()
@@ -154,7 +153,7 @@ def pair_epochs(
 
 
 def _has_twin(waiting: dict[Stream, list[Stamped]]) -> bool:
-    """Return whether the first images of both streams have one stamp: nothing can be nearer to either."""
+    """Return whether the first images of both streams have equal stamps, so that no image can be nearer to either."""
     color, depth = waiting["color"], waiting["depth"]
     return bool(color and depth) and color[0].stamp_ns == depth[0].stamp_ns
 
@@ -170,7 +169,7 @@ def _oldest(waiting: dict[Stream, list[Stamped]]) -> Stamped | None:
 
 
 def _decide(oldest: Stamped, waiting: dict[Stream, list[Stamped]], tolerance_ns: int) -> Pair | Leftover:
-    """Take the oldest image out, with its partner when it has one."""
+    """Remove the oldest image, with its partner if it has one, and return them."""
     own = waiting[oldest.stream]
     others = waiting["depth" if oldest.stream == "color" else "color"]
     own.pop(0)

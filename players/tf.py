@@ -1,6 +1,6 @@
 """The TF tree of a log: static and moving transforms, and chains of them between two frames.
 
-Every frame has one parent. A chain goes up from its source to the nearest common ancestor and down to its target.
+Every frame has one parent. A chain leads up from its source to the nearest common ancestor and down to its target.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ Link = PoseTrack | GrowingTrack | np.ndarray
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Edge:
-    """A frame and its parent; `parent_from_child` is a (4, 4) transform where it is static, else a track.
+    """A frame and its parent; `parent_from_child` is a (4, 4) transform if it is static, else a track.
 
-    `is_published_static` is False for a transform that merely has not changed yet.
+    `is_published_static` is False for a transform of /tf that has not changed so far.
     """
 
     parent: str
@@ -37,7 +37,7 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Chain:
-    """Target from source through `edges`, each with whether it is followed downwards (inverted)."""
+    """`target_from_source` through `edges`, each with whether it is followed downwards (inverted)."""
 
     frames: tuple[str, ...]
     edges: tuple[tuple[Edge, bool], ...]
@@ -49,14 +49,14 @@ class Chain:
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """The first and last stamp that all moving links reach; None where none moves."""
+        """The first and last stamp at which all moving links have a pose; None if none moves."""
         spans = [
             edge.parent_from_child.span_ns for edge, _ in self.edges if isinstance(edge.parent_from_child, PoseTrack)
         ]
         return (max(start for start, _ in spans), min(end for _, end in spans)) if spans else None
 
     def at(self, stamp_ns: int) -> NDArray[np.float64] | None:
-        """Return `target_from_source` (4, 4) at a stamp, or None where a link has no pose then."""
+        """Return `target_from_source` (4, 4) at a stamp, or None if a link has no pose at that stamp."""
         target_from_source = np.eye(4)
         for edge, is_downwards in self.edges:
             link = edge.parent_from_child
@@ -88,7 +88,7 @@ class FrameTree:
         return line
 
     def chain(self, target: str, source: str) -> Chain | None:
-        """Return the chain of `target_from_source`, or None where the two are not connected."""
+        """Return the chain of `target_from_source`, or None if the two are not connected."""
         from_source, from_target = self.ancestors(source), self.ancestors(target)
         common = next((frame for frame in from_source if frame in from_target), None)
         if common is None:

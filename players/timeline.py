@@ -1,7 +1,7 @@
 """Classification of the stamps of one stream: in order, late, duplicate, implausible, or after a jump.
 
-A stamp far from its neighbours is either one that is wrong or the first after a jump; the message behind it tells:
-if that goes on where the odd one was, time has jumped, and everything before a jump backwards is another epoch.
+A stamp far from its neighbours is either wrong or the first one after a jump. The next message decides: if it continues
+from the odd stamp, time has jumped. A jump backwards begins a new epoch.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from enum import Enum
 from typing import Any
 
 BACKWARDS_NS = 1_000_000_000
-"""What is older than the newest by more than this is no late message."""
+"""A stamp that is older than the newest by more than this is not counted as late."""
 
 FORWARD_NS = 10_000_000_000
 """A step of more than this is a jump forward: a pause of the recording, or a clock that was set."""
@@ -21,7 +21,7 @@ _REMEMBERED = 256
 
 
 class Order(Enum):
-    """How a stamp lies among those before it."""
+    """The class of a stamp with respect to those before it."""
 
     IN_ORDER = "in order"
     LATE = "late"
@@ -31,7 +31,7 @@ class Order(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """An item with its place in time; `jump_ns` is how far time jumped right before it, 0 where it did not."""
+    """A classified item; `jump_ns` is the jump of time right before it, 0 if there was none."""
 
     item: Any
     stamp_ns: int
@@ -41,7 +41,7 @@ class Placed:
 
 
 class Timeline:
-    """Places the items of one stream; an odd one is held back until the next tells what it is."""
+    """Classifies the items of one stream; an odd one is held back until the next item decides."""
 
     def __init__(self) -> None:
         self.epoch = 0
@@ -51,7 +51,7 @@ class Timeline:
         self._odd: tuple[int, Any] | None = None
 
     def add(self, stamp_ns: int, item: Any) -> list[Placed]:
-        """Return what can be placed now, in order; nothing while an odd one is waited for."""
+        """Return the items that can be classified now, in order; none while an odd one is held back."""
         if self._newest_ns is None:
             return [self._take(stamp_ns, item, 0)]
         if self._is_near(stamp_ns):
@@ -78,7 +78,7 @@ class Timeline:
         return placed
 
     def end(self) -> list[Placed]:
-        """Return the odd one that nothing confirmed, as one whose stamp is off."""
+        """Return the odd item that was not confirmed, as one with a wrong stamp."""
         if self._odd is None:
             return []
         (stamp_ns, item), self._odd = self._odd, None
@@ -98,9 +98,9 @@ class Timeline:
         return -BACKWARDS_NS <= stamp_ns - self._newest_ns <= FORWARD_NS
 
     def _goes_on(self, odd_ns: int, stamp_ns: int) -> bool:
-        """Return whether a stamp continues what the odd one began."""
+        """Return whether a stamp continues from the odd one."""
         assert self._newest_ns is not None
         if odd_ns > self._newest_ns:
-            # Forward: also a slow stream, of which every step is longer than a jump.
+            # Forward jumps include slow streams, in which every step is longer than a jump.
             return stamp_ns >= odd_ns
         return abs(stamp_ns - odd_ns) <= FORWARD_NS

@@ -1,10 +1,11 @@
-"""Poses over time while they stream by: interpolated between two of them, over no gap and across no jump.
+"""Poses over time from a stream: interpolated, but neither over gaps nor across jumps.
 
-`poses.PoseTrack` holds a whole trajectory; this one grows at its end and forgets its beginning. Between poses that are
-far apart in time (visual odometry at 5 Hz) motion is a cubic through four of them: a straight line is millimetres off.
+`poses.PoseTrack` holds a whole trajectory; this one grows at its end and drops its beginning. Between poses that are
+far apart in time (visual odometry at 5 Hz), the motion is a cubic through four of them, since linear interpolation is
+off by millimetres.
 
-Where the odometry jumps (a loop closure of its own) the poses go on where they were: the map is made in a world that
-does not tear. The jump itself is told, for whoever keeps submaps.
+If the odometry jumps (by a loop closure of its own), the poses after the jump are converted to the world frame before
+it, so that the map is built in a continuous frame. The jump itself is reported, for the submaps.
 """
 
 from __future__ import annotations
@@ -35,20 +36,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 STANDING_M, STANDING_RAD = 0.02, 0.02
-"""Poses so near to each other, whatever the time between, were taken standing: visual odometry has no keyframes."""
+"""Poses closer than this, at any interval, mean that the robot stood still, when visual odometry makes no keyframes."""
 
 _MAX_STANDING_NS = 30_000_000_000
 
 SLOW_NS = 45_000_000
-"""Poses further apart than this are joined by a cubic."""
+"""Poses further apart in time than this are interpolated by a cubic."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JumpLimits(Ranged):
-    """What no robot does between two poses: beyond these the odometry itself has jumped.
+    """The limits of plausible motion between two poses, beyond which the odometry has jumped.
 
-    A pose is held against the one that constant velocity predicts: it may be off by `jump_m`, and by what
-    `acceleration_mps2` gives in the time between; its rotation may differ by `jump_rad` and `turn_radps`.
+    A pose is compared with the prediction of constant velocity. Its position may differ by `jump_m` plus the
+    displacement of `acceleration_mps2` in the time between, its rotation by `jump_rad` plus `turn_radps` times that
+    time.
     """
 
     jump_m: float = number(0.15, 0.001, 1000, "m")
@@ -60,7 +62,7 @@ class JumpLimits(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Jump:
-    """The odometry jumped at `stamp_ns`: `after_from_before` (4, 4) takes its old world into its new one."""
+    """A jump of the odometry at `stamp_ns`: `after_from_before` (4, 4) transforms from its old to its new world."""
 
     stamp_ns: int
     after_from_before: NDArray[np.float64]
@@ -83,7 +85,7 @@ class GrowingTrack:
         self.first_ns: int | None = None
 
     def reaches(self, stamp_ns: int) -> bool:
-        """Return whether no later pose can change that of a stamp: two behind it where poses are rare, else one."""
+        """Return whether the pose at a stamp is final: two poses behind it if they are rare, else one."""
         after = bisect_left(self._stamps_ns, stamp_ns)
         left = len(self._stamps_ns) - after
         if left == 0 or after == 0 or self._stamps_ns[after] == stamp_ns:
@@ -92,11 +94,11 @@ class GrowingTrack:
 
     @property
     def newest_ns(self) -> int | None:
-        """The newest stamp that is settled, None before the first."""
+        """The newest stamp with a final pose, None before the first."""
         return self._stamps_ns[-1] if self._stamps_ns else None
 
     def add(self, stamp_ns: int, row: Sequence[float]) -> None:
-        """Add a pose tx ty tz qx qy qz qw; one out of line is held back until the next tells a jump from a mistake."""
+        """Add a pose tx ty tz qx qy qz qw; an implausible one is held back until the next one confirms it or not."""
         pose = tuple(row)
         if stamp_ns in self._rows:
             self.num_duplicates += 1
@@ -120,7 +122,7 @@ class GrowingTrack:
             self._odd = (stamp_ns, pose)
 
     def at(self, stamp_ns: int) -> NDArray[np.float64] | None:
-        """Return the pose (4, 4) at a stamp, or None where the track does not reach."""
+        """Return the pose (4, 4) at a stamp, None outside the track."""
         if not self._stamps_ns:
             return None
         after = bisect_left(self._stamps_ns, stamp_ns)
@@ -138,7 +140,7 @@ class GrowingTrack:
         return self._pose_at(nearest) if abs(nearest - stamp_ns) <= HOLD_NS else None
 
     def any_pose(self) -> NDArray[np.float64]:
-        """Return the latest pose: the pose, where the track is constant."""
+        """Return the latest pose, which is every pose of a constant track."""
         return _pose(self._rows[self._stamps_ns[-1]])
 
     def jump_between(self, start_ns: int, end_ns: int) -> Jump | None:
@@ -146,7 +148,7 @@ class GrowingTrack:
         return next((jump for jump in reversed(self.jumps) if start_ns < jump.stamp_ns <= end_ns), None)
 
     def forget(self, before_ns: int) -> None:
-        """Drop poses before a stamp, a few thousand at a time; the last two always stay."""
+        """Drop poses before a stamp, a few thousand at a time; the last two are always kept."""
         cut = min(bisect_left(self._stamps_ns, before_ns) - 1, len(self._stamps_ns) - 2)
         if cut > 2000:
             for stamp_ns in self._stamps_ns[:cut]:
@@ -154,7 +156,7 @@ class GrowingTrack:
             del self._stamps_ns[:cut]
 
     def _pose_at(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Return one of the poses, in the world before any jump."""
+        """Return one of the poses, in the world frame before any jump."""
         pose = _pose(self._rows[stamp_ns])
         for jump in reversed(self.jumps):
             if jump.stamp_ns <= stamp_ns:
@@ -162,9 +164,9 @@ class GrowingTrack:
         return pose
 
     def _cubic(self, after: int, stamp_ns: int) -> NDArray[np.float64]:
-        """Return the pose on the Hermite cubic through the poses around a stamp, tangents by their neighbours.
+        """Return the pose at a stamp on a cubic Hermite spline, whose tangents are from neighbouring poses.
 
-        Rotations are rotation vectors from the pose before, which between two poses are small.
+        Rotations are interpolated as rotation vectors relative to the pose before, which are small.
         """
         first, last = after - 1, after
         if first > 0 and self._is_joined(self._stamps_ns[first - 1], self._stamps_ns[first]):
@@ -210,7 +212,7 @@ class GrowingTrack:
         newest_ns = self._stamps_ns[-1]
         dt_s = (stamp_ns - newest_ns) / 1e9
         if stamp_ns - newest_ns > 2 * self._max_gap_ns:
-            return True  # after a long gap nothing can be said
+            return True  # no prediction after a long gap
         last = self._rows[newest_ns]
         if _angle(last, row) > self._limits.jump_rad + self._limits.turn_radps * dt_s:
             return False
@@ -221,7 +223,7 @@ class GrowingTrack:
         return _distance(predicted, row) <= self._limits.jump_m + 0.5 * self._limits.acceleration_mps2 * dt_s * dt_s
 
     def _velocity(self) -> tuple[float, ...] | None:
-        """Return the velocity before the newest pose, over at least 20 ms; None where it is not known."""
+        """Return the velocity before the newest pose, over at least 20 ms; None if unknown."""
         newest_ns = self._stamps_ns[-1]
         i = bisect_left(self._stamps_ns, newest_ns - 20_000_000 + 1) - 1
         if i < 0 or not self._is_joined(self._stamps_ns[i], newest_ns):
@@ -237,7 +239,7 @@ class GrowingTrack:
         return is_near and _angle(a[1], b[1]) <= self._limits.jump_rad + self._limits.turn_radps * dt_s
 
     def _predicted(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Return where the newest pose would be at a stamp, if it went on as since the one before."""
+        """Return the prediction of constant velocity at a stamp, from the newest two poses."""
         newest_ns = self._stamps_ns[-1]
         last = _pose(self._rows[newest_ns])
         i = bisect_left(self._stamps_ns, newest_ns - 20_000_000 + 1) - 1
@@ -251,7 +253,7 @@ class GrowingTrack:
 
 
 def _hermite(times_s: NDArray[np.float64], points: NDArray[np.float64], i: int, time_s: float) -> NDArray[np.float64]:
-    """Return the value at a time between points i and i + 1, each (D,), on the cubic with parabolic tangents."""
+    """Return the value at a time between points i and i + 1, each (D,), on the cubic with tangents of parabolas."""
     steps = np.diff(times_s)
     slopes = np.diff(points, axis=0) / steps[:, None]
 
@@ -280,7 +282,7 @@ def _distance(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 def _angle(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the angle between two rotations, by the quaternions themselves: this is asked for every pose."""
+    """Return the angle between two rotations, directly from the quaternions, since it is called for every pose."""
     dot = abs(sum(x * y for x, y in zip(a[3:], b[3:], strict=True)))
     lengths = math.sqrt(sum(x * x for x in a[3:]) * sum(x * x for x in b[3:]))
     return float(2.0 * arccos(min(1.0, dot / lengths)))

@@ -1,4 +1,4 @@
-"""Decompression that is bounded before memory is allocated: a declared size is a claim, not a fact."""
+"""Decompression with a bound that is checked before memory is allocated, since a declared size may be wrong."""
 
 from __future__ import annotations
 
@@ -9,25 +9,26 @@ from typing import Any, Literal
 Compression = Literal["", "none", "lz4", "bz2", "zstd"]
 
 MAX_UNPACKED_BYTES = 1 << 30
-"""A chunk or message that claims to be larger is damaged or a bomb: recorders write chunks of some megabytes."""
+"""The maximum size of a chunk or message: recorders write chunks of some megabytes, larger ones are damaged or
+malicious."""
 
 
 class UnpackError(Exception):
-    """Compressed bytes that cannot be unpacked, or that claim too much; says what."""
+    """Compressed bytes that are damaged, or that declare too large a size; the message says which."""
 
 
 def release(data: mmap.mmap, start: int, end: int) -> None:
-    """Let go of the pages of a mapped file that were read: they would count as memory of the process."""
+    """Release the pages of a mapped file that were read, since they count as memory of the process."""
     first, last = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE, end // mmap.PAGESIZE * mmap.PAGESIZE
     if last > first and hasattr(mmap, "MADV_DONTNEED"):
         data.madvise(mmap.MADV_DONTNEED, first, last - first)
 
 
 def unpack(compression: str, data: Any, size: int | None, *, limit: int = MAX_UNPACKED_BYTES) -> Any:
-    """Return the unpacked bytes, exactly `size` of them where it is known.
+    """Return the unpacked bytes, exactly `size` of them if it is known.
 
     Raises:
-        UnpackError: the claim is over the limit, the bytes are damaged, or they unpack to another size.
+        UnpackError: the declared size is over the limit, the bytes are damaged, or they unpack to another size.
     """
     if size is not None and size > limit:
         raise UnpackError(f"claims to unpack to {size} bytes, over the limit of {limit}")
@@ -38,14 +39,14 @@ def unpack(compression: str, data: Any, size: int | None, *, limit: int = MAX_UN
 
 
 def _unpack(compression: str, data: Any, most: int) -> bytes:
-    """Return at most one byte more than `most`."""
+    """Return the unpacked bytes, at most one more than `most`."""
     try:
         if compression == "zstd":
             return _zstd(data, most)
         if compression == "lz4":
             from lz4.frame import LZ4FrameDecompressor, decompress, get_frame_info
 
-            # Where the frame itself says its size, one step does; it is a claim like any other.
+            # If the frame declares its size, one step suffices; the declared size is checked as well.
             if 0 < get_frame_info(data)["content_size"] <= most:
                 return bytes(decompress(data))
             return bytes(LZ4FrameDecompressor().decompress(data, max_length=most + 1))
@@ -60,7 +61,7 @@ def _zstd(data: Any, most: int) -> bytes:
     import zstandard
 
     try:
-        # The library allocates what the frame claims, before it looks at the data.
+        # The library allocates the declared size before it reads the data.
         claimed = zstandard.get_frame_parameters(data).content_size
         if claimed not in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR) and claimed > most:
             raise UnpackError(f"claims to unpack to {claimed} bytes; expected at most {most}")

@@ -1,4 +1,4 @@
-"""Procedural worlds with exact truth: kinds of objects, composed scenes, walks, a flawed depth camera, logs.
+"""Procedural worlds with exact truth: objects, scenes, walks, cameras with realistic defects, and logs.
 
-Everything follows from a seed and a config: the same two give the same bytes.
+Everything is determined by a seed and a config: the same two give the same bytes.
 """

@@ -1,4 +1,4 @@
-"""More of what stands on the floor: seats, beds, storage and luggage; fronts look along +x."""
+"""More objects on the floor: seats, beds, storage and luggage; fronts face +x."""
 
 from __future__ import annotations
 

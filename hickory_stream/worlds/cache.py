@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 WORLDS_VERSION = 1
-"""The version of the cache: raise it with any change of rendered output, so that old recordings are renewed."""
+"""The version of the cache, to be raised with any change of rendered output, so that old recordings are made again."""
 CLUTTER_VERSION = 2
-"""The same for random rooms only."""
+"""The version for random rooms only."""
 
 
-# What configs did not have at first: its default is left out of a name, so that what is cached stays valid.
+# Fields that were added to configs later: their defaults are left out of a name, so that older recordings stay valid.
 _LATER = {
     "": (RecordingConfig(), ("layout", "family", "color", "camera_offset")),
     "walk": (WalkConfig(), ("pitch_deg",)),
@@ -43,16 +43,16 @@ def cached_recording(
     folder: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Path, Truth]:
-    """Return the log and the truth of a config; made if they are not there yet.
+    """Return the log and the truth of a config, which are recorded if they are not in the cache.
 
     Raises:
-        ConfigError: the config gives no world that can be walked.
+        ConfigError: no world of the config can be walked through.
         OSError: the folder cannot be written.
     """
     folder = cache_folder() if folder is None else folder
     name = recording_name(config)
     truth_folder, log = folder / f"{name}.truth", folder / layout_files(config.layout, name)[0]
-    # The log is moved to its place after the truth.
+    # The log is moved into the cache after the truth, so that a log there is complete.
     if log.exists() and (truth_folder / TRUTH_FILE).is_file():
         caches.mark_used(log, truth_folder)
         return log, load_truth(truth_folder)
@@ -62,7 +62,7 @@ def cached_recording(
 
 
 def recording_name(config: RecordingConfig) -> str:
-    """Return the name of a config's recording: what it shows, in words, and a hash of all of the config."""
+    """Return the name of a config's recording: its scene in words, and a hash of the whole config."""
     values = dataclasses.asdict(config)
     _forget_defaults(values)
     version = [WORLDS_VERSION, CLUTTER_VERSION] if config.scene == CLUTTER else [WORLDS_VERSION]
@@ -72,7 +72,7 @@ def recording_name(config: RecordingConfig) -> str:
 
 
 def _forget_defaults(values: dict[str, Any]) -> None:
-    """Remove from the values of a config what it did not always have, where it has its default."""
+    """Remove those fields that were added later and have their defaults from the values of a config."""
     for part, (defaults, fields) in _LATER.items():
         held = values if not part else values[part]
         for field in fields if held is not None else ():

@@ -1,4 +1,4 @@
-"""Where one can walk: the distance to the nearest wall or thing below eye height, on a grid."""
+"""Clearance for walking: the distance to the nearest wall or object below eye height, on a grid."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 CELL_M = 0.04
 _HEAD_M = 1.8
-# Nobody walks that close to a wall that its skirting board matters.
+# Skirting boards are thinner than any clearance that matters.
 _SKIRTING_M = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Clearance:
-    """`distance_m` (nx, ny) to what is nearest; `origin_m` (2,) is the place of the first cell."""
+    """`distance_m` (nx, ny) to the nearest obstacle; `origin_m` (2,) is the position of the first cell."""
 
     distance_m: NDArray[np.float64]
     origin_m: NDArray[np.float64]
@@ -50,12 +50,12 @@ class Clearance:
         return int(i), int(j)
 
     def place(self, cell: tuple[int, int]) -> NDArray[np.float64]:
-        """Return the (2,) place of a cell."""
+        """Return the position (2,) of a cell."""
         return self.origin_m + CELL_M * np.array(cell, dtype=np.float64)
 
 
 def clearance_of(world: World) -> Clearance:
-    """Return the clearance of a world: objects and walls count where they reach below 1.8 m."""
+    """Return the clearance of a world; the parts of objects and walls below 1.8 m are obstacles."""
     boxes = [box for item in world.objects for box in part_boxes(item.model, item.world_from_object)]
     for model in world.structure:
         if model.kind in ("wall", "door_way"):
@@ -89,7 +89,7 @@ def clearance_among(
 
 
 def joins_rooms(world: World, clearance_m: float) -> bool:
-    """Return whether one way of a given clearance reaches into every room, half a metre from its walls."""
+    """Return whether one connected area of a given clearance reaches every room, to half a metre from its walls."""
     clearance = clearance_of(world)
     pieces, count = label(clearance.distance_m >= clearance_m)
     xs = clearance.origin_m[0] + CELL_M * np.arange(pieces.shape[0])

@@ -1,4 +1,4 @@
-"""The defects of a colour camera, put on a rendered image."""
+"""The defects of a colour camera, applied to a rendered image."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ColorCameraConfig:
-    """How a colour image comes out; the defaults change nothing.
+    """The defects of a colour image; the defaults are none.
 
-    `shift_px` (x, y) is how far all of the colour is displaced against depth, `skew_px` how much further its last row
-    (a rolling shutter on the move), `wobble_px` by how much the displacement wavers smoothly over the image.
+    `shift_px` (x, y) is the displacement of colour against depth, `skew_px` the additional displacement of the last row
+    (a rolling shutter in motion), `wobble_px` the amplitude of a smooth variation of it over the image.
     """
 
     exposure: float = 1.0
@@ -25,11 +25,11 @@ class ColorCameraConfig:
     warmth: float = 0.0
     """The gain of red over that of blue, as a share."""
     vignette: float = 0.0
-    """The share of the light that the corners lack."""
+    """Vignetting: the share of the light that is missing in the corners."""
     blur_px: float = 0.0
     motion_px: tuple[float, float] = (0.0, 0.0)
     noise: float = 0.0
-    """Standard deviation in grey levels, in the middle of the scale."""
+    """Standard deviation of the noise in grey levels, at mid-grey."""
     shift_px: tuple[float, float] = (0.0, 0.0)
     skew_px: float = 0.0
     wobble_px: float = 0.0
@@ -48,7 +48,7 @@ def photographed(rgb: NDArray[np.uint8], config: ColorCameraConfig, rng: np.rand
     tint = np.array([1 + config.warmth / 2, 1.0, 1 - config.warmth / 2], dtype=np.float32)
     image = np.clip(image * gain[..., None] * tint, 0.0, 1.0) ** np.float32(config.gamma)
     if config.noise:
-        # Photon noise grows with the light, what the amplifier adds does not.
+        # Photon noise grows with the light; read noise does not.
         level = config.noise / 255 * np.sqrt(0.35 + 1.3 * image)
         image = image + level * rng.standard_normal(image.shape, dtype=np.float32)
     return np.asarray((np.clip(image, 0.0, 1.0) * 255 + 0.5).astype(np.uint8))
@@ -71,7 +71,7 @@ def _displaced(image: NDArray[np.float32], config: ColorCameraConfig, rng: np.ra
 
 
 def _smeared(image: NDArray[np.float32], motion_px: tuple[float, float]) -> NDArray[np.float32]:
-    """Return an image that moved while it was taken."""
+    """Return an image with motion blur."""
     size = 2 * int(np.ceil(max(abs(v) for v in motion_px) / 2)) + 1
     kernel = np.zeros((size, size), dtype=np.float32)
     for share in np.linspace(-0.5, 0.5, 4 * size):

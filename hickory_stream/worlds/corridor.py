@@ -1,6 +1,6 @@
-"""Scans of a LiDAR with 32 beams in empty rooms: a corridor in which nothing tells how far one has come, and a room.
+"""Scans of a LiDAR with 32 beams in empty rooms: a corridor, which does not constrain motion along it, and a room.
 
-Rooms are boxes seen from within, with door frames in the walls where asked for; a ray's end is where it leaves them.
+Rooms are boxes seen from inside, optionally with door frames in the walls; a ray ends where it leaves the box.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _FRAME_WIDE_M, _FRAME_DEEP_M = 0.12, 0.08
 class CorridorConfig:
     """A walk through a box, `length_m` along x and `width_m` along y; door frames every `frames_every_m` (0: none).
 
-    The walk begins `margin_m` behind one end, goes `way_m` in a gentle sway, at `speed_mps`, scanned at `rate_hz` by
-    `beams` x `columns` rays with the noise `sigma_m`, as far as `range_m`.
+    The walk begins `margin_m` from one end and is `way_m` long, with a gentle sway, at `speed_mps`. It is scanned at
+    `rate_hz` by `beams` x `columns` rays with noise `sigma_m` and range `range_m`.
     """
 
     length_m: float = 30.0
@@ -69,7 +69,7 @@ def scan_from(
 
 
 def _directions(config: CorridorConfig) -> NDArray[np.float64]:
-    """Return the unit directions (N, 3) of the rays, as a Velodyne HDL-32E has them: 10.67 up to 30.67 degrees down."""
+    """Return the unit directions (N, 3) of the rays of a Velodyne HDL-32E: from 10.67 degrees up to 30.67 down."""
     elevation = np.radians(np.linspace(-30.67, 10.67, config.beams))[:, None]
     azimuth = np.linspace(-np.pi, np.pi, config.columns, endpoint=False)[None, :]
     flat = np.cos(elevation)
@@ -85,7 +85,7 @@ def _directions(config: CorridorConfig) -> NDArray[np.float64]:
 
 
 def _ranges(origin: NDArray[np.float64], rays: NDArray[np.float64], config: CorridorConfig) -> NDArray[np.float64]:
-    """Return how far the rays (N, 3) go from within the box before they meet a wall or a door frame."""
+    """Return the lengths of the rays (N, 3) from inside the box to a wall or a door frame."""
     low = np.array([0.0, -config.width_m / 2, 0.0])
     high = np.array([config.length_m, config.width_m / 2, _HEIGHT_M])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -105,7 +105,7 @@ def _ranges(origin: NDArray[np.float64], rays: NDArray[np.float64], config: Corr
 def _box_ranges(
     origin: NDArray[np.float64], rays: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return where the rays (N, 3) enter a box that they begin outside of; inf where they do not (slabs)."""
+    """Return the distances at which the rays (N, 3) enter a box from outside, inf if they miss it (slab method)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = (low - origin) / rays, (high - origin) / rays
     near = np.nanmax(np.minimum(first, second), axis=1)

@@ -1,6 +1,6 @@
-"""The defects of a stereo depth camera, put on exact depth.
+"""The defects of a stereo depth camera, applied to exact depth.
 
-Everything happens in disparity, where a stereo camera errs: noise of constant size there grows with z squared in depth.
+They are modelled in disparity, in which stereo noise is constant; in depth it grows with z squared.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DepthCameraConfig:
-    """A ZED 2i by its data sheet: 12 cm baseline; the rest is what its depth looks like."""
+    """A ZED 2i: the baseline of 12 cm is from its data sheet, the other values are estimated from its depth images."""
 
     baseline_m: float = 0.12
     min_depth_m: float = 0.3
     max_depth_m: float = 8.0
     disparity_sigma_px: float = 0.06
     correlation_px: float = 3.2
-    """The noise is smooth over this radius, because neighbours are matched with overlapping windows."""
+    """The correlation radius of the noise: neighbours are matched with overlapping windows."""
     white_share: float = 0.1
     """The part of the noise's standard deviation that is independent from pixel to pixel."""
     disparity_step_px: float = 1 / 16
     grazing_cosine: float = 0.22
-    """Below this cosine between ray and normal returns get lost, all of them at 0."""
+    """Below this cosine between ray and normal, returns are lost with increasing probability, up to 1 at cosine 0."""
     edge_ratio: float = 0.05
-    """Neighbours whose depths differ by more than this share lie across an edge."""
+    """Relative difference in depth between neighbours above which there is an edge between them."""
     edge_loss: float = 0.35
     flying_share: float = 0.25
-    """The share of the remaining edge pixels that fly between the two depths."""
+    """The share of the remaining edge pixels that become flying pixels, between the two depths."""
     dropout_share: float = 0.045
-    """The share of the image lost in patches, where nothing could be matched."""
+    """The share of the image that is lost in patches, as where matching fails."""
 
     def sensor(self, focal_px: float) -> DepthSensor:
-        """Return what a mapper should know of the camera when its focal length is `focal_px`.
+        """Return the sensor model of the camera for a focal length of `focal_px`.
 
-        The range is drawn from it. Noise and steps are drawn in pixels of disparity: from the record, which has them
-        over focal length times baseline, they would come back with another last bit, and logs with other bytes.
+        Rendering uses its range, but not its noise and steps: those are kept in pixels of disparity, since a conversion
+        back from the model would change the last bits, and with them the bytes of logs.
         """
         constant = focal_px * self.baseline_m
         return DepthSensor(
@@ -56,7 +56,7 @@ class DepthCameraConfig:
 
 
 D455 = DepthCameraConfig(baseline_m=0.095, min_depth_m=0.4, max_depth_m=6.0, disparity_sigma_px=0.08)
-"""A RealSense D455 in the range that Intel calls ideal; its noise is that of `players/profiles/realsense.toml`."""
+"""A RealSense D455 in the range that Intel recommends; its noise is that of `players/profiles/realsense.toml`."""
 
 
 def sensed_depth(
@@ -69,7 +69,7 @@ def sensed_depth(
 ) -> NDArray[np.float32]:
     """Return the (H, W) depth that the camera reports for exact depth and incidence; NaN where it reports nothing.
 
-    `is_blind` (H, W) is where it has nothing to match, such as glass.
+    `is_blind` (H, W) are pixels without texture to match, such as glass.
     """
     near, far, is_edge = _edges(depth_m, config.edge_ratio)
     flies = is_edge & (rng.random(depth_m.shape) < config.flying_share)
@@ -96,7 +96,7 @@ def sensed_depth(
 def _edges(
     depth_m: NDArray[np.float32], ratio: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the least and the greatest depth of each pixel's 3x3 neighbourhood, and whether they are apart."""
+    """Return the least and the greatest depth of each pixel's 3x3 neighbourhood, and whether it contains an edge."""
     filled = np.where(np.isfinite(depth_m), depth_m, np.float32(100.0))
     kernel = np.ones((3, 3), dtype=np.uint8)
     near, far = cv2.erode(filled, kernel), cv2.dilate(filled, kernel)
@@ -120,9 +120,9 @@ def _smooth_noise(shape: tuple[int, ...], radius_px: float, rng: np.random.Gener
 
 
 def _is_occluded(disparity: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return the pixels of the left image that the right camera cannot see: the shadow to the left of what is near.
+    """Return the pixels of the left image that are occluded in the right one: a band to the left of near surfaces.
 
-    A pixel at x is matched at x - d; it is hidden where a pixel further right lands at or before that place.
+    A pixel at x is matched at x - d; it is occluded if a pixel further right is matched at or left of that position.
     """
     columns = np.arange(disparity.shape[1])[None]
     landing = np.where(np.isfinite(disparity), columns - disparity, np.inf)

@@ -1,4 +1,4 @@
-"""Odometry that drifts: what dead reckoning makes of a true trajectory."""
+"""Odometry with drift: a true trajectory with the errors of dead reckoning."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from hickory_stream.worlds.trajectory import Trajectory
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DriftConfig:
-    """How fast odometry drifts, as one standard deviation; 0 is exact.
+    """Standard deviations of the drift of odometry; 0 is exact.
 
     Attributes:
         scale: error of the distance travelled, as a share of it.
         yaw_deg_per_m: error of the heading for each metre.
-        correlation_m: both errors stay alike over about this distance.
+        correlation_m: the distance over which both errors are correlated.
     """
 
     scale: float = 0.01
     yaw_deg_per_m: float = 0.05
     correlation_m: float = 8.0
     jitter_m: float = 0.0
-    """Error of each pose by itself, along each axis: as of an odometry without smoothing."""
+    """Independent error of each pose along each axis, as of odometry without smoothing."""
     jitter_deg: float = 0.0
 
 
 def drifted(trajectory: Trajectory, config: DriftConfig, rng: np.random.Generator) -> Trajectory:
-    """Return the trajectory as odometry reports it: it starts at the true pose, gravity stays known."""
+    """Return the trajectory as odometry reports it: it starts at the true pose, and the vertical has no error."""
     true = trajectory.world_from_camera
     poses = np.empty_like(true)
     poses[0] = true[0]
@@ -43,7 +43,7 @@ def drifted(trajectory: Trajectory, config: DriftConfig, rng: np.random.Generato
         scale, yaw = keep * scale + fresh[0], keep * yaw + fresh[1]
         step[:3, 3] *= 1.0 + config.scale * scale
         pose = poses[i - 1] @ step
-        # A turn about the vertical through the camera: the error of the heading, not of the place.
+        # A rotation about the vertical axis through the camera: it changes the heading, not the position.
         turn = yaw_rotation(np.radians(config.yaw_deg_per_m) * yaw * moved_m)
         poses[i] = from_rotation_translation(turn @ pose[:3, :3], pose[:3, 3])
     if config.jitter_m or config.jitter_deg:

@@ -23,14 +23,14 @@ Rectangle = tuple[float, float, float, float]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Room:
-    """A room to furnish: its rectangle, rectangles to keep free, and what was `placed` so far."""
+    """A room to furnish: its rectangle, rectangles to keep free, and the objects `placed` so far."""
 
     rectangle_m: Rectangle
     keep_free_m: tuple[Rectangle, ...]
     placed: list[Placement] = field(default_factory=list)
 
     def take(self, placement: Placement, apart_m: float = _APART_M) -> bool:
-        """Place something if it stays in the room, leaves free what is to be free, and keeps apart from the rest."""
+        """Place an object if it lies inside the room, outside the free rectangles, and apart from the other objects."""
         lower, upper = _bounds(placement)
         x0, y0, x1, y1 = self.rectangle_m
         # The skirting stands out by a centimetre.
@@ -163,7 +163,7 @@ def _boxes(rng: np.random.Generator, room: Room) -> None:
     beside = small_things.box(rng)
     along = float(lower.model.bounds_m()[1, 1] + beside.bounds_m()[1, 1]) + float(rng.uniform(0.03, 0.08))
     side = 1 if rng.random() < 0.5 else -1
-    # Closer together than other things may be: that is what they are there for.
+    # Closer together than other objects may be, to test their separation.
     for sign in (side, -side):
         if _relative(room, lower, beside, (float(rng.uniform(-0.03, 0.03)), sign * along, 0.0), apart_m=0.02):
             break
@@ -179,7 +179,7 @@ def _against_wall(
     front_m: float,
     turn_rad: float = 0.0,
 ) -> Placement | None:
-    """Place a model with its back to one of the walls and `front_m` of free floor before it; None if nowhere fits."""
+    """Place a model with its back to a wall and `front_m` of free floor before it; None if it does not fit."""
     walls = walls_of(room.rectangle_m)
     half_y = float(np.abs(model.bounds_m()[:, 1]).max())
     for _ in range(_DRAWS):
@@ -195,7 +195,7 @@ def _against_wall(
 
 
 def _has_free_front(room: Room, placement: Placement, front_m: float) -> bool:
-    """Return whether the strip before a model is free of what stands there, so that one can get at it."""
+    """Return whether the strip before a model is free, so that the model is accessible."""
     if front_m <= 0:
         return True
     lower, upper = placement.model.bounds_m()
@@ -214,7 +214,7 @@ def _has_free_front(room: Room, placement: Placement, front_m: float) -> bool:
 
 
 def _in_the_middle(rng: np.random.Generator, room: Room, model: Model, spread_m: float) -> Placement | None:
-    """Place a model near the middle of the room, along one of its sides, with a way round it."""
+    """Place a model near the middle of the room, parallel to one of its sides, with space to walk around it."""
     x0, y0, x1, y1 = room.rectangle_m
     for _ in range(_DRAWS):
         x, y = rng.uniform(-spread_m, spread_m, size=2) / 2 + ((x0 + x1) / 2, (y0 + y1) / 2)
@@ -228,7 +228,7 @@ def _in_the_middle(rng: np.random.Generator, room: Room, model: Model, spread_m:
 def _relative(
     room: Room, other: Placement, model: Model, at: tuple[float, float, float], apart_m: float = 0.02
 ) -> Placement | None:
-    """Place a model on the floor at (x, y, yaw) in the frame of another; None where that is taken."""
+    """Place a model on the floor at (x, y, yaw) in the frame of another; None if that place is occupied."""
     x, y, yaw = at
     placement = Placement(model=model, world_from_object=other.world_from_object @ at_place(x, y, 0.0, yaw))
     return placement if room.take(placement, apart_m) else None
@@ -241,7 +241,7 @@ def _lay(
     models: Sequence[Model],
     turn_rad: float = np.pi,
 ) -> None:
-    """Stand models on the first surface of a support, if it is there."""
+    """Place models on the first surface of a support, if there is a support."""
     if support is not None:
         room.placed.extend(stood_on(rng, support, support.model.surfaces[0], models, turn_rad=turn_rad))
 
@@ -257,5 +257,5 @@ def _front(model: Model) -> float:
 
 
 def _half(model: Model) -> float:
-    """Return how far a model reaches behind its origin."""
+    """Return the extent of a model behind its origin."""
     return -float(model.bounds_m()[0, 0])

@@ -1,7 +1,7 @@
 """The viewing direction of a camera that is carried through a world.
 
-The gaze is planned a few looks ahead: it turns to what has been looked at least, and to new sides of it, never faster
-than a head turns. What is in another room is not looked at.
+The gaze is planned a few looks ahead. It turns to the objects that have been seen least, and to unseen sides of them,
+at no more than the angular rate of a head. Objects in other rooms are ignored.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def gaze(
         attention.look(position, yaw)
     at = np.arange(len(positions)) / steps
     sigma = 0.45 / step_s
-    # Linear between the decisions and then blurred: the rate stays within that of the steps.
+    # Linear between the decisions and then smoothed, so that the angular rate stays within its limit.
     smooth_yaw, smooth_pitch = (
         gaussian_filter1d(np.interp(at, np.arange(len(values)), values), sigma, mode="nearest")
         for values in (knots, pitches)
@@ -52,7 +52,7 @@ def _heading(direction: NDArray[np.float64]) -> float:
 
 
 class _Attention:
-    """What has been looked at from where: how much is still to be gained by a look."""
+    """Which objects have been seen from which sides, and the gain of a further look at each."""
 
     _TURNS = (-1.0, -0.5, 0.0, 0.5, 1.0)
     _SIDES = 8
@@ -64,9 +64,9 @@ class _Attention:
             centers.append((item.world_from_object @ [*(lower + upper) / 2, 1.0])[:3])
             sizes.append(float(np.linalg.norm(upper - lower)))
         self._centers = np.array(centers)
-        # Beyond this distance a look gains less: small things must be seen from close by.
+        # Beyond this distance a look gains less, since small objects must be seen from near.
         self._reach_m = np.clip(1.2 + np.array(sizes), 1.5, 2.6)
-        # What stands together is seen together: a laid table must not outweigh a lone lamp.
+        # Objects that stand together share their weight: a laid table must not outweigh a single lamp.
         apart = np.linalg.norm(self._centers[:, None] - self._centers[None], axis=2)
         self._weights = 1.0 / (apart < 0.7).sum(axis=1)
         self._looks = np.zeros((len(centers), self._SIDES))
@@ -77,11 +77,11 @@ class _Attention:
         self._room_of = np.array([self._room(center[:2]) for center in self._centers])
 
     def middle_of_room(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (2,) middle of the room that a place is in."""
+        """Return the centre (2,) of the room that contains a position."""
         return np.asarray(self._middles[self._room(position)])
 
     def _room(self, position: NDArray[np.float64]) -> int:
-        """Return the room that an (x, y) place is in, or nearest to."""
+        """Return the room that contains an (x, y) position, or the nearest one."""
         outside = np.maximum(0.0, np.maximum(self._rooms[:, :2] - position, position - self._rooms[:, 2:]))
         return int(np.argmin((outside**2).sum(axis=1)))
 
@@ -100,7 +100,7 @@ class _Attention:
         return max(options, key=lambda option: option[0])
 
     def _view(self, position: NDArray[np.float64], yaw: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return for each object how well it is seen (N,), 0 when out of sight, and from which side (N,)."""
+        """Return for each object how well it is seen (N,), 0 if it is not visible, and from which side (N,)."""
         offset = self._centers[:, :2] - position
         distance = np.linalg.norm(offset, axis=1)
         bearing = np.arctan2(offset[:, 1], offset[:, 0])
@@ -117,12 +117,12 @@ class _Attention:
         return quality * novelty * self._weights
 
     def look(self, position: NDArray[np.float64], yaw: float) -> None:
-        """Note that one looked that way from there."""
+        """Record a look from a position in a direction."""
         quality, side = self._view(position, yaw)
         self._looks[np.arange(len(side)), side] += quality
 
     def pitch(self, position: NDArray[np.float64], yaw: float, config: WalkConfig) -> float:
-        """Return the pitch (negative = down) that centres what is worth looking at there, as far as one tilts."""
+        """Return the pitch (negative = down) that centres the objects worth looking at, within its limits."""
         weight = self._gains(position, yaw) + 1e-3
         distance = np.linalg.norm(self._centers[:, :2] - position, axis=1)
         angles = np.arctan2(self._centers[:, 2] - config.eye_height_m, distance)

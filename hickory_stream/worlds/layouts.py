@@ -1,7 +1,7 @@
 """Synthetic logs in the exact layouts of public data sets, quirks included, to test the players with.
 
 Topics, frames and quirks are those of `players/profiles/kimera_multi.toml` and `nus_clb.toml`; the numbers of the rig
-are written down here a second time on purpose: a mistake in a profile must not cancel itself out.
+are repeated here on purpose, so that an error in a profile cannot cancel itself out.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _FLU_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0
 
 
 def layout_files(layout: str, name: str) -> tuple[str, ...]:
-    """Return the files or folders of a recording in a layout, the one to play first."""
+    """Return the files or folders of a recording in a layout, beginning with the one to play."""
     if layout == "kimera_multi":
         return f"{name}.bag", f"{name}_vio.bag"
     return (f"{name}.mcap",) if layout == "zed" else (name,)
 
 
 def layout_camera(layout: str, camera: Camera) -> Camera:
-    """Return the colour camera of a layout, for images of the size of `camera`: a Jackal's D455 is what it is."""
+    """Return the colour camera of a layout for images of the size of `camera`; some layouts have fixed intrinsics."""
     if layout != "kimera_multi":
         return camera
     return _resized(Camera(width=640, height=480, fx=372.4634, fy=371.5072, cx=315.9902, cy=254.5944), camera)
@@ -45,7 +45,8 @@ def layout_camera(layout: str, camera: Camera) -> Camera:
 def drawn_mounting(seed: int) -> NDArray[np.float64]:
     """Return body_from_camera (4, 4) of a camera 0.4 m from the body's origin, 10 degrees off its axes, by a seed.
 
-    Where the camera of a B2 sits was not published: ahead, mostly, and looking about where the body does.
+    The camera's pose on a Unitree B2 was not published; it is drawn to be mostly ahead, with about the body's
+    direction.
     """
     rng = np.random.default_rng([seed, 7])
     ahead = np.array([1.0, 0.5, 0.5]) * rng.standard_normal(3) + np.array([1.5, 0.0, 0.5])
@@ -63,9 +64,9 @@ def open_layout(
     end_ns: int,
     mounting: NDArray[np.float64] | None = None,
 ) -> LogWriter:
-    """Return the writer of a layout; `end_ns` is the last stamp, by which a loop closure is placed.
+    """Return the writer of a layout; `end_ns` is the last stamp, which determines the time of a loop closure.
 
-    `mounting` is body_from_camera (4, 4) of a NUS-CLB robot; None: both have one origin.
+    `mounting` is body_from_camera (4, 4) of a NUS-CLB robot; None: body and camera have one origin.
     """
     if layout == "kimera_multi":
         return KimeraMultiLog(folder, name, camera, jpeg_quality)
@@ -78,7 +79,7 @@ def open_layout(
 class KimeraMultiLog:
     """A robot's bag and, beside it, the bag of its visual odometry.
 
-    Frame names carry another robot's prefix; nothing publishes TF; bags were recorded two minutes after the stamps;
+    Frame names have another robot's prefix; there is no TF; bags were recorded two minutes after the stamps;
     depth is 16UC1, unregistered, of the left infrared camera, with stamps of its own; odometry is of the IMU in optical
     axes, at 5 Hz at most.
     """
@@ -187,8 +188,8 @@ class NusClbLog:
     """A ROS 2 bag (sqlite3) of a Unitree B2 with a ZED 2i.
 
     Colour is bgra8, or JPEG under the raw name; depth 32FC1 metres with NaN, +inf beyond the range and -inf before it.
-    The pose is LiDAR odometry in FLU axes under the frame names of LIO-SAM; it jumps, and stays where it then is, when
-    it closes a loop at four fifths of the log. Unitree's own types lie beside it, without definitions.
+    The pose is LiDAR odometry in FLU axes under the frame names of LIO-SAM; it jumps permanently by a loop closure at
+    four fifths of the log. Unitree's own types lie beside it, without definitions.
     """
 
     jump_at = 0.8
@@ -321,7 +322,7 @@ class NusClbLog:
 
 
 def _resized(camera: Camera, like: Camera) -> Camera:
-    """Return a camera for images of another size: by the width, the middle of the height."""
+    """Return a camera for images of another size: scaled to the width, cropped to the middle of the height."""
     factor = like.width / camera.width
     return Camera(
         width=like.width,
@@ -334,7 +335,7 @@ def _resized(camera: Camera, like: Camera) -> Camera:
 
 
 def _orthogonal(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a pose whose rotation is orthogonal to the last digit: printed calibrations are not."""
+    """Return a pose with an exactly orthogonal rotation, which printed calibrations do not have."""
     u, _, vt = np.linalg.svd(pose[:3, :3])
     return from_rotation_translation(u @ vt, pose[:3, 3])
 

@@ -1,7 +1,7 @@
 """The lamps of a world.
 
-Every room has as many lamps; the first ones throw shadows. Light is added in linear shares of the albedo: 1 is a white
-sheet that comes out white.
+Every room has the same number of lamps, of which the first ones cast shadows. Light adds up linearly, relative to
+albedo: under light 1, a white surface is rendered white.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.textures import Color
 
 MOST_LAMPS = 8
-"""Which lamps reach a pixel is kept in as many bits."""
+"""The lamps that reach a pixel are kept in this number of bits."""
 # Place of a room's two lamps under the ceiling, as shares of the half room, and their height; the first throws shadows.
 _MAIN_LIGHT = (0.25, -0.2, 2.45)
 _FILL_LIGHT = (-0.7, 0.6, 2.2)
@@ -31,7 +31,7 @@ _FILL_LIGHT = (-0.7, 0.6, 2.2)
 class Lamp:
     """A lamp: `color` (red, green, blue) is its strength; light falls off as 1 / (near + far d^2), d in metres.
 
-    `shadow` is the share of its light where something is before it: walls and things scatter the rest.
+    `shadow` is the share of its light that reaches shadowed surfaces by scattering.
     """
 
     color: Color
@@ -44,7 +44,7 @@ class Lamp:
 class Lighting:
     """`places_m` (R, L, 3): the places of the L `lamps` in each of R rooms; the first `num_shadows` throw shadows.
 
-    `sky` is the colour where a ray meets nothing.
+    `sky` is the colour of rays without a hit.
     """
 
     places_m: NDArray[np.float64]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class DepthView:
-    """A depth camera of its own: where it is in the colour camera, and how much later than colour it looks."""
+    """A separate depth camera: its pose in the colour camera's frame, and its delay after colour."""
 
     camera: Camera
     color_from_depth: NDArray[np.float64]
@@ -24,7 +24,7 @@ class DepthView:
 
 
 class LogWriter(Protocol):
-    """What a recording is written to; `depth_view` is None where depth is registered to colour."""
+    """Writes a recording; `depth_view` is None if depth is registered to colour."""
 
     depth_view: DepthView | None
 
@@ -39,13 +39,13 @@ class LogWriter(Protocol):
         ...
 
     def write_static(self, stamp_ns: int) -> None:
-        """Write what does not change."""
+        """Write static messages."""
         ...
 
     def write_pose(
         self, stamp_ns: int, world_from_camera: NDArray[np.float64], velocity_link: NDArray[np.float64]
     ) -> None:
-        """Write where the odometry thinks that the colour camera is."""
+        """Write the pose of the colour camera by odometry."""
         ...
 
     def write_images(self, stamp_ns: int, rgb: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> None:

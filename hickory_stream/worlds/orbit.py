@@ -33,7 +33,7 @@ def orbit(world: World, seconds: float | None, walk_index: int, rng: np.random.G
     eyes = np.stack(
         [world.middle_m[0] + radius * np.cos(angle), world.middle_m[1] + radius * np.sin(angle), height], axis=1
     )
-    # The gaze wanders over the things rather than staying on the middle.
+    # The gaze moves over the objects instead of staying on the centre.
     target = np.stack([0.12 * np.sin(5.0 * turn + phase[3]), 0.12 * np.sin(4.1 * turn + phase[4])], axis=1)
     look = np.column_stack([target + world.middle_m, np.full(len(times_s), top + 0.06)]) - eyes
     yaw = np.arctan2(look[:, 1], look[:, 0])

@@ -1,4 +1,4 @@
-"""A person who walks through the pictures: no object of the map, but in front of them."""
+"""A person who walks through the images and occludes objects, without being one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.trajectory import Trajectory
 
 PERSON_ID = 60000
-"""What instance images show a person as; it is no true object."""
+"""The id of a person in instance images; it is no true object."""
 
 _STRIDE_HZ = 0.9
 _KEEPS_AWAY_M = 0.6
@@ -87,7 +87,7 @@ def with_person(
     time_s: float,
     caster: CasterName | None = None,
 ) -> Rendered:
-    """Return an image with the person in it, where it is nearer than what is there; one steps aside for the camera."""
+    """Return an image with the person drawn in front of the scene; close to the camera, the person steps aside."""
     model, world_from_person = person.model_at(time_s)
     if np.linalg.norm(world_from_person[:2, 3] - world_from_camera[:2, 3]) < _KEEPS_AWAY_M:
         return rendered

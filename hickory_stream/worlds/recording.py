@@ -1,7 +1,7 @@
 """A synthetic recording from a seed: the log and, beside it, the truth.
 
-Each part draws from a generator of its own (room, walk, camera, samples), so that a longer log of a seed starts like a
-shorter one and another camera sees the same room.
+Room, walk, camera and samples draw from separate generators, so that a longer log of a seed begins like a shorter one,
+and another camera sees the same room.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ _LEAST_CLUTTER = 6
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordingConfig:
-    """What is recorded: the same config gives the same bytes."""
+    """The config of a recording; the same config gives the same bytes."""
 
     scene: str = "room"
     """One of `worlds.scenes.SCENES`."""
     family: str = "training"
-    """Which recipes a random room (scene `clutter`) is made by: one of `worlds.clutter.families.FAMILIES`."""
+    """The family of recipes of a random room (scene `clutter`): one of `worlds.clutter.families.FAMILIES`."""
     seed: int = 7
     walk_index: int = 0
     """Which of the walks through the scene; a room has one for each seed."""
@@ -79,13 +79,13 @@ class RecordingConfig:
     layout: str = "zed"
     """One of `worlds.layouts.LAYOUTS`: the container, the topics, the frames and the quirks of a data set."""
     camera_offset: bool = False
-    """Whether the camera of a NUS-CLB robot sits 0.4 m and 10 degrees, drawn by the seed, off its odometry's body."""
+    """Whether the seed draws the camera's pose on the body of a NUS-CLB robot, 0.4 m and 10 degrees off."""
     drift: DriftConfig | None = None
-    """How the odometry drifts; None: its poses are exact."""
+    """The drift of odometry; None: exact poses."""
     person: bool = False
-    """Whether a person walks through the scene, too."""
+    """Whether a person walks through the scene."""
     color: ColorCameraConfig | None = None
-    """The defects of the colour camera beside `color_noise`; None: it has none."""
+    """The defects of the colour camera in addition to `color_noise`; None: no others."""
     walk: WalkConfig = field(default_factory=WalkConfig)
     depth: DepthCameraConfig = field(default_factory=DepthCameraConfig)
 
@@ -129,13 +129,13 @@ def make_recording(
     *,
     caster: CasterName | None = "open3d",
 ) -> Truth:
-    """Write NAME.mcap (or what the layout has) and NAME.truth/ into a folder, replacing older ones; return the truth.
+    """Write NAME.mcap (or the layout's files) and NAME.truth/ into a folder, replacing older ones; return the truth.
 
-    Both are made in a hidden folder beside their place and moved when complete: a failure leaves the old ones. The same
-    `caster` gives the same bytes; None takes the one that is there (`ray_caster`).
+    Both are made in a hidden folder beside their destination and moved when complete, so that a failure leaves the old
+    ones. The same `caster` gives the same bytes; None takes the available one (`ray_caster`).
 
     Raises:
-        ConfigError: NAME.truth exists and is no truth folder, or the seed's rooms leave no way to walk.
+        ConfigError: NAME.truth exists and is no truth folder, or none of the seed's rooms can be walked through.
         InputError: the caster is not installed.
     """
     truth_folder = folder / f"{name}.truth"
@@ -192,7 +192,7 @@ def _make(
 def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
     """Return the first of the seed's worlds that one can walk through, and the walk.
 
-    The world is the same for both of a scene's first two walks: both must be possible.
+    Both of the first two walks must be possible, so that they share one world.
 
     Raises:
         ConfigError: none of the seed's worlds can be walked.
@@ -218,7 +218,7 @@ def _not_walkable(config: RecordingConfig) -> ConfigError:
 
 
 def _walkable_clutter(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's random rooms that has things and a way about it, and the walk."""
+    """Return the first of the seed's random rooms that has objects and a walk, and the walk."""
     for attempt in range(_WORLDS):
         room = clutter_room(config.seed, config.family, attempt)
         if len(room.world.objects) >= _LEAST_CLUTTER:
@@ -230,7 +230,7 @@ def _walkable_clutter(config: RecordingConfig) -> tuple[World, Trajectory]:
 
 
 def _walkable_street(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's streets that leaves a way round, and the walk."""
+    """Return the first of the seed's streets with a closed route, and the walk."""
     for attempt in range(_WORLDS):
         found = street(config.seed, attempt)
         trajectory = stroll(found, config.seconds, config.walk, config.walk_index)
@@ -251,7 +251,7 @@ def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory 
 def _person(world: World, config: RecordingConfig) -> Person | None:
     """Return the person of a config: on another walk through the same world, faster than the camera.
 
-    Nobody walks through a random room or a street.
+    Random rooms and streets have no person.
     """
     if not config.person or config.scene in (CLUTTER, OUTDOOR):
         return None
@@ -340,7 +340,7 @@ def _depth_of_its_own(
     config: RecordingConfig,
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Return what a depth camera beside the colour camera reports, a moment later."""
+    """Return the image of a separate depth camera beside the colour camera, a short time later."""
     later_s = min(time_s + view.lag_ns / 1e9, float(trajectory.times_s[-1]))
     world_from_depth = trajectory.pose_at(later_s) @ view.color_from_depth
     rendered = renderer.render(view.camera, world_from_depth)
@@ -350,7 +350,7 @@ def _depth_of_its_own(
 
 
 def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:
-    """Return the stamps of all grabs and how many of them there are to an image."""
+    """Return the stamps of all grabs, and the number of grabs per image."""
     seconds = walk_s - 2 * STEP_S if config.seconds is None else config.seconds
     every = max(1, int(np.ceil(_ODOMETRY_HZ / config.rate_hz)))
     num_frames = int(np.floor(seconds * config.rate_hz + 1e-9))
@@ -372,7 +372,7 @@ def _velocity(trajectory: Trajectory, time_s: float) -> NDArray[np.float64]:
 def _sensed(
     rendered: Rendered, camera: Camera, config: RecordingConfig, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Return colour and depth as the camera reports them."""
+    """Return colour and depth with the defects of the cameras."""
     noise = config.color_noise * rng.standard_normal(rendered.rgb.shape)
     rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
     if config.color is not None:

@@ -1,7 +1,7 @@
 """Ray-cast images of a world: lit colour, exact depth, exact instances.
 
 Geometries are numbered with the structure first and the objects after it. Depth and instances are sampled once, through
-the pixel's centre; colour four times at edges, and twice, without casting further rays, inside a face.
+the pixel's centre. Colour is sampled four times at edges, and inside a face twice, without casting further rays.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 
 GLASS = "window"
 """The kind of structure that shows in colour and gives no depth."""
-# Where less than this share of the light of a lamp is mirrored, stereo still finds something to match.
+# Below this specular share of a lamp's light, stereo matching still works.
 _GLARE = 0.45
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rendered:
-    """What a camera without defects sees.
+    """The images of a camera without defects.
 
     `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32 along the optical axis, NaN without a hit; `instances` (H, W)
     uint16, 0 = no object; `cosine` (H, W) float32 of the angle between ray and surface normal; `is_structure` (H, W)
-    bool; `is_blind` (H, W) bool, where a depth camera has nothing to match: glass and highlights.
+    bool; `is_blind` (H, W) bool, where stereo matching fails: glass and highlights.
     """
 
     rgb: NDArray[np.uint8]
@@ -60,7 +60,7 @@ class Rendered:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Probe:
-    """What (N,) rays meet: depth along the optical axis (inf: nothing), instance, whether it is met from within."""
+    """The hits of N rays: depth along the optical axis (inf: none), instance, whether a face is hit from its back."""
 
     depth_m: NDArray[np.float32]
     instances: NDArray[np.uint16]
@@ -99,7 +99,7 @@ class Renderer:
         self._is_glass = np.array([model.kind == GLASS for model, _ in models])
 
     def render(self, camera: Camera, world_from_camera: NDArray[np.float64]) -> Rendered:
-        """Return what the camera sees, without any defect."""
+        """Return the images of the camera, without defects."""
         size = (camera.height, camera.width)
         rays = rays_of(camera, world_from_camera)
         hit = self._scene.cast(rays)
@@ -121,7 +121,7 @@ class Renderer:
         )
 
     def probe(self, camera: Camera, world_from_camera: NDArray[np.float64]) -> Probe:
-        """Return what a view shows, without its colours: for the choice of views, with a camera of few pixels."""
+        """Return the hits of a view without colours, for the choice of views with a camera of few pixels."""
         rays = rays_of(camera, world_from_camera)
         hit = self._scene.cast(rays)
         is_hit = np.isfinite(hit.t)
@@ -137,9 +137,9 @@ class Renderer:
         rays: NDArray[np.float32],
         hit: Crossings,
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Return the image, and (H, W) how much of it is a highlight.
+        """Return the image, and the specular share (H, W) of its light.
 
-        Inside a face the light is that of the pixel's centre, at edges rays are cast for it.
+        Inside a face, the light is that at the pixel's centre; at edges, further rays are cast.
         """
         size = (camera.height, camera.width)
         lamps, is_lit = self._light(rays, hit)
@@ -194,7 +194,7 @@ class Renderer:
 
 
 def rays_of(camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return (H * W, 6) rays in the world whose parameter is the depth along the optical axis."""
+    """Return (H * W, 6) rays in the world, parametrised by the depth along the optical axis."""
     u = (np.arange(camera.width) - camera.cx) / camera.fx
     v = (np.arange(camera.height) - camera.cy) / camera.fy
     rays = np.empty((camera.height, camera.width, 6), dtype=np.float32)
@@ -207,7 +207,7 @@ def rays_of(camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[n
 
 @numba.njit(cache=True, nogil=True)
 def _nearest_room(points, rooms):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return for each (N, 3) point the index of the room that it is in, or nearest to."""
+    """Return the index of the room that contains each (N, 3) point, or of the nearest one."""
     nearest = np.zeros(len(points), dtype=np.intp)
     for i in range(len(points)):
         best = np.inf
@@ -344,7 +344,7 @@ def _albedo_at(x, y, z, m, texture):  # type: ignore[no-untyped-def] # pragma: n
 @numba.njit(cache=True, nogil=True)
 def _light_at(x, y, z, nx, ny, nz, cosine, is_lit, lamps, ambient):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return ambient light and that of a room's lamps (red, green, blue) on the side of a face that the ray meets."""
-    # Faces look outwards, but a ray may graze one from inside by rounding: light the side that is seen.
+    # Faces point outwards, but by rounding a grazing ray may hit one from inside: the visible side is lit.
     side = -1.0 if cosine > 0 else 1.0
     sky = 0.10 * side * nz
     red, green, blue = ambient[0] + sky, ambient[1] + sky, ambient[2] + sky
@@ -363,18 +363,18 @@ def _light_at(x, y, z, nx, ny, nz, cosine, is_lit, lamps, ambient):  # type: ign
 
 @numba.njit(cache=True, nogil=True)
 def _shoulder(light):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return light that is compressed where it would clip: texture stays in what is close to a lamp."""
+    """Return the light with highlights compressed, so that texture close to a lamp is not clipped."""
     return light if light < 1.0 else 1.0 + 0.35 * (light - 1.0)
 
 
 @numba.njit(cache=True, nogil=True)
 def _shine_at(x, y, z, nx, ny, nz, ray, is_lit, lamps, gloss):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the highlights (red, green, blue) that the lamps which reach a point throw into a ray: Blinn and Phong."""
+    """Return the specular light (red, green, blue) of the lamps that reach a point, along a ray (Blinn-Phong)."""
     red, green, blue = 0.0, 0.0, 0.0
     length = (ray[3] * ray[3] + ray[4] * ray[4] + ray[5] * ray[5]) ** 0.5
     vx, vy, vz = -ray[3] / length, -ray[4] / length, -ray[5] / length
     side = -1.0 if vx * nx + vy * ny + vz * nz < 0 else 1.0
-    # The glossier, the smaller the highlight: between satin and polished.
+    # The highlight of a glossier surface is smaller.
     exponent = 8.0 + 120.0 * gloss
     for k in range(len(lamps)):
         if not is_lit & (1 << k):

@@ -1,6 +1,6 @@
 """One furnished room from a seed: a laid table in the middle, a group of furniture along each wall.
 
-The groups go to the walls in an order that the seed draws; a draw in which anything overlaps is drawn again.
+The order of the groups along the walls is drawn by the seed; a layout with overlaps is drawn again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _HEIGHT_M = 2.6
 
 
 def furnished_room(seed: int, attempt: int = 0) -> World:
-    """Return a room of a seed, `attempt` numbers them: 20 to 22 objects of 14 kinds, none cutting into another.
+    """Return room number `attempt` of a seed: 20 to 22 objects of 14 kinds, none of which intersect.
 
     Raises:
         ConfigError: no draw fits, which no seed has shown so far.
@@ -72,7 +72,7 @@ def _dining_group(rng: np.random.Generator, middle: tuple[float, float]) -> list
     placed = [table]
     chair_seed = int(rng.integers(2**31))
     for side, y in ((-1, -0.3), (-1, 0.3), (1, float(rng.uniform(-0.25, 0.25)))):
-        # The chairs of one table are alike.
+        # The chairs of one table are equal.
         model = furniture.chair(np.random.default_rng(chair_seed))
         out = edge + float(rng.uniform(0.14, 0.26)) + float(model.bounds_m()[0, 0])
         yaw = (0.0 if side < 0 else np.pi) + float(rng.uniform(-0.08, 0.08))
@@ -114,7 +114,7 @@ def _desk_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
 
 
 def _box_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
-    """Return a box with a smaller one on it, a third a few centimetres beside them, and a chair with space around."""
+    """Return a box with a smaller one on it, a third one a few centimetres beside them, and a free-standing chair."""
     side = 1 if rng.random() < 0.5 else -1
     lower = wall.place(small_things.box(rng), away_m=float(rng.uniform(0.04, 0.1)), along_m=0.75 * side)
     upper = stood_on(rng, lower, lower.model.surfaces[0], [small_things.small_box(rng)], turn_rad=0.3)

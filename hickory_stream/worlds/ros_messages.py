@@ -1,4 +1,4 @@
-"""ROS messages of either version, for synthetic logs; the two differ in the case of a few fields and in the header."""
+"""Messages of ROS 1 and ROS 2 for synthetic logs; they differ in the case of a few fields and in the header."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RosMessages:
             self.store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
 
     def data(self, message: Any) -> bytes:
-        """Return the bytes of a message as its logs hold them."""
+        """Return the serialised bytes of a message."""
         name = message.__msgtype__
         return bytes(
             self.store.serialize_ros1(message, name) if self.ros == 1 else self.store.serialize_cdr(message, name)

@@ -1,4 +1,4 @@
-"""Ways over a floor that keep clear of what stands on it."""
+"""Routes over a floor with clearance from the objects on it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def way_between(clearance: Clearance, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return (N, 2) a short path with clearance between two places, None if there is none."""
+    """Return a short path (N, 2) with clearance between two positions, None if there is none."""
     from skimage.graph import route_through_array
 
     distance = clearance.distance_m

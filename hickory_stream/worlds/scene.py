@@ -1,6 +1,6 @@
 """A world: models with poses, and the structure around them.
 
-Whether two objects cut into one another is decided on the boxes of their parts, exactly: a chair fits under a table.
+Whether two objects intersect is decided exactly on the boxes of their parts, so that a chair fits under a table.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.lighting import Lighting
     from hickory_stream.worlds.object_models import Model
 
-# Touching faces may share a sliver by rounding; a cubic millimetre is nothing.
+# Touching faces may share a sliver by rounding; up to a cubic millimetre is ignored.
 _SLIVER_M3 = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class WorldObject:
-    """A model at its place; `id` >= 1."""
+    """A model with its pose; `id` >= 1."""
 
     id: int
     model: Model
@@ -42,8 +42,8 @@ class WorldObject:
 class World:
     """Objects sorted by id, and structure models in the world frame.
 
-    `rooms_m` are the rectangles (x0, y0, x1, y1) between the walls of each room, the floor is at z = 0. `middle_m`
-    (x, y) is the place that a walk of one room goes round. `lighting` None is two lamps under the ceiling of each room.
+    `rooms_m` are the rectangles (x0, y0, x1, y1) between the walls of each room; the floor is at z = 0. `middle_m` (x,
+    y) is the centre of the walk in a world of one room. `lighting` None is two lamps under the ceiling of each room.
     """
 
     objects: tuple[WorldObject, ...]
@@ -60,12 +60,12 @@ class World:
 
 
 def at_place(x: float, y: float, z: float, yaw_rad: float) -> NDArray[np.float64]:
-    """Return the pose of something upright: `a_from_b` (4, 4)."""
+    """Return the pose of an upright object: `a_from_b` (4, 4)."""
     return from_rotation_translation(yaw_rotation(yaw_rad), np.array([x, y, z]))
 
 
 def part_boxes(model: Model, world_from_object: NDArray[Any], margin_m: float = 0.0) -> list[OrientedBox]:
-    """Return the box around each part, grown sideways by `margin_m`: not upwards, since things rest on one another."""
+    """Return the box around each part, enlarged by `margin_m`, but only horizontally, since objects are stacked."""
     boxes = []
     for part in model.parts:
         lower, upper = part.vertices.min(axis=0), part.vertices.max(axis=0)
@@ -76,7 +76,7 @@ def part_boxes(model: Model, world_from_object: NDArray[Any], margin_m: float = 
 
 
 def shared_volume_m3(a: Sequence[OrientedBox], b: Sequence[OrientedBox]) -> float:
-    """Return the volume that two sets of part boxes share, summed over all pairs; slivers count as nothing."""
+    """Return the volume that two sets of part boxes share, summed over all pairs; slivers are ignored."""
     if _are_apart(a, b):
         return 0.0
     volumes = (intersection_volume_m3(x, y) for x in a for y in b)
@@ -95,13 +95,13 @@ def _bounds(boxes: Sequence[OrientedBox]) -> tuple[NDArray[np.float64], NDArray[
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Placement:
-    """A model at its place, before it has an id."""
+    """A model with its pose, before it has an id."""
 
     model: Model
     world_from_object: NDArray[np.float64]
 
     def fits(self, others: Sequence[Placement], margin_m: float) -> bool:
-        """Return whether it keeps `margin_m` sideways from every part of every other one."""
+        """Return whether it keeps a horizontal distance of `margin_m` from every part of every other placement."""
         mine = part_boxes(self.model, self.world_from_object, margin_m)
         return all(shared_volume_m3(mine, part_boxes(other.model, other.world_from_object)) == 0.0 for other in others)
 

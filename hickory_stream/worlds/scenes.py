@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
 _SCENES: dict[str, Callable[[int, int], World]] = {"room": furnished_room, "apartment": apartment, "tabletop": tabletop}
 CLUTTER = "clutter"
-"""The scene that has families: random rooms (`worlds.clutter`)."""
+"""The name of the scene with families: random rooms (`worlds.clutter`)."""
 OUTDOOR = "outdoor"
-"""The scene without rooms: a street and a lawn (`worlds.outdoor`)."""
+"""The name of the scene without rooms: a street and a lawn (`worlds.outdoor`)."""
 SCENES = (*_SCENES, CLUTTER, OUTDOOR)
 
 
 def make_world(scene: str, seed: int, attempt: int = 0) -> World:
-    """Return a world of a seed; `attempt` numbers the worlds of one seed. Random rooms are those of the first family.
+    """Return world number `attempt` of a seed. Random rooms are those of the first family.
 
     Raises:
-        ConfigError: there is no such scene, or no draw of the seed fits.
+        ConfigError: there is no such scene, or no valid layout was found.
     """
     if scene == CLUTTER:
         return clutter_room(seed, FAMILIES[0], attempt).world

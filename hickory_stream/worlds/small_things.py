@@ -65,7 +65,7 @@ def mug(rng: np.random.Generator) -> Model:
     radius, height = float(rng.uniform(0.040, 0.048)), float(rng.uniform(0.09, 0.11))
     ceramic = glaze(rng)
     turn = np.linspace(-np.pi / 2, np.pi / 2, 9)
-    # The ends lie in the wall, so that the handle is joined to the cup.
+    # The ends lie inside the wall, so that the handle is joined to the cup.
     path = [(0.0, radius - 0.002 + 0.030 * np.cos(a), height / 2 + 0.030 * np.sin(a)) for a in turn]
     return Model(kind="mug", parts=(vessel(radius * 0.92, radius, height, 0.004, ceramic), tube(path, 0.006, ceramic)))
 
@@ -112,7 +112,7 @@ def book_stack(rng: np.random.Generator) -> Model:
 
 
 def book_row(rng: np.random.Generator) -> Model:
-    """Return books standing side by side along y, their backs towards +x: one object, as one would take it."""
+    """Return books standing side by side along y, their spines towards +x, as one object."""
     parts: list[Part] = []
     count, y = int(rng.integers(9, 13)), 0.0
     for _ in range(count):

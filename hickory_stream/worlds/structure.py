@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _THICK_M = 0.1
 _HEIGHT_M = 2.6
-# Coarser than on objects: nobody measures the colours of a wall.
+# Coarser than on objects: the colours of walls are not evaluated.
 _CELL_M = 0.3
 _FLOORS: tuple[tuple[Color, Color], ...] = (
     ((0.62, 0.47, 0.32), (0.42, 0.30, 0.19)),
@@ -52,7 +52,7 @@ def room_structure(rng: np.random.Generator, half_x: float, half_y: float, heigh
 
 
 def _wall(size: tuple[float, float, float], at: tuple[float, float], paint: Texture, skirting: Texture) -> Model:
-    """Return a wall and its skirting board, which stands 1 cm proud of it."""
+    """Return a wall and its skirting board, which protrudes by 1 cm."""
     proud = (size[0] + 0.02, size[1], 0.07) if size[0] < size[1] else (size[0], size[1] + 0.02, 0.07)
     parts = (
         rounded_box(size, paint, at=(*at, size[2] / 2), radius_m=0.001, cell_m=_CELL_M),
@@ -83,9 +83,9 @@ class DoorWay:
 def apartment_structure(
     rng: np.random.Generator, rooms_m: Sequence[tuple[float, float, float, float]], doors: Sequence[DoorWay]
 ) -> tuple[Model, ...]:
-    """Return the floors of the rooms, the ceiling, outer and inner walls with their door ways, and pictures on them.
+    """Return the floors of the rooms, the ceiling, outer and inner walls with their doorways, and pictures on them.
 
-    The rooms are two columns of two, each given by its rectangle between the walls.
+    The rooms are a grid of two by two, each given by its rectangle between the walls.
     """
     white = Texture(pattern="plain", first=(0.93, 0.93, 0.92), second=(0.9, 0.9, 0.89), period_m=0.5, grain=0.03)
     x0, y0, x1, y1 = (f(r[i] for r in rooms_m) for i, f in ((0, min), (1, min), (2, max), (3, max)))
@@ -171,7 +171,7 @@ def _inner_wall(
 
 
 def _pictures(rng: np.random.Generator, room: tuple[float, float, float, float]) -> list[Model]:
-    """Return up to two pictures high on the outer walls of a room: flat, and no objects."""
+    """Return up to two pictures high on the outer walls of a room; they are flat and count as structure."""
     x0, y0, x1, y1 = room
     models = []
     for axis in (0, 1):

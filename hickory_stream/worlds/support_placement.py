@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.worlds.object_models import Model, Surface
 
-# What rests on something hovers by half a millimetre: where two surfaces coincide, a ray may hit either.
+# Objects are placed half a millimetre above their support: of two coincident surfaces, a ray may hit either.
 REST_M = 0.0005
 
 
@@ -58,9 +58,9 @@ def stood_on(
     beside: Sequence[Placement] = (),
     gap_m: float = 0.04,
 ) -> list[Placement]:
-    """Return the models standing on a surface at random, at least `gap_m` apart, turned by up to `turn_rad`.
+    """Return the models placed on a surface at random, at least `gap_m` apart, rotated by up to `turn_rad`.
 
-    A model that finds no place in 60 draws stays away.
+    A model for which 60 draws find no place is left out.
     """
     placed: list[Placement] = []
     for model in models:
@@ -68,7 +68,7 @@ def stood_on(
         if upper[2] > surface.headroom_m:
             continue
         reach = np.maximum(np.abs(lower[:2]), np.abs(upper[:2]))
-        # Something turned freely needs its radius, something straight its half width.
+        # A freely rotated model needs its radius, an aligned one its half width.
         need = reach if turn_rad < 0.5 else np.full(2, float(np.linalg.norm(reach)) * 0.85)
         room = np.maximum(np.asarray(surface.half_m) - need, 0.0)
         for _ in range(60):

@@ -1,4 +1,4 @@
-"""More of what stands on tables and boards: kitchen ware, groceries, electronics, toys."""
+"""More objects on tables and shelves: kitchenware, groceries, electronics, toys."""
 
 from __future__ import annotations
 

@@ -42,10 +42,10 @@ _ATTEMPTS = 40
 
 
 def tabletop(seed: int, attempt: int = 0) -> World:
-    """Return a laid table of a seed, `attempt` numbers them: the table and 10 to 19 things on it, some stacked.
+    """Return table number `attempt` of a seed: the table and 10 to 19 objects on it, some stacked.
 
     Raises:
-        ConfigError: no draw fits, which no seed has shown so far.
+        ConfigError: no valid layout was found; this has not happened with any seed so far.
     """
     rng = np.random.default_rng([seed, 12, attempt])
     for _ in range(_ATTEMPTS):
@@ -65,7 +65,7 @@ def _draw(rng: np.random.Generator) -> list[Placement]:
         model=furniture.table(rng), world_from_object=at_place(0.0, 0.0, REST_M, float(rng.uniform(0, 6)))
     )
     surface = table.model.surfaces[0]
-    # Things stand together in the middle, as on a table that is used.
+    # Objects stand close together in the middle, as on a table in use.
     half = (min(surface.half_m[0], 0.34), min(surface.half_m[1], 0.46))
     middle = Surface(center_m=surface.center_m, half_m=half)
     count = int(rng.integers(_MIN_THINGS, _MAX_THINGS))

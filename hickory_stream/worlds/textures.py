@@ -1,6 +1,6 @@
-"""Solid textures: a colour for every point of an object's frame, so that no part needs an unwrapped surface.
+"""Solid textures: a colour for every point of an object's frame, so that no part needs texture coordinates.
 
-The kernels work on a table with one row per texture, because a frame has a million points of a hundred textures.
+The kernels read a table with one row per texture, since a frame has a million points of a hundred textures.
 """
 
 from __future__ import annotations
@@ -79,7 +79,8 @@ def albedo(x, y, z, row):  # type: ignore[no-untyped-def] # pragma: no cover
         ring = math.sqrt((a + 0.31) ** 2 + (b + 0.17) ** 2) / period + 1.6 * warp
         share = 0.5 + 0.5 * math.sin(2 * math.pi * ring)
     elif pattern == _CHECKER:
-        # Half a millimetre off the lattice, so that a face at a multiple of the period does not flicker.
+        # Half a millimetre off the lattice, so that a face at a multiple of the period does not alternate between
+        # cells.
         cells = math.floor(x / period + 0.013) + math.floor(y / period + 0.013) + math.floor(z / period + 0.013)
         share = 1.0 if int(cells) % 2 != 0 else 0.0
     elif pattern == _STRIPES:
@@ -110,7 +111,7 @@ def albedo(x, y, z, row):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _planks(along, a, b, period):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the share of the second colour of boards that run along an axis: own tone, grain, dark joints."""
+    """Return the share of the second colour of boards along an axis: a tone per board, grain, dark joints."""
     board = math.floor(a / period)
     length = 8.0 * period
     piece = math.floor(along / length + 0.37 * board)
@@ -123,8 +124,8 @@ def _planks(along, a, b, period):  # type: ignore[no-untyped-def] # pragma: no c
 
 @numba.njit(cache=True, nogil=True)
 def _print(x, y, z, period):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the share of ink of a print: fields that are bare, full of ink, pictures, or lines of writing."""
-    # Slanted so that no side of a box is along a cell.
+    """Return the share of ink of a print: fields that are empty, filled, pictures, or lines of text."""
+    # Slanted, so that no side of a box is parallel to the cells.
     u, v = 0.86 * x + 1.1 * y + 0.013, z + 0.21 * (x - y) + 0.007
     fu, fv = math.floor(u / (1.7 * period)), math.floor(v / period)
     use = _lattice(fu, fv, 3)
@@ -146,7 +147,7 @@ def _print(x, y, z, period):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _tiles(x, y, z, period):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the share of the second colour of tiles: joints full of it, each tile a little in its own measure."""
+    """Return the share of the second colour of tiles: 1 in the joints, a little in each tile."""
     px, py, pz = x / period + 0.113, y / period + 0.117, z / period + 0.119
     cx, cy, cz = math.floor(px), math.floor(py), math.floor(pz)
     for f in (px - cx, py - cy, pz - cz):
@@ -169,7 +170,7 @@ def _band(x):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _nearest_seed(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the cell (three integers) whose random point is nearest: fields with straight borders."""
+    """Return the cell (three integers) whose random point is nearest (Worley noise): fields with straight borders."""
     ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
     best, bx, by, bz = 1e9, ix, iy, iz
     for i in range(ix - 1, ix + 2):
@@ -202,7 +203,7 @@ def value_noise(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _lattice(ix, iy, iz):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return a value in 0..1 that looks random, of three integers."""
+    """Return a pseudo-random value in 0..1 from three integers."""
     h = (ix * 374761393 + iy * 668265263 + iz * 1440662683) & 0xFFFFFFFF
     h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
     h = ((h ^ (h >> 15)) * 2246822519) & 0xFFFFFFFF

@@ -1,4 +1,4 @@
-"""A walk through every room of an apartment: round each of them, through the doors, and back to where it began."""
+"""A walk through every room of an apartment: around each of them, through the doors, and back to the start."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.walk_config import WalkConfig
 
 _MIN_SECONDS = 60.0
-# The rooms of an apartment stand in two columns of two: this order goes through neighbours only.
+# The rooms are a grid of two by two: in this order, consecutive rooms are neighbours.
 _ROUND = (0, 1, 3, 2)
 
 
 def tour(world: World, seconds: float | None, config: WalkConfig, walk_index: int) -> Trajectory | NoWalk:
-    """Return a walk through all rooms; `walk_index` tells where it begins and which way round it goes.
+    """Return a walk through all rooms; `walk_index` selects its start and direction.
 
-    `seconds` None is as long as the tour takes, and at least a minute; a longer walk goes round again.
+    `seconds` None is the duration of the tour, and at least a minute; a longer walk is repeated.
     """
     clearance = clearance_of(world)
     route = _route(world, clearance, walk_index)
@@ -40,7 +40,7 @@ def tour(world: World, seconds: float | None, config: WalkConfig, walk_index: in
     speed = config.speed_mps
     lasts = max(arc[-1] / speed, _MIN_SECONDS) if seconds is None else seconds
     times_s = np.arange(0.0, lasts + 2 * STEP_S, STEP_S)
-    # Back and forth where the time is longer than the tour.
+    # Back and forth if the time is longer than the tour.
     on = arc[-1] - np.abs(np.mod(speed * times_s, 2 * arc[-1]) - arc[-1])
     positions = np.stack([np.interp(on, arc, line[:, i]) for i in range(2)], axis=1)
     yaw, pitch = gaze(world, positions, STEP_S, config)
@@ -48,7 +48,7 @@ def tour(world: World, seconds: float | None, config: WalkConfig, walk_index: in
 
 
 def _route(world: World, clearance: Clearance, walk_index: int) -> NDArray[np.float64] | None:
-    """Return (N, 2) points through the corners of all rooms, None where some way between them is barred."""
+    """Return (N, 2) points through the corners of all rooms, None if two of them are not connected."""
     order: tuple[int, ...] = _ROUND if walk_index % 2 == 0 else _ROUND[::-1]
     start = (walk_index // 2 + walk_index) % len(order)
     order = order[start:] + order[:start]
@@ -70,7 +70,7 @@ def _route(world: World, clearance: Clearance, walk_index: int) -> NDArray[np.fl
 
 
 def _corners(room: tuple[float, float, float, float], clearance: Clearance) -> list[NDArray[np.float64]]:
-    """Return a clear place in each quarter of a room, counter-clockwise; quarters full of furniture have none."""
+    """Return a free position in each quarter of a room, counter-clockwise; quarters full of furniture have none."""
     x0, y0, x1, y1 = room
     places = []
     for fx, fy in ((0.3, 0.3), (0.7, 0.3), (0.7, 0.7), (0.3, 0.7)):

@@ -1,4 +1,4 @@
-"""A person's walk through a world: a closed round about the middle of a room along the line of best clearance."""
+"""A person's walk in a room: a closed loop around its centre along the line of largest clearance."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class Trajectory:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoWalk:
-    """There is no round with enough clearance."""
+    """There is no loop with enough clearance."""
 
     clearance_m: float
 
 
 def walk_round(world: World, seconds: float, config: WalkConfig, rng: np.random.Generator) -> Trajectory | NoWalk:
-    """Return a walk of `seconds` about the middle of the world; start and sense of rotation are drawn."""
+    """Return a walk of `seconds` around the centre of the world, with random start and direction."""
     loop, clearance_m = _clear_loop(world)
     if clearance_m < config.clearance_m:
         return NoWalk(clearance_m=clearance_m)
@@ -62,7 +62,7 @@ def walk_round(world: World, seconds: float, config: WalkConfig, rng: np.random.
 
 
 def _clear_loop(world: World) -> tuple[NDArray[np.float64], float]:
-    """Return (360, 2) points round the middle on the ridge of the clearance map, and the least clearance on it."""
+    """Return (360, 2) points around the centre on the ridge of the clearance map, and the least clearance on it."""
     clearance = clearance_of(world)
     radii = np.arange(0.6, 2.6, 0.03)
     angles = 2 * np.pi * np.arange(360) / 360

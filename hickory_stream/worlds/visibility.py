@@ -1,7 +1,7 @@
 """How much of each object's surface a log shows.
 
-Samples on the surface count as seen once a frame looks at their front within range, with the exact depth and the
-instance image agreeing. Samples hidden inside the object's own parts (where a leg meets its table) are left out.
+A surface sample counts as seen once a frame shows its front within range and agrees with it in exact depth and
+instance. Samples inside the object's other parts (where a leg enters its table top) are left out.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WalkConfig:
-    """How one walks and looks."""
+    """The speed, height, clearance and gaze of a walk."""
 
     speed_mps: float = 0.52
     eye_height_m: float = 1.38
@@ -17,4 +17,4 @@ class WalkConfig:
     bob_m: float = 0.012
     step_hz: float = 1.7
     pitch_deg: tuple[float, float] = (-30.0, -8.0)
-    """How far down and up one looks; negative is down."""
+    """The limits of pitch; negative is down."""

@@ -1,7 +1,7 @@
-"""An MCAP of ROS 2 messages as the ZED wrapper (from v5.1) names and frames them.
+"""An MCAP of ROS 2 messages with the topics and frames of the ZED wrapper (from v5.1).
 
-Image stamps are grab stamps; odometry and TF carry every grab, at least 30 Hz, so that each image has a pose of its own
-stamp. Log times lag the stamps as they do on a robot.
+Image stamps are grab stamps. Odometry and TF are written for every grab, at 30 Hz at least, so that each image has a
+pose of the same stamp. Log times lag behind the stamps as on a robot.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class ZedLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish the file: also a failed one is closed, for whoever removes it."""
+        """Finish the file; after an error it is closed too, so that it can be removed."""
         try:
             self._flush(None)
             self._writer.finish()
@@ -110,7 +110,7 @@ class ZedLog:
             self._file.close()
 
     def write_static(self, stamp_ns: int) -> None:
-        """Write the camera's own frames, once, before anything else."""
+        """Write the static frames of the camera, once, before anything else."""
         transforms = [self._transform(stamp_ns, *link) for link in _STATIC_CHAIN]
         self._put("/tf_static", stamp_ns, self._message("tf2_msgs/msg/TFMessage", transforms=transforms))
 
@@ -140,7 +140,7 @@ class ZedLog:
         self._pending.append(_Pending(stamp_ns + _LATENCY_NS[topic], topic, data))
 
     def _flush(self, before_ns: int | None) -> None:
-        """Write what was logged before a stamp, in the order of log times; None writes all."""
+        """Write the messages logged before a stamp, in the order of log times; None writes all."""
         ordered = sorted(self._pending, key=lambda message: message.log_ns)
         ready = [message for message in ordered if before_ns is None or message.log_ns < before_ns]
         self._pending = ordered[len(ready) :]
@@ -225,7 +225,8 @@ class ZedLog:
 def encode_png(image: NDArray[np.uint16]) -> bytes:
     """Return the PNG of an (H, W) image.
 
-    Unfiltered: few distinct values pack 10 % tighter so, 25 times faster than filtered at level 9.
+    PNG filters are off: images of few distinct values become 10 % smaller, 25 times faster than with filters at level
+    9.
     """
     options = [cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
     return _encoded(".png", image, options)

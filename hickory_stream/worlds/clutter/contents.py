@@ -1,6 +1,6 @@
-"""Ways of filling a level place with things: one function per recipe.
+"""Ways of filling a horizontal surface with things: one function per recipe.
 
-Each returns models with poses in the frame of the place: its origin is the middle of the place, x across it (depth), y
+Each returns models with poses in the frame of the surface: its origin is the centre, x points across it (depth), y
 along it; `half_m` is its half size and `headroom_m` the free height.
 """
 
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Place:
-    """A level rectangle: its half size and the free height above it."""
+    """A horizontal rectangle: its half size and the free height above it."""
 
     half_m: tuple[float, float]
     headroom_m: float
 
     @property
     def most_m(self) -> tuple[float, float, float]:
-        """The size of the largest thing that finds room."""
+        """The size of the largest thing that fits."""
         return 2 * self.half_m[0], 2 * self.half_m[1], self.headroom_m
 
 
@@ -55,7 +55,7 @@ def spread(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
 
 
 def _scattered(rng: np.random.Generator, place: Place, models: Sequence[Model], gap_m: float) -> Things:
-    """Return those of the models that find a place in 12 draws."""
+    """Return those of the models for which one of 12 random places is free."""
     taken, things = Taken(), []
     straight = chance(rng, 0.3)
     for drawn in models:
@@ -108,7 +108,7 @@ def _beside(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the place (2,) of a model of given bounds that touches one side of another one, both turned alike."""
+    """Return the position (2,) of a model of given bounds that touches one side of another one of equal orientation."""
     (a_low, a_high), pose = other[0].bounds_m(), other[1]
     axis, sign = int(rng.integers(2)), one_of(rng, (-1, 1))
     offset = np.zeros(2)
@@ -150,7 +150,7 @@ def _of_make(rng: np.random.Generator, kit: Kit, name: str, shared: Sequence[Tex
 
 
 def same(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return many of one make in rows and columns that touch, or nearly."""
+    """Return many things of one kind and material in rows and columns that touch, or nearly."""
     model = fitted(kit.alike(rng, 1)[0], (place.half_m[0] * 1.2, place.half_m[1] * 0.7, place.headroom_m))
     if model is None:
         return []
@@ -260,7 +260,7 @@ def _top_of(model: Model, pose: NDArray[np.float64]) -> float:
 
 
 def _lies_on(model: Model, pose: NDArray[np.float64], place: Place) -> bool:
-    """Return whether the middle of a thing is over the place, and little of it stands out."""
+    """Return whether the centre of a thing is above the surface, and little of it overhangs."""
     vertices = np.concatenate([part.vertices for part in model.parts]) @ pose[:2, :3].T + pose[:2, 3]
     return bool(
         (np.abs(vertices.mean(axis=0)) < place.half_m).all()
@@ -284,7 +284,7 @@ def cloth_and_things(rng: np.random.Generator, kit: Kit, place: Place) -> Things
 
 
 def ring_of_things(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return things of one make in a circle, touching neighbours or nearly."""
+    """Return things of one kind and material in a circle, in which neighbours touch, or nearly."""
     number = count(rng, 4, 9)
     least = 0.45 * min(place.half_m)
     model = fitted(kit.alike(rng, 1)[0], (least, least, place.headroom_m))
@@ -319,7 +319,7 @@ def leaning_row(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
 
 
 def pyramid(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return things of one make in layers, each over the joints of the one below."""
+    """Return things of one kind and material in layers, each above the joints of the one below."""
     drawn = kit.make(rng, one_of(rng, kit.recipes.flat))
     model = fitted(drawn, (place.half_m[0], 0.5 * place.half_m[1], 0.3 * place.headroom_m))
     if model is None:

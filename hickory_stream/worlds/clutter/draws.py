@@ -18,7 +18,7 @@ def uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Return a number between two positive ones, every octave as likely as any other."""
+    """Return a number between two positive ones, uniform in its logarithm."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 

@@ -1,7 +1,7 @@
-"""Which recipe belongs to which family: the one table that keeps training, tuning and reporting apart.
+"""The recipes of each family: the one table that separates training, tuning and reporting.
 
-A network or a tree that is trained on one family meets shapes, materials, ways of filling, arrangements and floor plans
-of another one for the first time. `reporting` chooses nothing: it is only reported on.
+The families share no recipe, so that a model trained on one has never seen the shapes, materials, contents,
+arrangements or floor plans of another. `reporting` is only reported on, and never used to choose anything.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ FAMILIES: tuple[Family, ...] = get_args(Family)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Recipes:
-    """The names of a family's recipes, by what they make.
+    """The names of a family's recipes, by kind.
 
-    `small` things, and which of them are `flat` enough to be piled; `supports` with places for others, `seats`,
-    `bodies` that stand on the floor, `units` that stand flush in rows; `materials`; `contents`: ways of filling a level
-    place; `groups`: arrangements on the floor; `outlines` of rooms.
+    `small` things, and which of them are `flat` enough to be stacked; `supports` with surfaces for other things,
+    `seats`, `bodies` that stand on the floor, `units` that stand flush in rows; `materials`; `contents`: ways of
+    filling a horizontal surface; `groups`: arrangements on the floor; `outlines` of rooms.
     """
 
     small: tuple[str, ...]

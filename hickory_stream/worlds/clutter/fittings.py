@@ -1,4 +1,4 @@
-"""What furniture has in common: legs, fronts with handles, tops."""
+"""Parts that many kinds of furniture have: legs, fronts with handles, tops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Floor plans and what encloses them: walls of any outline, floor, ceilings level or sloping, columns and beams."""
+"""Floor plans and their structure: walls of any outline, floor, level or sloping ceilings, columns and beams."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.support_placement import Wall
 
 
-# Floor and ceiling reach so far beyond the walls: through a door one sees what is behind it.
+# How far floor and ceiling extend beyond the walls, since they are visible through doors.
 _BEYOND_M = 2.0
 _THICK_M = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FloorPlan:
-    """`outline_m` (K, 2) counter-clockwise; the walls along it; what stands in the room and is no thing."""
+    """`outline_m` (K, 2) counter-clockwise; the walls along it; and other structure in the room, such as columns."""
 
     outline_m: NDArray[np.float64]
     height_m: float
@@ -57,7 +57,7 @@ class FloorPlan:
 
 
 def floor_plan(rng: np.random.Generator, kit: Kit) -> FloorPlan:
-    """Return the plan of a room of 2 to 9 m, and all that encloses it."""
+    """Return the plan of a room of 2 to 9 m, and its structure."""
     size = (log_uniform(rng, 2.0, 7.0), log_uniform(rng, 2.2, 9.0))
     outline = OUTLINES[one_of(rng, kit.recipes.outlines)](rng, size)
     height = uniform(rng, 2.2, 3.6)
@@ -117,7 +117,7 @@ def _hung(part: Part, texture: Texture) -> Model:
 def _columns(
     rng: np.random.Generator, kit: Kit, outline: NDArray[np.float64], height: float
 ) -> tuple[list[Model], list[NDArray[np.float64]]]:
-    """Return columns and pipes from floor to ceiling, and the rectangles that they take."""
+    """Return columns and pipes from floor to ceiling, and the rectangles that they occupy."""
     models, taken = [], []
     texture = quiet(rng, kit)
     for _ in range(one_of(rng, (0, 0, 0, 1, 1, 2, 3))):

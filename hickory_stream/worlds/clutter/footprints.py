@@ -1,4 +1,4 @@
-"""Upright rectangles on a level: what tells whether something has a place, exactly and fast."""
+"""Footprints (rectangles) on a horizontal surface: an exact and fast test of whether a place is free."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def corners_of(model: Model, frame_from_model: NDArray[np.float64], grow_m: floa
 
 
 def do_overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Return whether two convex outlines (K, 2), (L, 2) share more than a border: no edge separates them."""
+    """Return whether convex outlines (K, 2), (L, 2) overlap by more than a border (separating axis theorem)."""
     for one in (a, b):
         edges = np.roll(one, -1, axis=0) - one
         normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
@@ -54,12 +54,12 @@ def is_inside(points: NDArray[np.float64], outline: NDArray[np.float64]) -> NDAr
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """Rectangles that are taken on one level."""
+    """The occupied rectangles on one surface."""
 
     corners: list[NDArray[np.float64]] = field(default_factory=list)
 
     def take(self, corners: NDArray[np.float64]) -> bool:
-        """Take a rectangle if nothing is there."""
+        """Occupy a rectangle if it is free; return whether it was."""
         if any(do_overlap(corners, other) for other in self.corners):
             return False
         self.corners.append(corners)

@@ -31,13 +31,13 @@ _MIDDLE_GREY = 110.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Frame:
-    """A frame as a camera reports it, and the truth.
+    """A frame as a camera with defects reports it, and its truth.
 
-    `rgb` (H, W, 3) uint8, `depth_m` (H, W) float32 with NaN where the camera reports nothing. `exact_depth_m` (H, W)
-    float32 is NaN only where a ray meets nothing. `instances` (H, W) uint16: 0 is no thing, ids >= 1 are those of
-    `room` (index of the room of seed and family), and `is_structure` (H, W) bool: floor, walls, ceiling and what
-    belongs to them. A pixel that is neither meets nothing. Truth and depth are pixel for pixel; colour is off by what
-    the camera's defects are. `world_from_camera` (4, 4) has z up.
+    `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32 with NaN where the camera reports nothing; `exact_depth_m` (H, W)
+    float32 with NaN only where a ray hits nothing. `instances` (H, W) uint16: 0 is no object, ids >= 1 are those of
+    `room` (the index of the room of seed and family). `is_structure` (H, W) bool: floor, walls, ceiling and what
+    belongs to them. A pixel that is neither hits nothing. Truth and depth are registered exactly; colour is displaced
+    by the camera's defects. `world_from_camera` (4, 4) has z up.
     """
 
     rgb: NDArray[np.uint8]
@@ -60,12 +60,12 @@ class Frame:
 
 
 def frames_of(seed: int, family: str, count: int, width: int = 320, height: int = 240) -> Iterator[Frame]:
-    """Yield `count` frames of random rooms of a family, several from each room; the same arguments, the same frames.
+    """Yield `count` frames of random rooms of a family, several from each room; equal arguments give equal frames.
 
-    A longer sequence begins with the shorter one; other seeds are other rooms, for other processes.
+    A longer sequence begins with the shorter one. Different seeds give different rooms, for use in parallel processes.
 
     Raises:
-        ConfigError: there is no such family, or the size is none of an image.
+        ConfigError: there is no such family, or the image size is out of range.
     """
     recipes_of(family)
     if not (32 <= width <= 4096 and 32 <= height <= 4096):
@@ -104,7 +104,7 @@ def _frame(
     rendered = renderer.render(camera, world_from_camera)
     depth = random_depth_camera(rng, camera.fx)
     color = random_color_camera(rng, camera.width)
-    # Cameras expose for what they see, well or badly.
+    # Automatic exposure, with an error.
     gain = float(np.clip(_MIDDLE_GREY / max(float(rendered.rgb.mean()), 1.0), 0.6, 4.0))
     color = replace(color, exposure=color.exposure * gain)
     return Frame(

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.clutter.materials import Skin
 
 
-# Above an open top one reaches from everywhere: a cloth can hang down its sides.
+# A support with an open top is accessible from all sides, so that a cloth can hang down its sides.
 _OPEN_M = 0.9
 
 
@@ -60,12 +60,12 @@ def _at(model: Model, x: float, y: float, yaw_rad: float = 0.0, z: float = REST_
 
 
 def _backed(model: Model, y: float, away_m: float = 0.0) -> Placement:
-    """Return a model with its back at `away_m` and its middle at y."""
+    """Return a model with its back at `away_m` and its centre at y."""
     return _at(model, away_m - float(model.bounds_m()[0, 0]), y)
 
 
 def filled(rng: np.random.Generator, kit: Kit, support: Placement, share: float = 0.8) -> list[Placement]:
-    """Return what stands on the surfaces of a support: about a `share` of them has something."""
+    """Return the things on the surfaces of a support; about a `share` of the surfaces has some."""
     things = []
     for surface in support.model.surfaces:
         if chance(rng, share):
@@ -80,7 +80,7 @@ def _on_surface(rng: np.random.Generator, kit: Kit, support: Placement, surface:
     things = []
     parts = [place]
     offsets = [0.0]
-    # A long board has a different use at each of its ends.
+    # A long board is divided into parts with different contents.
     if surface.half_m[1] > 0.5 and chance(rng, 0.7):
         half = surface.half_m[1] / 2
         parts, offsets = [replace(place, half_m=(surface.half_m[0], half - 0.01))] * 2, [-half, half]
@@ -124,7 +124,7 @@ def flush_row(rng: np.random.Generator, kit: Kit) -> Group:
 
 
 def _under(model: Model, low_z: float) -> Model:
-    """Return a model on which things end below a height."""
+    """Return a model with the headroom of its surfaces limited to a height."""
     surfaces = tuple(replace(s, headroom_m=min(s.headroom_m, low_z - s.center_m[2] - 0.02)) for s in model.surfaces)
     return replace(model, surfaces=surfaces)
 
@@ -324,7 +324,7 @@ def solitary(rng: np.random.Generator, kit: Kit) -> Group:
 
 
 def floor_spread(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return small things that lie about on the floor, apart or touching."""
+    """Return small things scattered on the floor, apart or touching."""
     half = (uniform(rng, 0.2, 0.8), uniform(rng, 0.2, 0.8))
     made = CONTENTS[one_of(rng, kit.recipes.contents)](rng, kit, Place(half_m=half, headroom_m=1.0))
     if not made:
@@ -390,7 +390,7 @@ def corner_pile(rng: np.random.Generator, kit: Kit) -> Group:
 
 
 def island(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return a block of units in a ring round nothing: fronts outwards, tops in use."""
+    """Return units in a closed ring: fronts outwards, with things on their tops."""
     model = SHAPES[one_of(rng, kit.recipes.units)](rng, kit.skin)
     low, high = model.bounds_m()
     model = stretched(model, (1.0, 1.0, uniform(rng, 0.7, 1.1) / float(high[2])))
@@ -404,7 +404,7 @@ def island(rng: np.random.Generator, kit: Kit) -> Group:
 
 
 def aisle(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return equal supports in parallel rows with a way between them."""
+    """Return equal supports in parallel rows with an aisle between them."""
     model = kit.make(rng, one_of(rng, kit.recipes.supports))
     low, high = model.bounds_m()
     pitch = (float(high[0] - low[0]) + uniform(rng, 0.5, 1.0), float(high[1] - low[1]) + 0.001)

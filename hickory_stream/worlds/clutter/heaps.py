@@ -1,7 +1,7 @@
-"""Things that were thrown on a heap: each falls where it comes to rest on those below it.
+"""Heaps: each thing falls onto those below it and comes to rest.
 
-No physics: a thing drops straight down on a height map, and tips about what it touches until its middle is over its
-support, or a few times.
+There is no physics simulation: a thing drops vertically onto a height map, and tips about its contact points until its
+centre is above its support, at most a few times.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _CONTACT_M = 0.004
 def heap(
     rng: np.random.Generator, models: Sequence[Model], half_m: tuple[float, float]
 ) -> list[tuple[Model, NDArray[np.float64]]]:
-    """Return models with poses in the frame of a level place, within about `half_m` of its middle."""
+    """Return models with poses in the frame of a horizontal surface, within about `half_m` of its centre."""
     ground = _Ground(half_m, max(float(np.linalg.norm(m.bounds_m()[1] - m.bounds_m()[0])) for m in models))
     placed = []
     for model in models:
@@ -50,7 +50,7 @@ def heap(
 
 
 def _tossed(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a rotation: on one of its six sides, as boxes come to lie, a little askew at times."""
+    """Return a rotation onto one of the six sides of the bounding box, sometimes slightly tilted."""
     side = about_x(np.pi / 2 * int(rng.integers(4))) @ about_y(np.pi / 2 * int(rng.integers(4)))
     if chance(rng, 0.3):
         side = about_x(float(rng.normal(0, 0.3))) @ side
@@ -73,7 +73,7 @@ def _samples(model: Model, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 class _Ground:
-    """The height of what lies in each cell so far."""
+    """The height map of the things so far."""
 
     def __init__(self, half_m: tuple[float, float], largest_m: float) -> None:
         self._reach = max(half_m) + largest_m
@@ -86,7 +86,7 @@ class _Ground:
         return np.asarray(self._height[i, j])
 
     def pile(self, points: NDArray[np.float64]) -> None:
-        """Add a thing that rests there."""
+        """Add a thing at rest to the height map."""
         i, j = self._cells(points)
         np.maximum.at(self._height, (i, j), points[:, 2])
 
@@ -108,7 +108,7 @@ def _settled(
         lean = _lean(touching)
         if lean is None or tip == _TIPS - 1:
             break
-        # Tip over the support, towards the side where nothing bears: about the level axis across that direction.
+        # Tip towards the unsupported side, about the horizontal axis across that direction.
         axis = np.array([-lean[1], lean[0], 0.0])
         rotation = _about(axis, _TIP_RAD) @ rotation
     rest = turned - [0.0, 0.0, drop - 0.0005]
@@ -117,9 +117,9 @@ def _settled(
 
 
 def _lean(touching: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the unit direction in which a thing falls that touches at (K, 2) places about its middle; None if none.
+    """Return the unit direction in which a thing with contacts (K, 2) about its centre tips; None if it is stable.
 
-    It stands when the places where it touches surround its middle: no half plane holds all of them.
+    It is stable if the contacts surround its centre, so that no half plane contains all of them.
     """
     reach = np.linalg.norm(touching, axis=1)
     mean = touching.mean(axis=0)

@@ -1,4 +1,4 @@
-"""What a family makes things of: draws from its recipes."""
+"""Random draws from the recipes of a family."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ _CALM_SHARE = 0.5
 class Kit:
     """Draws things and materials of one family.
 
-    `tones` are the few materials that recur in a room: much of what stands in one is of a few makes.
+    `tones` are the few materials that recur in one room.
     """
 
     recipes: Recipes
     tones: tuple[Texture, ...]
 
     def skin(self, rng: np.random.Generator) -> Texture:
-        """Return a material: one of the room's own, or any of the family's."""
+        """Return a material: one of the room's recurring ones, or any of the family's."""
         if self.tones and chance(rng, 0.3):
             tone: Texture = one_of(rng, self.tones)
             return tone
@@ -70,7 +70,7 @@ class Kit:
         return self.make(rng, one_of(rng, self.recipes.small))
 
     def alike(self, rng: np.random.Generator, number: int) -> list[Model]:
-        """Return small things of one recipe and of one material each: of one make, or one size each."""
+        """Return small things of one recipe and one material, of equal or different sizes."""
         name, skin = one_of(rng, self.recipes.small), self.skin(rng)
         first = SHAPES[name](rng, lambda _: skin)
         if chance(rng, 0.5):
@@ -79,7 +79,7 @@ class Kit:
 
 
 def any_material(rng: np.random.Generator, recipes: Recipes) -> Texture:
-    """Return any material of a family, a calm one mostly."""
+    """Return any material of a family, mostly one without a strong pattern."""
     calm = [name for name in recipes.materials if name in CALM]
     return MATERIALS[one_of(rng, calm if chance(rng, _CALM_SHARE) else recipes.materials)](rng)
 
@@ -91,7 +91,7 @@ def kit_of(rng: np.random.Generator, family: str) -> Kit:
 
 
 def fitted(model: Model, most_m: tuple[float, float, float]) -> Model | None:
-    """Return a model scaled down to a size (x, y, z), None where next to nothing of it would be left."""
+    """Return a model scaled down to fit a size (x, y, z), None if it would become too small."""
     low, high = model.bounds_m()
     factor = min(1.0, float(np.min(np.asarray(most_m) / (high - low))))
     if factor == 1.0:

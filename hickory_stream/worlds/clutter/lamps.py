@@ -1,4 +1,4 @@
-"""Light for a random room: several lamps of various warmth, dim or bright, with and without shadows."""
+"""Lights of a random room: several lamps of different colour temperature and brightness, with and without shadows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def random_lighting(rng: np.random.Generator, outline_m: NDArray[np.float64], height_m: float) -> Lighting:
-    """Return one to four lamps within a room, some low, and as much scattered light as goes with them."""
+    """Return one to four lamps within a room, some of them low, and matching ambient light."""
     number = count(rng, 1, 4)
     low, high = outline_m.min(axis=0), outline_m.max(axis=0)
     places = np.empty((1, number, 3))
@@ -39,6 +39,6 @@ def random_lighting(rng: np.random.Generator, outline_m: NDArray[np.float64], he
 
 
 def _tone(rng: np.random.Generator, level: float) -> Color:
-    """Return a light between candle and sky."""
+    """Return a colour of light between candle and sky."""
     warm = float(rng.normal(0, 0.1))
     return level * (1 + warm), level, level * (1 - warm)

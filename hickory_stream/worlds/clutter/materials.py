@@ -1,6 +1,6 @@
-"""What things are made of: one function per material, each drawing its tones from the seed.
+"""Materials: one function each, which draws its colours from the seed.
 
-A `Skin` draws a material of one family; recipes ask it for as many as they have parts.
+A `Skin` draws a material of one family; recipes call it once for each part.
 """
 
 from __future__ import annotations
@@ -222,4 +222,4 @@ MATERIALS: dict[str, Callable[[np.random.Generator], Texture]] = {
 CALM = frozenset(
     "uniform_paint worn_paint polished satin timber cardboard lacquered veneer brushed linen concrete enamel".split()
 )
-"""Those without a loud pattern: of these most things are made, and nearly all large ones."""
+"""The materials without a strong pattern, of which most things and nearly all large ones are made."""

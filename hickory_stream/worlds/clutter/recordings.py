@@ -1,4 +1,4 @@
-"""Logs of random rooms: a config whose camera, height and odometry are as random as the room."""
+"""Logs of random rooms, recorded with a random camera, camera height and odometry."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def clutter_recording(
     width: int | None = 320,
     height: int = 240,
 ) -> RecordingConfig:
-    """Return the config of a log of a random room, for `cached_recording`: what records it is drawn from the seed, too.
+    """Return the config of a log of a random room, for `cached_recording`; the seed draws camera and odometry too.
 
-    `width` None draws both sides of the image, of the usual ones. Camera heights are 0.3 to 1.8 m, fields of view 50
-    to 100 degrees; every other odometry is exact, the others shake by millimetres and drift.
+    `width` None draws one of the usual image sizes. Camera heights are 0.3 to 1.8 m, fields of view 50 to 100 degrees.
+    In one config of two the odometry is exact, in the other it has noise of millimetres and drifts.
 
     Raises:
         ConfigError: there is no such family.
@@ -38,7 +38,7 @@ def clutter_recording(
     width, height = drawn if width is None else (width, height)
     camera = random_camera(rng, width, height)
     eye = uniform(rng, 0.3, 1.8)
-    # What is held high looks down, what drives low ahead.
+    # A high camera looks down, a low one ahead.
     middle = float(np.interp(eye, (0.3, 1.8), (2.0, -22.0))) + float(rng.normal(0, 5.0))
     drift = None
     if chance(rng, 0.5):

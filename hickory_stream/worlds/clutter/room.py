@@ -1,4 +1,4 @@
-"""A random room of a family from a seed: a floor plan, and arrangements wherever there is a place for them."""
+"""A random room of a family from a seed: a floor plan, and arrangements where they fit."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ClutterRoom:
 
 
 def clutter_room(seed: int, family: str, index: int = 0) -> ClutterRoom:
-    """Return a room of a seed and a family, `index` numbers them.
+    """Return room number `index` of a seed and a family.
 
     Raises:
         ConfigError: there is no such family.
@@ -70,12 +70,12 @@ def clutter_room(seed: int, family: str, index: int = 0) -> ClutterRoom:
 def _place_for(
     rng: np.random.Generator, plan: FloorPlan, group: Group, taken: list[NDArray[np.float64]]
 ) -> NDArray[np.float64] | None:
-    """Return where a group goes, and take its place; None where nothing is free in a few draws."""
+    """Return a free place for a group and occupy it; None if a few draws find none."""
     corners = group.corners()
     for _ in range(_DRAWS):
         pose = _at_wall(rng, one_of(rng, plan.walls), corners) if group.is_at_wall else _anywhere(rng, plan)
         outline = corners @ pose[:2, :2].T + pose[:2, 3]
-        # The back of what stands at a wall is a hair before it.
+        # The back of a thing at a wall keeps a small distance, so that the surfaces do not coincide.
         inner = (outline - outline.mean(axis=0)) * 0.999 + outline.mean(axis=0)
         if not is_inside(inner, plan.outline_m).all() or is_inside(plan.outline_m, inner).any():
             continue
@@ -87,7 +87,7 @@ def _place_for(
 
 
 def _at_wall(rng: np.random.Generator, wall: Wall, corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a pose along a wall, past its skirting; in its corner at times."""
+    """Return a pose at a wall, clear of its skirting board, sometimes in the corner."""
     low, high = corners[:, 1].min(), corners[:, 1].max()
     least, most = -wall.half_m - low + 0.021, wall.half_m - high - 0.021
     along = uniform(rng, least, most) if least < most else (least + most) / 2

@@ -1,4 +1,4 @@
-"""Cameras of every make: field of view, colour and depth with their defects, drawn from a seed."""
+"""Random cameras: field of view, and defects of colour and depth."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def random_camera(rng: np.random.Generator, width: int, height: int) -> Camera:
 def random_depth_camera(rng: np.random.Generator, focal_px: float) -> DepthCameraConfig:
     """Return a stereo or structured-light camera, from good to poor.
 
-    Its noise is drawn in depth, 0.1 % to 0.8 % of z at one metre, growing with the square: what that is in disparity
-    follows from baseline and focal length, so that small images are no noisier than large ones.
+    Its noise is drawn in depth, 0.1 % to 0.8 % at one metre, and grows with the square of depth. The noise of disparity
+    follows from it by baseline and focal length, so that small images are not noisier than large ones.
     """
     baseline = log_uniform(rng, 0.05, 0.2)
     sigma = log_uniform(rng, 0.0008, 0.006) * baseline * focal_px
@@ -48,7 +48,7 @@ def random_depth_camera(rng: np.random.Generator, focal_px: float) -> DepthCamer
 
 
 def random_color_camera(rng: np.random.Generator, width: int) -> ColorCameraConfig:
-    """Return the look of a colour image: exposure, tint, blur, noise, and how far it is off its depth."""
+    """Return the defects of a colour image: exposure, tint, blur, noise, and displacement from depth."""
     scale = width / 320
     off = scale * log_uniform(rng, 0.2, 2.5) if chance(rng, 0.6) else 0.0
     moving = 0.3 * scale * log_uniform(rng, 1.0, 25.0) if chance(rng, 0.25) else 0.0

@@ -103,7 +103,7 @@ def _signed_power(values: NDArray[np.float64], exponent: float) -> NDArray[np.fl
 
 
 def prism(outline_m: NDArray[np.float64], height_m: float, texture: Texture) -> Part:
-    """Return a standing prism over a (K, 2) outline, counter-clockwise and seen whole from its middle."""
+    """Return a standing prism over a (K, 2) outline, counter-clockwise and star-shaped about its centre."""
     return sweep(outline_m, [(0.0, 0.0, 0.0), (0.0, 0.0, height_m)], texture)
 
 
@@ -160,7 +160,7 @@ def _quads(*corners: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def rough(part: Part, rng: np.random.Generator, depth_m: float, period_m: float) -> Part:
-    """Return a part that bulges and dents by up to about `depth_m`, smoothly over `period_m`."""
+    """Return a part with smooth bumps and dents of up to about `depth_m` and a wavelength of `period_m`."""
     vertices = part.vertices
     moved = np.zeros_like(vertices)
     for _ in range(4):
@@ -170,7 +170,7 @@ def rough(part: Part, rng: np.random.Generator, depth_m: float, period_m: float)
 
 
 def warped(part: Part, by: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Part:
-    """Return a part whose (V, 3) vertices go where a continuous map without folds takes them."""
+    """Return a part with its (V, 3) vertices mapped by a continuous map without folds."""
     return Part(vertices=by(part.vertices), faces=part.faces, texture=part.texture)
 
 

@@ -1,6 +1,6 @@
-"""Furniture on which things stand, of random make: one function per recipe; fronts look along +x.
+"""Furniture on which things stand, of random design: one function per recipe; fronts face +x.
 
-The level places of a model on which things go are its surfaces, lowest first.
+The horizontal surfaces of a model on which things can stand are its `surfaces`, lowest first.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def shelf(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def _compartments(depth: float, ys: NDArray[np.float64], zs: NDArray[np.float64], thick: float) -> tuple[Surface, ...]:
-    """Return a surface on each board in each column, and one on top where one sees it."""
+    """Return a surface on each board in each column, and one on top if it is below eye height."""
     gap = float(zs[1] - zs[0]) - thick
     cells = [
         Surface(

@@ -1,6 +1,6 @@
-"""The kinds of the furnished rooms in random proportions: as recipes beside the random shapes.
+"""The objects of the furnished rooms in random proportions, as recipes beside the random shapes.
 
-Their materials are their own, or one of the family's in every part.
+They keep their own materials, or each part gets one of the family's.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _varied(
         longest = float(np.ptp(model.bounds_m(), axis=0).max())
         model = _on_its_base(stretched(model, (min(1.0, _MOST_M / longest),) * 3))
         if chance(rng, 0.5):
-            # One new material for each that the model has: what was of one make stays so.
+            # Each material of the model is replaced by one other, so that parts of equal material stay equal.
             other = {id(part.texture): skin(rng) for part in model.parts}
             parts = (Part(vertices=p.vertices, faces=p.faces, texture=other[id(p.texture)]) for p in model.parts)
             model = replace(model, parts=tuple(parts))
@@ -87,7 +87,7 @@ def _varied(
 
 
 def _on_its_base(model: Model) -> Model:
-    """Return a model whose lowest point is at 0: legs that splay reach a little below their base."""
+    """Return a model with its lowest point at 0, since splayed legs reach slightly below their base."""
     low = float(model.bounds_m()[0, 2])
     parts = tuple(part.moved((0.0, 0.0, -low)) for part in model.parts)
     surfaces = tuple(replace(s, center_m=(*s.center_m[:2], s.center_m[2] - low)) for s in model.surfaces)

@@ -1,4 +1,4 @@
-"""Where a camera stands and looks in a random room: at something mostly, from 0.3 to 1.8 m, level or not."""
+"""Random views in a random room: mostly of some object, from a height of 0.3 to 1.8 m, level or tilted."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _LOW_M, _HIGH_M = 0.3, 1.8
 def random_view(
     rng: np.random.Generator, room: ClutterRoom, renderer: Renderer, camera: Camera
 ) -> NDArray[np.float64] | None:
-    """Return `world_from_camera` of a view with things in it; None where no draw finds one.
+    """Return `world_from_camera` of a view with things in it; None if no draw finds one.
 
-    The camera is in free space, nothing fills its image, and nearly always several things are seen.
+    The camera is in free space, no near surface fills its image, and nearly always several things are visible.
     """
     if not room.world.objects:
         return None
@@ -43,7 +43,7 @@ def random_view(
 
 
 def _shows(probe: Probe, least: int, covered: float) -> bool:
-    """Return whether a view is from free space, not too near, and has so many things on such a share of it."""
+    """Return whether a view is from free space, not too near to surfaces, with enough things on enough of its area."""
     near = float((probe.depth_m < 0.25).mean())
     counts = np.unique(probe.instances[probe.instances > 0], return_counts=True)[1]
     shares = counts / len(probe.instances)
@@ -58,7 +58,7 @@ def _shows(probe: Probe, least: int, covered: float) -> bool:
 
 
 def _at_something(rng: np.random.Generator, room: ClutterRoom) -> NDArray[np.float64]:
-    """Return a look at a thing that is drawn, from a distance that goes with its size."""
+    """Return a view of a random thing, from a distance proportional to its size."""
     item = one_of(rng, room.world.objects)
     low, high = item.model.bounds_m()
     center = (item.world_from_object @ [*((low + high) / 2), 1.0])[:3]
@@ -72,7 +72,7 @@ def _at_something(rng: np.random.Generator, room: ClutterRoom) -> NDArray[np.flo
 
 
 def _anywhere(rng: np.random.Generator, room: ClutterRoom) -> NDArray[np.float64]:
-    """Return a look about from anywhere in the room, as one walks or drives through it."""
+    """Return a view from anywhere in the room, as from a person or a robot that moves through it."""
     x0, y0, x1, y1 = room.plan.bounds_m
     eye = np.array([uniform(rng, x0, x1), uniform(rng, y0, y1), uniform(rng, _LOW_M, _HIGH_M)])
     # A low camera looks ahead, a high one down.

@@ -1,4 +1,4 @@
-"""A walk about a random room: from place to place wherever there is a way, looking at what stands there."""
+"""A walk through a random room, between random free places, that looks at the objects."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.walk_config import WalkConfig
 
 _STOPS = 6
-# Less floor than this is a place to stand, not to walk.
+# The minimum area of a connected piece of free floor.
 _LEAST_FLOOR_M2, _LEAST_WAY_M = 0.6, 2.0
-# A smoothed route cuts corners, by that share of the clearance at most.
+# Smoothing a route cuts corners, by at most this share of the clearance.
 _CUT = 0.5
 
 
 def wander(room: ClutterRoom, seconds: float, config: WalkConfig, rng: np.random.Generator) -> Trajectory | NoWalk:
-    """Return a closed walk past a few places that are drawn, repeated where `seconds` is longer than it."""
+    """Return a closed walk past a few random places, repeated if `seconds` is longer than it."""
     boxes = [box for item in room.world.objects for box in part_boxes(item.model, item.world_from_object)]
     boxes += [b for model in room.world.structure if model.kind == "column" for b in part_boxes(model, np.eye(4))]
     clearance = clearance_among(boxes, room.plan.bounds_m, room.plan.outline_m)
@@ -48,7 +48,7 @@ def wander(room: ClutterRoom, seconds: float, config: WalkConfig, rng: np.random
 
 
 def _route(clearance: Clearance, clearance_m: float, rng: np.random.Generator) -> NDArray[np.float64] | None:
-    """Return (N, 2) points of a closed way through the largest piece of floor that is clear, None without one."""
+    """Return (N, 2) points of a closed route in the largest piece of free floor, None without one."""
     pieces, count = label(clearance.distance_m >= clearance_m)
     if count == 0:
         return None
@@ -64,7 +64,7 @@ def _route(clearance: Clearance, clearance_m: float, rng: np.random.Generator) -
 
 
 def _apart(cells: NDArray[np.intp], rng: np.random.Generator) -> list[int]:
-    """Return the indices of a few cells, each as far as may be from those before it among some that are drawn."""
+    """Return the indices of a few cells, each the farthest from those before it among some random candidates."""
     chosen = [int(rng.integers(len(cells)))]
     while len(chosen) < _STOPS:
         some = rng.integers(len(cells), size=8)

@@ -1,6 +1,6 @@
 """Walls with doors, windows, niches and passages, skirting, dados and pictures, in the frame of each wall.
 
-A wall's x points into the room, its y along it; what it is made of lies at x <= 0.
+A wall's x points into the room, its y along the wall; the wall itself lies at x <= 0.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def wall_models(
     for i, wall in enumerate(walls):
         own = paint if chance(rng, 0.8) else quiet(rng, kit)
         thick = uniform(rng, 0.08, 0.35)
-        # A wall goes on behind its neighbours, but not into the room at a corner that points into it.
+        # A wall extends behind its neighbours, but not at a reflex corner, where it would reach into the room.
         ends = (0.0 if reflex[(i + 1) % len(walls)] else thick, 0.0 if reflex[i] else thick)
         openings = _openings(rng, wall.half_m, thick)
         parts = _pierced(wall.half_m, ends, thick, height, openings, own)
@@ -85,7 +85,7 @@ def wall_models(
 
 
 def _reflex(outline: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (K,) whether the room is on more than half of the turn round a corner."""
+    """Return (K,) whether a corner is reflex: the room covers more than 180 degrees around it."""
     before, after = outline - np.roll(outline, 1, axis=0), np.roll(outline, -1, axis=0) - outline
     return np.asarray(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] < 0)
 
@@ -116,7 +116,7 @@ def _openings(rng: np.random.Generator, half: float, thick: float) -> list[_Open
 def _pierced(
     half: float, ends: tuple[float, float], thick: float, height: float, openings: list[_Opening], texture: Texture
 ) -> list[Part]:
-    """Return the pieces of a wall around its openings: between them full, below and above them the rest."""
+    """Return the pieces of a wall around its openings: full height between them, and the parts below and above."""
     parts, y = [], -half - ends[0]
     for opening in openings:
         parts.append(_slice(y, opening.low_y, 0.0, height, thick, texture))
@@ -135,7 +135,7 @@ def _slice(y0: float, y1: float, z0: float, z1: float, thick: float, texture: Te
 def _fitting(
     rng: np.random.Generator, kit: Kit, opening: _Opening, thick: float, trim: Texture
 ) -> list[tuple[str, list[Part]]]:
-    """Return what is in an opening: a pane and its frame, a leaf, the back of a niche, a passage behind."""
+    """Return the content of an opening: a pane and its frame, a door leaf, the back of a niche, or a passage behind."""
     y, z = (opening.low_y + opening.high_y) / 2, (opening.low_z + opening.high_z) / 2
     wide, high = opening.high_y - opening.low_y, opening.high_z - opening.low_z
     if opening.kind == "window":
@@ -160,7 +160,7 @@ def _fitting(
 
 
 def _pane(rng: np.random.Generator, size: tuple[float, float], at: tuple[float, float, float]) -> Part:
-    """Return a pane that shows a bright day, or night."""
+    """Return a window pane that shows daylight, or night."""
     if chance(rng, 0.2):
         tone: Color = (0.05, 0.06, 0.09)
     else:
@@ -200,7 +200,7 @@ def _strip(half: float, openings: list[_Opening], size: tuple[float, float], tex
 def _pictures(
     rng: np.random.Generator, kit: Kit, half: float, openings: list[_Opening]
 ) -> list[tuple[str, list[Part]]]:
-    """Return flat things fixed to the wall, which are no things: pictures, a clock, panels."""
+    """Return flat decoration fixed to the wall, which counts as structure: pictures, a clock, panels."""
     pieces: list[tuple[str, list[Part]]] = []
     taken = [(o.low_y, o.high_y) for o in openings]
     for _ in range(count(rng, 0, 2) if half > 0.4 else 0):

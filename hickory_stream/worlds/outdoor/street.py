@@ -1,7 +1,7 @@
-"""A street from a seed: parked cars, trees and what stands on pavement and lawn, on ground that is nowhere level.
+"""A street from a seed: parked cars, trees and objects on pavement and lawn, on uneven ground.
 
-Upright things stand where the ground is lowest under them; what has feet or wheels apart lies in the plane of the
-ground. The crowns of trees and the front of the houses are no things.
+Upright objects stand at the lowest ground under them; objects with separate feet or wheels are tilted with the ground.
+The crowns of trees and the fronts of houses are not objects.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _CROSSINGS_M = (-5.4, 5.4)
 _DRAWS = 30
 _MIN_THINGS, _MIN_KINDS = 22, 9
 _ATTEMPTS = 40
-# What lies in the plane of the ground, its feet being apart.
+# Objects with separate feet or wheels, which are tilted with the ground.
 _TILTED = frozenset({"car", "park_bench", "crate", "boulder", "wheeled_bin", "planter", "junction_box"})
 _CROWN_M = 4.0
 _REST_M = 0.0005
@@ -48,7 +48,7 @@ class Street:
 
 
 def street(seed: int, attempt: int = 0) -> Street:
-    """Return a street of a seed, `attempt` numbers them: 22 things and more of at least nine kinds.
+    """Return street number `attempt` of a seed, with 22 and more objects of at least nine kinds.
 
     Raises:
         ConfigError: no draw fits, which no seed has shown so far.
@@ -84,7 +84,7 @@ def _draw(rng: np.random.Generator) -> Street:
     _scatter(rng, placed, terrain, things.sign_post, count(rng, 1, 2), (near + 0.4, near + 0.6), 0.6)
     for recipe in (things.hydrant, things.litter_bin, things.junction_box):
         _scatter(rng, placed, terrain, recipe, count(rng, 1, 2), (near + 0.55, near + 0.75), 0.5)
-    # Along the houses, which look at the street.
+    # Along the houses, facing the street.
     for recipe in (things.wheeled_bin, things.planter, things.crate, things.park_bench):
         _scatter(rng, placed, terrain, recipe, count(rng, 1, 2), (terrain.front_m - 0.9, terrain.front_m - 0.6), 0.4)
     for recipe in (things.park_bench, things.litter_bin, things.boulder, things.crate, things.bollard):
@@ -113,13 +113,13 @@ def _scatter(
     span_m: tuple[float, float],
     margin_m: float,
 ) -> None:
-    """Stand some things of one recipe in a strip along the street, apart from what stands there."""
+    """Place some objects of one recipe in a strip along the street, apart from the objects there."""
     middle = (terrain.kerbs_m[0] + terrain.kerbs_m[1]) / 2
     for _ in range(number):
         model = recipe(rng)
         for _ in range(_DRAWS):
             x, y = uniform(rng, -_HALF_M + 0.8, _HALF_M - 0.8), uniform(rng, *span_m)
-            # The ways over the road stay free.
+            # The crossings stay free.
             if min(abs(x - at) for at in _CROSSINGS_M) < 1.3 and y > terrain.kerbs_m[0] - 1.5:
                 continue
             facing = -np.pi / 2 if y > middle else np.pi / 2
@@ -135,7 +135,7 @@ def _stand(
     yaw: float,
     margin_m: float = 0.05,
 ) -> bool:
-    """Stand a model somewhere, unless something is there; return whether it stands."""
+    """Place a model unless the place is occupied; return whether it was placed."""
     upright = Placement(model=model, world_from_object=at_place(*place, 0.0, yaw))
     reach_m = _reach_m(model) + margin_m
     near = [
@@ -149,7 +149,7 @@ def _stand(
 
 
 def _reach_m(model: Model) -> float:
-    """Return how far a model reaches sideways from its origin, at most."""
+    """Return the largest horizontal extent of a model from its origin."""
     return float(np.linalg.norm(np.abs(model.bounds_m()[:, :2]).max(axis=0)))
 
 
@@ -162,7 +162,7 @@ def _levelled(world_from_object: NDArray[np.float64]) -> NDArray[np.float64]:
 def _on_ground(terrain: Terrain, model: Model, upright: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the pose of a model that stands on the ground at the place and heading of an upright pose."""
     lower, upper = model.bounds_m()
-    # Of what is rooted in the ground, what is at the ground.
+    # Of objects set into the ground, only the part at ground level counts.
     reach = np.minimum(np.maximum(-lower[:2], upper[:2]), 0.25) if model.kind not in _TILTED else upper[:2] * 0.8
     corners = np.array([(sx * reach[0], sy * reach[1]) for sx in (-1, 1) for sy in (-1, 1)])
     places = corners @ upright[:2, :2].T + upright[:2, 3]

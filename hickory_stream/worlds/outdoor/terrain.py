@@ -1,8 +1,8 @@
-"""Uneven ground: a height for every place, and the models of what it is made of.
+"""Uneven ground: its height at every position, and its models.
 
 A street of three strips along x, each with a surface of its own: a pavement before the houses, a road that lies a kerb
-lower, and beyond its other kerb a lawn that rises and rolls. The whole street goes downhill. A kerb is lowered where
-one crosses.
+lower, and beyond its other kerb a lawn that rises and rolls. The whole street slopes downhill. Kerbs are lowered at
+crossings.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Terrain:
         crown = 0.06 * (1 - np.clip((y - middle) / half, -1, 1) ** 2)
         lowered = sum(np.exp(-(((x - at) / _CROSSING_M) ** 4)) for at in self.crossings_m)
         kerb = self.kerb_height_m * (1 - 0.85 * np.clip(lowered, 0, 1))
-        # Behind a lowered kerb the ground comes up again within a metre.
+        # Behind a lowered kerb the ground rises to its usual height within a metre.
         beyond = np.maximum(y - near, far - y)
         kerb = np.where(beyond > 0, kerb + (self.kerb_height_m - kerb) * np.clip(beyond / 1.2, 0, 1), 0.0)
         across = np.where(y > near, pavement * (y - near), np.where(y < far, lawn * (far - y), crown))
@@ -85,7 +85,7 @@ class Terrain:
         xs = np.linspace(-self.length_m / 2, self.length_m / 2, 1 + round(self.length_m / _CELL_M))
         ys = np.linspace(low, high, 2 + round((high - low) / _CELL_M))
         grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1)
-        # The height of a strip is that of its own side of a kerb.
+        # At a kerb, the height of a strip is that on its own side.
         inside = grid.copy()
         inside[..., 1] = np.clip(inside[..., 1], low + _JOINT_M, high - _JOINT_M)
         return sheet(np.concatenate([grid, self.height_m(inside)[..., None]], axis=2), _THICK_M, texture)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.outdoor.street import Street
     from hickory_stream.worlds.walk_config import WalkConfig
 
-# A step over a kerb takes a body so long to follow.
+# The distance over which the camera's height follows a kerb.
 _STEP_M = 0.25
 _CUT = 0.5
 
@@ -53,11 +53,11 @@ def stroll(street: Street, seconds: float | None, config: WalkConfig, walk_index
 
 
 def _route(street: Street, clearance: Clearance) -> NDArray[np.float64] | None:
-    """Return (N, 2) points of the way round, None where something stands in it."""
+    """Return (N, 2) points of the closed route, None if it is blocked."""
     far, near = street.terrain.kerbs_m
     low, high = street.terrain.crossings_m
     pavement, lawn = (near + street.terrain.front_m) / 2, far - 3.2
-    # Between the two rows of trees and past both sides of what stands on the lawn.
+    # Between the two rows of trees and past both sides of the objects on the lawn.
     wanted = [
         (low + 0.9, pavement), (0.0, pavement), (high - 0.6, pavement), (high, (far + near) / 2), (high, far - 2.0),
         (2.6, lawn - 0.5), (0.0, lawn + 0.5), (-2.6, lawn - 0.5), (low, far - 2.0), (low, (far + near) / 2),
@@ -70,7 +70,7 @@ def _route(street: Street, clearance: Clearance) -> NDArray[np.float64] | None:
 
 
 def _clear_place(clearance: Clearance, wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a place near a wanted one that has room around it."""
+    """Return a position near a wanted one with clearance around it."""
     spread = np.arange(-0.9, 0.91, 0.06)
     grid = wanted + np.stack(np.meshgrid(spread, spread, indexing="ij"), axis=-1).reshape(-1, 2)
     value = np.minimum(clearance.at(grid), 0.6) - 0.25 * np.linalg.norm(grid - wanted, axis=1)
