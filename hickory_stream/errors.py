@@ -11,6 +11,7 @@
     |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
     |   |-- ViewerError             a viewer that was asked for and cannot be had
     |   `-- OutputError             a file that was asked for and could not be written to its end
+    |-- GraphError                  a pose graph whose solution does not determine what is asked of it
     |-- WorkerError                 a shape worker that could not be started or broke its protocol
     `-- InvariantError              the map's state contradicts itself, as checks with --debug have found
 
@@ -70,6 +71,10 @@ class OutputError(InputError):
 
 class WorkerError(HickoryError):
     """A shape worker that could not be started, or that broke its protocol."""
+
+
+class GraphError(HickoryError):
+    """A pose graph whose solution does not determine what is asked of it."""
 
 
 class InvariantError(HickoryError):

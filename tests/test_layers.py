@@ -30,6 +30,7 @@ LAYERS = (
         "hickory_stream.mapping",
         "hickory_stream.shapes",
         "hickory_stream.poses",
+        "hickory_stream.graph",
         "hickory_stream.navigation",
         "hickory_stream.alignment",
     ),

@@ -22,6 +22,7 @@ PATHS = (
     *sorted((ROOT / "hickory_stream" / "perception").glob("*.py")),
     *sorted((ROOT / "hickory_stream" / "mapping").glob("*.py")),
     *sorted((ROOT / "hickory_stream" / "shapes").glob("*.py")),
+    *sorted((ROOT / "hickory_stream" / "graph").glob("*.py")),
     *sorted((ROOT / "hickory_stream" / "engine").glob("*.py")),
     *sorted((ROOT / "players").glob("*.py")),
 )

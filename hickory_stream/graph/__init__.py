@@ -1,0 +1,1 @@
+"""The pose graph: where submaps lie, from odometry, gravity and loops."""

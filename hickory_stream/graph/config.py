@@ -1,0 +1,39 @@
+"""What the pose graph is configured by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hickory_stream.ranges import Ranged, number
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GraphConfig(Ranged):
+    """How far odometry is trusted, and when a loop is.
+
+    The sigma of an edge of odometry is the root of the summed squares of a floor, a part that grows with the way (a
+    wrong scale or a turning heading, which stay alike over some metres) and a part that grows with its root (noise).
+
+    Attributes:
+        floor_m, floor_rad: no edge is known better than this.
+        per_m, per_root_m, rad_per_m, rad_per_root_m: the two growing parts, of the place and of the angle.
+        rad_per_rad: error of the angle for each radian turned.
+        degenerate_share: error of the place, as a share of the way along which scans did not say where it went.
+        jump_m, jump_rad: what is left open where the odometry jumped.
+        gate_chi2: a loop is impossible whose squared Mahalanobis distance from what odometry predicts is above this
+            (chi-squared with 6 degrees of freedom: 22.46 is 99.9 %).
+        inlier_chi2: a loop is contradicted if its residual in the solution is above this (16.81 is 99 %).
+    """
+
+    floor_m: float = number(0.01, 1e-4, 10, "m")
+    floor_rad: float = number(0.002, 1e-5, 1, "rad")
+    per_m: float = number(0.003, 0, 1, "m/m")
+    per_root_m: float = number(0.05, 0, 1, "m/sqrt(m)")
+    rad_per_m: float = number(0.0003, 0, 1, "rad/m")
+    rad_per_root_m: float = number(0.0045, 0, 1, "rad/sqrt(m)")
+    rad_per_rad: float = number(0.005, 0, 1, "rad/rad")
+    degenerate_share: float = number(0.3, 0, 1, "share")
+    jump_m: float = number(30.0, 0.01, 1e4, "m")
+    jump_rad: float = number(3.0, 0.001, 10, "rad")
+    gate_chi2: float = number(22.46, 1, 1e6, "chi2")
+    inlier_chi2: float = number(16.81, 1, 1e6, "chi2")

@@ -1,0 +1,167 @@
+"""The factors of a pose graph: what odometry and loops say of the places of submaps, and how well.
+
+Covariances are in the tangent space that GTSAM's `Pose3` has: a small turn about x, y, z (rad), then a small shift
+along x, y, z (m), both in the frame of the second node of an edge: true = measured * Exp(error).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import invert, is_rigid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.graph.config import GraphConfig
+
+LoopMethod = Literal["surface", "objects"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class OdometryEdge:
+    """What odometry says between two nodes: `before_from_after` (4, 4) with its `covariance` (6, 6).
+
+    `is_jump`: the odometry jumped in between, or nothing is known of the way; its covariance is then very wide.
+    """
+
+    before: int
+    after: int
+    before_from_after: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    is_jump: bool = False
+
+    def __post_init__(self) -> None:
+        _check_pair(self.before, self.after)
+        _freeze_edge(self, "before_from_after")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LoopEdge:
+    """A place that was seen again: `earlier_from_later` (4, 4) between two nodes, with its `covariance` (6, 6).
+
+    `id` names the loop for good; `score` is what its method says for it (the more the better), `stamp_ns` when it was
+    found.
+    """
+
+    id: int
+    earlier: int
+    later: int
+    earlier_from_later: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    method: LoopMethod
+    score: float
+    stamp_ns: int
+
+    def __post_init__(self) -> None:
+        _check_pair(self.earlier, self.later)
+        _freeze_edge(self, "earlier_from_later")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PoseGraph:
+    """All that is known of the places of N nodes.
+
+    `world_from_node` (N, 4, 4) are the poses of odometry; node 0 stays at its pose, and the vertical of each pose is
+    taken as measured with `gravity_sigma_rad` (an accelerometer; a wide sigma where there is none). Each node after the
+    first hangs by one odometry edge on an earlier one. The ids of loops differ.
+    """
+
+    world_from_node: NDArray[np.float64]
+    odometry: tuple[OdometryEdge, ...]
+    loops: tuple[LoopEdge, ...]
+    gravity_sigma_rad: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_node", np.float64, (None, 4, 4))
+        num_nodes = self.num_nodes
+        if sorted(edge.after for edge in self.odometry) != list(range(1, num_nodes)):
+            raise ValueError(f"each of nodes 1 to {num_nodes - 1} must hang on an earlier one by one odometry edge")
+        if any(loop.later >= num_nodes for loop in self.loops):
+            raise ValueError(f"a loop ends at a node that is not there; there are {num_nodes}")
+        if len({loop.id for loop in self.loops}) < len(self.loops):
+            raise ValueError("two loops have one id")
+        if not self.gravity_sigma_rad > 0:
+            raise ValueError(f"gravity_sigma_rad is {self.gravity_sigma_rad}; expected more than 0")
+
+    @property
+    def num_nodes(self) -> int:
+        """How many nodes there are."""
+        return len(self.world_from_node)
+
+
+def odometry_covariance(
+    way_m: float, turn_rad: float, config: GraphConfig, *, jumps: int = 0, degenerate: float = 0.0
+) -> NDArray[np.float64]:
+    """Return the (6, 6) covariance of an edge of odometry.
+
+    Args:
+        way_m: the length of the path between the two nodes.
+        turn_rad: the sum of the angles turned on it, without sign.
+        config: how the errors grow.
+        jumps: how often the odometry jumped on it; one leaves the edge nearly free.
+        degenerate: the share (0..1) of the way along which scans did not say where it went.
+    """
+    variance_m = _sum_of_squares(config.floor_m, config.per_m * way_m, config.degenerate_share * degenerate * way_m)
+    variance_rad = _sum_of_squares(config.floor_rad, config.rad_per_m * way_m, config.rad_per_rad * turn_rad)
+    variance_m += config.per_root_m * config.per_root_m * way_m + jumps * config.jump_m * config.jump_m
+    variance_rad += config.rad_per_root_m * config.rad_per_root_m * way_m + jumps * config.jump_rad * config.jump_rad
+    return np.diag([variance_rad] * 3 + [variance_m] * 3)
+
+
+def tangent_covariance(
+    a_from_b: NDArray[np.float64], covariance: NDArray[np.float64], center_a: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the (6, 6) covariance of an edge from that of an alignment.
+
+    An alignment has it for a turn about `center_a` (3,) and a shift after it, both in the frame of a.
+    """
+    at_origin = np.eye(6)
+    at_origin[3:, :3] = _cross_matrix(center_a)
+    to_tangent = portable.matmul(adjoint(invert(a_from_b)), at_origin)
+    return symmetric(portable.matmul(portable.matmul(to_tangent, covariance), to_tangent.T))
+
+
+def adjoint(a_from_b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (6, 6) matrix that takes a small motion (turn, shift) in frame b to the same motion in frame a."""
+    rotation = a_from_b[:3, :3]
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = matrix[3:, 3:] = rotation
+    matrix[3:, :3] = portable.matmul(_cross_matrix(a_from_b[:3, 3]), rotation)
+    return matrix
+
+
+def symmetric(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a matrix (n, n) without what rounding made unlike its transpose."""
+    return 0.5 * (matrix + matrix.T)
+
+
+def _cross_matrix(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _sum_of_squares(*values: float) -> float:
+    return sum(value * value for value in values)
+
+
+def _check_pair(first: int, second: int) -> None:
+    if not 0 <= first < second:
+        raise ValueError(f"an edge goes from an earlier node to a later one, found {first} to {second}")
+
+
+def _freeze_edge(edge: OdometryEdge | LoopEdge, transform: str) -> None:
+    freeze(edge, transform, np.float64, (4, 4))
+    freeze(edge, "covariance", np.float64, (6, 6))
+    if not is_rigid(getattr(edge, transform)):
+        raise ValueError(f"{transform} is not rigid")
+    covariance = edge.covariance
+    # A variance of 1e12 is that of a thousand kilometres; products of greater ones overflow.
+    is_plain = np.isfinite(covariance).all() and np.abs(covariance).max() <= 1e12
+    if not is_plain or float(portable.eigh(symmetric(covariance))[0][0]) <= 0:
+        raise ValueError("the covariance of an edge must be finite, at most 1e12, and positive definite")

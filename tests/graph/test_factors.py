@@ -1,0 +1,84 @@
+"""Factors: what odometry and loops say, and how well."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
+from hickory_stream.graph.config import GraphConfig
+from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance, tangent_covariance
+
+CONFIG = GraphConfig()
+
+
+def test_the_covariance_of_odometry_grows_with_the_way_and_with_turns() -> None:
+    short, long = odometry_covariance(1.0, 0.0, CONFIG), odometry_covariance(10.0, 0.0, CONFIG)
+    assert (np.diag(long) > np.diag(short)).all()
+    turned = odometry_covariance(1.0, 3.0, CONFIG)
+    assert turned[2, 2] > short[2, 2]
+    assert turned[5, 5] == short[5, 5]
+
+
+def test_the_covariance_of_a_way_hardly_depends_on_where_submaps_end() -> None:
+    whole, half = odometry_covariance(30.0, 0.0, CONFIG), odometry_covariance(15.0, 0.0, CONFIG)
+    assert whole[3, 3] == pytest.approx(2 * half[3, 3], rel=0.1)
+
+
+def test_degenerate_odometry_is_wider_and_a_jump_nearly_free() -> None:
+    plain = odometry_covariance(5.0, 0.2, CONFIG)
+    degenerate = odometry_covariance(5.0, 0.2, CONFIG, degenerate=1.0)
+    assert np.sqrt(degenerate[3, 3]) == pytest.approx(np.sqrt(plain[3, 3] + (CONFIG.degenerate_share * 5.0) ** 2))
+    jumped = odometry_covariance(5.0, 0.2, CONFIG, jumps=1)
+    assert np.sqrt(jumped[3, 3]) > 29
+    assert np.sqrt(jumped[2, 2]) > 2.9
+
+
+def test_the_covariance_of_an_alignment_becomes_that_of_an_edge() -> None:
+    """By sampling: small motions as an alignment has them, seen as motions in the frame of the second node."""
+    rng = np.random.default_rng(1)
+    a_from_b = from_rotation_translation(yaw_rotation(0.7), np.array([2.0, -1.0, 0.3]))
+    center_a = np.array([4.0, 1.0, 0.5])
+    sigmas = np.array([0.001, 0.002, 0.004, 0.01, 0.02, 0.03])
+    errors = []
+    for turn_and_shift in rng.normal(0, sigmas, (4000, 6)):
+        turn = rotation_of_vector(turn_and_shift[:3])
+        moved = from_rotation_translation(turn, center_a - turn @ center_a + turn_and_shift[3:])
+        error = invert(a_from_b) @ moved @ a_from_b
+        skew = (error[:3, :3] - error[:3, :3].T) / 2
+        errors.append([skew[2, 1], skew[0, 2], skew[1, 0], *error[:3, 3]])
+    sampled = np.cov(np.array(errors).T)
+    expected = tangent_covariance(a_from_b, np.diag(sigmas**2), center_a)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.abs((sampled - expected) / scale).max() < 0.08
+
+
+def edge(before: int, after: int) -> OdometryEdge:
+    return OdometryEdge(before=before, after=after, before_from_after=np.eye(4), covariance=np.eye(6))
+
+
+def test_an_edge_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match="earlier node to a later"):
+        edge(2, 1)
+    with pytest.raises(ValueError, match="positive definite"):
+        OdometryEdge(before=0, after=1, before_from_after=np.eye(4), covariance=np.zeros((6, 6)))
+    with pytest.raises(ValueError, match="not rigid"):
+        OdometryEdge(before=0, after=1, before_from_after=2 * np.eye(4), covariance=np.eye(6))
+
+
+def test_a_graph_whose_nodes_hang_on_nothing_is_refused() -> None:
+    poses = np.array([np.eye(4)] * 3)
+    with pytest.raises(ValueError, match="one odometry edge"):
+        PoseGraph(world_from_node=poses, odometry=(edge(0, 1),), loops=(), gravity_sigma_rad=0.02)
+    loop = LoopEdge(
+        id=0,
+        earlier=0,
+        later=3,
+        earlier_from_later=np.eye(4),
+        covariance=np.eye(6),
+        method="surface",
+        score=1.0,
+        stamp_ns=0,
+    )
+    with pytest.raises(ValueError, match="not there"):
+        PoseGraph(world_from_node=poses, odometry=(edge(0, 1), edge(1, 2)), loops=(loop,), gravity_sigma_rad=0.02)

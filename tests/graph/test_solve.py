@@ -1,0 +1,188 @@
+"""The solver: drift is taken out, wrong loops are rejected and withdrawn, the same factors give the same bytes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
+from hickory_stream.graph.chain import Chain
+from hickory_stream.graph.config import GraphConfig
+from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
+from hickory_stream.graph.gate import difference
+from hickory_stream.graph.solution import NoSolution, Solution
+from hickory_stream.graph.solve import relative_covariances, solve
+from tools.benchmarks.pose_graphs import SimulatedGraph, simulated_graph
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = GraphConfig()
+
+
+def ate_m(poses: np.ndarray, true: np.ndarray) -> float:
+    return float(np.sqrt(np.square(poses[:, :3, 3] - true[:, :3, 3]).sum(axis=1).mean()))
+
+
+def solved(graph: PoseGraph, accepted_before: tuple[int, ...] = ()) -> Solution:
+    answer = solve(graph, CONFIG, accepted_before=accepted_before)
+    assert isinstance(answer, Solution), answer
+    return answer
+
+
+@pytest.fixture(scope="module")
+def walk() -> SimulatedGraph:
+    return simulated_graph(np.random.default_rng(3), CONFIG, num_nodes=120, num_loops=16, num_wrong=4)
+
+
+def test_loops_take_the_drift_out_and_wrong_ones_are_rejected(walk: SimulatedGraph) -> None:
+    answer = solved(walk.graph)
+    assert {loop.id for loop in answer.rejected} == walk.wrong
+    assert set(answer.accepted) == {loop.id for loop in walk.graph.loops} - walk.wrong
+    assert ate_m(answer.world_from_node, walk.true) < 0.35 * ate_m(walk.graph.world_from_node, walk.true)
+
+
+@pytest.mark.parametrize("drift", [1.0, 3.0])
+def test_no_wrong_loop_is_accepted_with_one_setting_for_little_and_much_drift(drift: float) -> None:
+    for seed in range(4):
+        walk = simulated_graph(
+            np.random.default_rng(seed), CONFIG, num_nodes=120, num_loops=16, num_wrong=3, drift=drift
+        )
+        assert not set(solved(walk.graph).accepted) & walk.wrong
+
+
+def test_without_loops_poses_stay_as_they_are_to_the_last_bit(walk: SimulatedGraph) -> None:
+    answer = solved(replace(walk.graph, loops=()))
+    assert np.array_equal(answer.world_from_node, walk.graph.world_from_node)
+    sigmas_m = np.sqrt(answer.covariance[:, 3:, 3:].trace(axis1=1, axis2=2))
+    assert sigmas_m[0] < 1e-4 < sigmas_m[1] < sigmas_m[4] < sigmas_m[16]
+
+
+def test_the_first_node_stays_where_it_is(walk: SimulatedGraph) -> None:
+    assert np.array_equal(solved(walk.graph).world_from_node[0], walk.graph.world_from_node[0])
+
+
+def test_verticals_stay_vertical(walk: SimulatedGraph) -> None:
+    tilt = np.arccos(np.clip(solved(walk.graph).world_from_node[:, 2, 2], -1, 1))
+    assert np.degrees(tilt).max() < 1.0
+
+
+def test_an_impossible_loop_says_so_and_by_how_much(walk: SimulatedGraph) -> None:
+    reasons = [loop.reason for loop in solved(walk.graph).rejected]
+    assert any(reason.startswith("impossible: ") and " m and " in reason for reason in reasons)
+
+
+def test_a_loop_that_later_ones_contradict_is_withdrawn() -> None:
+    """Alone, a loop that is off by half a metre is within what odometry allows; three others agree that it is wrong."""
+    walk = simulated_graph(np.random.default_rng(5), CONFIG, num_nodes=60, num_loops=6, num_wrong=0)
+    good = walk.graph.loops[0]
+    off = from_rotation_translation(yaw_rotation(0.05), np.array([0.5, 0.0, 0.0]))
+    wrong = replace(good, id=100, earlier_from_later=off @ good.earlier_from_later)
+    alone = solved(replace(walk.graph, loops=(wrong,)))
+    assert alone.accepted == (100,)
+    close = tuple(replace(good, id=i, earlier_from_later=nearby(walk, good, i)) for i in range(3))
+    together = solved(replace(walk.graph, loops=(wrong, *close)), accepted_before=alone.accepted)
+    assert together.accepted == (0, 1, 2)
+    assert [(loop.id, loop.status) for loop in together.rejected] == [(100, "withdrawn")]
+    assert together.loop_weights.tolist() == [0.0, 1.0, 1.0, 1.0]
+
+
+def nearby(walk: SimulatedGraph, loop: LoopEdge, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    noise = from_rotation_translation(rotation_of_vector(rng.normal(0, 0.005, 3)), rng.normal(0, 0.02, 3))
+    return invert(walk.true[loop.earlier]) @ walk.true[loop.later] @ noise
+
+
+def test_a_jump_is_mended_by_a_loop_across_it() -> None:
+    walk = simulated_graph(np.random.default_rng(7), CONFIG, num_nodes=60, num_loops=8, num_wrong=0)
+    middle = 30
+    jump = from_rotation_translation(yaw_rotation(0.4), np.array([3.0, -2.0, 0.0]))
+    edges = []
+    for edge in walk.graph.odometry:
+        if edge.after == middle:
+            covariance = odometry_covariance(3.0, 0.0, CONFIG, jumps=1)
+            edge = replace(edge, before_from_after=edge.before_from_after @ jump, covariance=covariance, is_jump=True)
+        edges.append(edge)
+    graph = replace(walk.graph, odometry=tuple(edges), world_from_node=chained(edges, 60))
+    across = [loop.id for loop in graph.loops if loop.earlier < middle <= loop.later]
+    assert across
+    answer = solved(graph)
+    assert set(across) <= set(answer.accepted)
+    assert ate_m(graph.world_from_node, walk.true) > 2.0
+    assert ate_m(answer.world_from_node, walk.true) < 0.3
+
+
+def chained(edges: list[OdometryEdge], num_nodes: int) -> np.ndarray:
+    poses = np.array([np.eye(4)] * num_nodes)
+    for edge in edges:
+        poses[edge.after] = poses[edge.before] @ edge.before_from_after
+    return poses
+
+
+def test_the_uncertainty_of_a_pair_shrinks_with_a_loop_between_them(walk: SimulatedGraph) -> None:
+    loop = next(loop for loop in walk.graph.loops if loop.id not in walk.wrong)
+    pairs = [(loop.earlier, loop.later), (loop.earlier, loop.earlier)]
+    without = replace(walk.graph, loops=())
+    before = relative_covariances(without, solved(without), pairs)
+    after = relative_covariances(walk.graph, solved(walk.graph), pairs)
+    assert after[0].trace() < 0.1 * before[0].trace()
+    assert (after[1] == 0).all()
+
+
+def test_the_prediction_of_odometry_is_the_marginal_of_the_graph_without_loops(walk: SimulatedGraph) -> None:
+    """With the verticals between the two nodes left out it is a little wider, never narrower."""
+    graph = replace(walk.graph, loops=(), gravity_sigma_rad=10.0)
+    exact = relative_covariances(graph, solved(graph), [(5, 40)])[0]
+    predicted = Chain(graph).predicted(5, 40)
+    assert np.allclose(predicted.covariance, exact, rtol=0.02, atol=1e-6)
+    expected = invert(graph.world_from_node[5]) @ graph.world_from_node[40]
+    assert np.abs(difference(expected, predicted.earlier_from_later)).max() < 1e-9
+
+
+def test_errors_are_within_the_claimed_uncertainty(walk: SimulatedGraph) -> None:
+    answer = solved(walk.graph)
+    errors = [
+        difference(true, found)[[2, 3, 4]]
+        for true, found in zip(walk.true[1:], answer.world_from_node[1:], strict=True)
+    ]
+    blocks = answer.covariance[1:][:, [2, 3, 4]][:, :, [2, 3, 4]]
+    nees = [error @ np.linalg.solve(block, error) for error, block in zip(errors, blocks, strict=True)]
+    assert np.mean(nees) < 6.0
+
+
+def test_a_graph_beyond_the_reach_of_double_precision_has_no_solution() -> None:
+    rigid = OdometryEdge(before=0, after=1, before_from_after=np.eye(4), covariance=1e-30 * np.eye(6))
+    graph = PoseGraph(world_from_node=np.array([np.eye(4)] * 2), odometry=(rigid,), loops=(), gravity_sigma_rad=0.02)
+    answer = solve(graph, CONFIG)
+    assert isinstance(answer, NoSolution)
+    assert answer.reason.startswith("the pose graph could not be solved: ")
+
+
+def test_one_node_is_a_graph() -> None:
+    graph = PoseGraph(world_from_node=np.eye(4)[None], odometry=(), loops=(), gravity_sigma_rad=0.02)
+    assert solved(graph).accepted == ()
+
+
+_PROGRAM = """
+import hashlib, numpy as np
+from hickory_stream.graph.config import GraphConfig
+from hickory_stream.graph.solve import solve
+from tools.benchmarks.pose_graphs import simulated_graph
+walk = simulated_graph(np.random.default_rng(3), GraphConfig(), num_nodes=120, num_loops=16, num_wrong=4)
+answer = solve(walk.graph)
+parts = (answer.world_from_node, answer.covariance, answer.loop_weights)
+print(hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest(), answer.accepted)
+"""
+
+
+def test_the_same_factors_give_the_same_bytes_in_another_process(walk: SimulatedGraph) -> None:
+    def digest() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", _PROGRAM], cwd=ROOT, check=True, capture_output=True, text=True
+        ).stdout
+
+    assert digest() == digest()
+    assert np.array_equal(solved(walk.graph).world_from_node, solved(walk.graph).world_from_node)
