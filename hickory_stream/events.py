@@ -34,7 +34,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FrameObserved:
-    """A keyframe was perceived. `coarse` decides nothing: it is for people who ask why; None in older journals."""
+    """A keyframe was perceived.
+
+    `coarse` becomes the surface of the submap, in which loops are searched, and is for people who ask why; None in
+    older journals.
+    """
 
     frame_index: int
     stamp_ns: int

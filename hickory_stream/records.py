@@ -243,12 +243,13 @@ class CoarseFrame:
     """What the journal keeps of a keyframe's depth: the middle pixel of every cell of `stride_px` x `stride_px`.
 
     `depth_mm` (h, w) uint16 along the optical axis, 0 = no return; `structure` (h, w) bool: what was taken for floor,
-    wall or ceiling.
+    wall or ceiling; `camera` that of the whole image, None in older journals.
     """
 
     stride_px: int
     depth_mm: NDArray[np.uint16]
     structure: NDArray[np.bool_]
+    camera: Camera | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "depth_mm", np.uint16, (None, None))
@@ -438,6 +439,32 @@ class Submap:
     def __post_init__(self) -> None:
         whole_number(self.id, "submap")
         freeze(self, "world_from_submap", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Loop:
+    """Where a submap lies in an earlier one, as a search for loops found it, or why the search did not believe it.
+
+    `earlier_from_later` (4, 4) is between the frames of the two submaps, both that of the odometry: the identity where
+    the odometry did not drift. `covariance` (6, 6) is that of a small turn (radians), then shift (metres), of the
+    later submap's anchor, in the frame of that anchor. `method` says what found it: the surfaces, from where the graph
+    had them, or the objects, by an alignment; `score` is the share of the later surface that lies on the earlier one,
+    where they overlap. `reason` says why it is no loop, None where it may be one: that is for the graph to decide.
+    """
+
+    earlier: int
+    later: int
+    earlier_from_later: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    method: Literal["surface", "objects"]
+    score: float
+    reason: str | None = None
+
+    def __post_init__(self) -> None:
+        whole_number(self.earlier, "submap")
+        whole_number(self.later, "submap")
+        freeze(self, "earlier_from_later", np.float64, (4, 4))
+        freeze(self, "covariance", np.float64, (6, 6))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -34,7 +34,7 @@ LAYERS = (
         "hickory_stream.navigation",
         "hickory_stream.alignment",
     ),
-    ("hickory_stream.merging",),
+    ("hickory_stream.merging", "hickory_stream.loops"),
     ("hickory_stream.config+hickory_stream.box_scene+hickory_stream.testing",),
     ("hickory_stream.engine",),
     ("hickory_stream.sinks", "players", "hickory_stream.evaluation"),

@@ -124,6 +124,14 @@ VALID: dict[type, dict[str, Any]] = {
         "world_from_submap": _POSE,
         "observed_space": records.ObservedSpace(voxel_m=0.05, free=_KEYS, structure=_KEYS, floor_z_m=None),
     },
+    records.Loop: {
+        "earlier": 0,
+        "later": 3,
+        "earlier_from_later": _POSE,
+        "covariance": np.eye(6),
+        "method": "surface",
+        "score": 0.9,
+    },
     records.FrameReport: {
         "index": 0,
         "stamp_ns": 1,

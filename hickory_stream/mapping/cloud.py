@@ -13,6 +13,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.bounds import extent_of
+from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import coarse_keys, contains, first_not_below, keys_of_points, sorted_unique
 
 if TYPE_CHECKING:
@@ -53,6 +54,22 @@ def fuse(a: Cloud, b: Cloud) -> Cloud:
     """Return the union of two clouds: means weighted by hits."""
     keys, points, colors, hits = _fused(a.keys, a.points, a.colors, a.hits, b.keys, b.points, b.colors, b.hits)
     return Cloud(keys=keys, points=points, colors=colors, hits=hits)
+
+
+def moved_cloud(cloud: Cloud, new_from_old: NDArray[np.float64], voxel_m: float) -> Cloud:
+    """Return the cloud in another frame, on the lattice there: points that fall into one voxel become one mean."""
+    points = apply(new_from_old, cloud.points)
+    keys = keys_of_points(points, voxel_m)
+    order = np.argsort(keys, kind="stable")
+    unique, starts = np.unique(keys[order], return_index=True)
+    weights = cloud.hits[order].astype(np.float64)[:, None]
+    totals = np.add.reduceat(weights, starts)
+    return Cloud(
+        keys=unique,
+        points=(np.add.reduceat(points[order] * weights, starts) / totals).astype(np.float32),
+        colors=(np.add.reduceat(cloud.colors[order] * weights, starts) / totals).astype(np.float32),
+        hits=np.maximum.reduceat(cloud.hits[order], starts),
+    )
 
 
 def without(cloud: Cloud, drop: NDArray[np.bool_]) -> Cloud:

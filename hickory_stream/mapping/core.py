@@ -27,10 +27,11 @@ from hickory_stream.geometry import portable
 from hickory_stream.mapping.best_views import drop_unused_views, judge_views, propose_views
 from hickory_stream.mapping.invariants import validate
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
+from hickory_stream.mapping.moved_submaps import end_elsewhere, place_submaps, recognise
 from hickory_stream.mapping.observed_space import floor_change
 from hickory_stream.mapping.shape_requests import end_shape, request_shapes
 from hickory_stream.mapping.snapshots import Snapshots, metrics_of
-from hickory_stream.mapping.submaps import first_submap, interrupted, placed_at, torn, travelled, with_seen
+from hickory_stream.mapping.submaps import first_submap, interrupted, torn, with_keyframe, with_seen
 from hickory_stream.mapping.track_ageing import age_tracks, end_tracks, settle
 from hickory_stream.mapping.track_splitting import moved_out, split_tracks
 from hickory_stream.mapping.tracker import Tracker
@@ -99,12 +100,13 @@ class MapperCore:
     def _keyframe(self, event: FrameObserved) -> list[Effect]:
         state, config, tracker = self._state, self._config, self._tracker
         self._begin_keyframe(event)
+        effects = recognise(state, event, config)
         sightings = tracker.track(state, event)
         seen_ids = {sighting.track_id for sighting in sightings}
         promoted = split_tracks(state, event, seen_ids, config)
         sightings = moved_out(state, sightings, promoted, config)
         changed_ids = {*(sighting.track_id for sighting in sightings), *promoted, *promoted.values()}
-        effects = tracker.merge_tracks(state, changed_ids)
+        effects += tracker.merge_tracks(state, changed_ids)
         effects += age_tracks(state, event, config, merges=not tracker.is_told)
         self._see_space(event)
         candidates, keeps = propose_views(state, event, sightings, config.views)
@@ -128,7 +130,7 @@ class MapperCore:
             )
         state.revision += 1
         state.advance_clock(event.stamp_ns)
-        state.submaps = travelled(state.submaps, event.world_from_camera[:3, 3], self._config.submaps)
+        state.submaps = with_keyframe(state.submaps, event, self._config.submaps)
         for rejected in event.rejected:
             state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
 
@@ -188,16 +190,13 @@ class MapperCore:
 
     def _poses_corrected(self, event: PosesCorrected) -> list[Effect]:
         """Set corrected submap poses. Data stay in the odometry frame; the correction is applied on output."""
-        state = self._state
-        state.submaps = placed_at(state.submaps, dict(zip(event.submap_ids, event.world_from_submap, strict=True)))
-        text = f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew"
-        state.decide("pose_correction", None, text)
-        # The decision is published with the next keyframe.
-        return [Publish(snapshot=self.snapshot(), decisions=())]
+        effects = place_submaps(self._state, event, self._config, merges=not self._tracker.is_told)
+        # The decisions are published with the next keyframe.
+        return [*effects, *drop_unused_views(self._state), Publish(snapshot=self.snapshot(), decisions=())]
 
     def _source_ended(self) -> list[Effect]:
         state = self._state
-        effects = end_tracks(state, self._config, merges=not self._tracker.is_told)
+        effects = [*end_tracks(state, self._config, merges=not self._tracker.is_told), *end_elsewhere(state)]
         state.absorbed = {}  # no track can be split off any more
         return [*effects, *self._conclude((), is_final=True)]
 

@@ -39,13 +39,21 @@ def validate(state: MapState) -> None:
 
 
 def _misplaced_tracks(state: MapState) -> Iterator[str]:
-    for track_id, track in state.tracks.items():
+    for track_id, track in (*state.tracks.items(), *state.elsewhere.items()):
         if track.id != track_id:
             yield f"#{track.id} as #{track_id}"
 
 
+def _divided_tracks(state: MapState) -> Iterator[str]:
+    yield from (f"#{i} here and elsewhere" for i in sorted(state.tracks.keys() & state.elsewhere.keys()))
+    for track in state.everywhere():
+        own = state.submaps.states[track.submap_id : track.submap_id + 1]
+        if own and state.submaps.is_rigid_with_open(track.submap_id) != (track.id in state.tracks):
+            yield f"#{track.id} of submap {track.submap_id}"
+
+
 def _numbers_to_come(state: MapState) -> Iterator[str]:
-    for track in state.tracks.values():
+    for track in state.everywhere():
         for used in (track.id, *track.merged_ids):
             if not 1 <= used < state.next_id:
                 yield f"#{used}, the next one is #{state.next_id}"
@@ -55,29 +63,29 @@ def _numbers_to_come(state: MapState) -> Iterator[str]:
 
 
 def _living_merged(state: MapState) -> Iterator[str]:
-    for track in state.tracks.values():
+    for track in state.everywhere():
         for gone in track.merged_ids:
-            if gone in state.tracks:
+            if gone in state.tracks or gone in state.elsewhere:
                 yield f"#{gone} in #{track.id}"
 
 
 def _shared_merged(state: MapState) -> Iterator[str]:
-    yield from _twice("#{}", (gone for track in state.tracks.values() for gone in track.merged_ids))
+    yield from _twice("#{}", (gone for track in state.everywhere() for gone in track.merged_ids))
 
 
 def _shared_tickets(state: MapState) -> Iterator[str]:
-    tickets = (track.shape_state.open_ticket for track in state.tracks.values())
+    tickets = (track.shape_state.open_ticket for track in state.everywhere())
     yield from _twice("job {}", (ticket for ticket in tickets if ticket is not None))
 
 
 def _tentative_shapes(state: MapState) -> Iterator[str]:
-    for track in state.tracks.values():
+    for track in state.everywhere():
         if not is_object(track) and track.shape_state.open_ticket is not None:
             yield f"job {track.shape_state.open_ticket} of #{track.id}"
 
 
 def _loose_solids(state: MapState) -> Iterator[str]:
-    for track in state.tracks.values():
+    for track in state.everywhere():
         if not contains(track.cloud.keys, track.solid.keys).all():
             yield f"other points in #{track.id}"
         if not np.array_equal(track.bounds, bounds_of(track.solid.points)):
@@ -85,20 +93,20 @@ def _loose_solids(state: MapState) -> Iterator[str]:
 
 
 def _disordered_clouds(state: MapState) -> Iterator[str]:
-    clouds = [(f"#{track.id}", cloud) for track in state.tracks.values() for cloud in (track.cloud, track.solid)]
+    clouds = [(f"#{track.id}", cloud) for track in state.everywhere() for cloud in (track.cloud, track.solid)]
     candidates = state.split_candidates.items()
     clouds += [(f"a part of #{host}", candidate.cloud) for host, own in candidates for candidate in own]
     yield from (f"that of {name}" for name, cloud in clouds if not _is_cloud(cloud))
 
 
 def _times_to_come(state: MapState) -> Iterator[str]:
-    for track in state.tracks.values():
+    for track in state.everywhere():
         if track.seen_clock_ns > state.clock_ns:
             yield f"#{track.id} at {track.seen_clock_ns}, and now is {state.clock_ns}"
 
 
 def _foreign_views(state: MapState) -> Iterator[str]:
-    for track in state.tracks.values():
+    for track in state.everywhere():
         for view in track.views:
             if view.object_id != track.id:
                 yield f"a view of #{view.object_id} in #{track.id}"
@@ -120,20 +128,21 @@ def _unneeded_views(state: MapState) -> Iterator[str]:
 
 def _unordered_votes(state: MapState) -> Iterator[str]:
     for a, b in state.votes.votes:
-        if not a < b or not {a, b} <= state.tracks.keys():
+        if not a < b or not {a, b} <= {track.id for track in state.everywhere()}:
             yield f"#{a} and #{b}"
 
 
 def _dead_hosts(state: MapState) -> Iterator[str]:
-    for host in (*state.split_candidates, *state.absorbed):
-        if host not in state.tracks:
-            yield f"those of #{host}"
+    yield from (f"those of #{host}" for host in state.split_candidates if host not in state.tracks)
+    known = {track.id for track in state.everywhere()}
+    yield from (f"those of #{host}" for host in state.absorbed if host not in known)
 
 
 def _foreign_histories(state: MapState) -> Iterator[str]:
     for host, absorbed in state.absorbed.items():
         for track in absorbed:
-            if host in state.tracks and track.id not in state.tracks[host].merged_ids:
+            known = {**state.tracks, **state.elsewhere}
+            if host in known and track.id not in known[host].merged_ids:
                 yield f"#{track.id} in #{host}"
 
 
@@ -144,13 +153,13 @@ def _shared_histories(state: MapState) -> Iterator[str]:
 def _disordered_submaps(state: MapState) -> Iterator[str]:
     submaps = state.submaps
     ids = [submap.id for submap in submaps.states]
-    if ids != list(range(len(ids))) or not 0 <= submaps.first < max(len(ids), 1):
-        yield f"submaps {ids}, the first since the last jump is {submaps.first}"
+    if ids != list(range(len(ids))) or not 0 <= submaps.since_jump <= submaps.first < max(len(ids), 1):
+        yield f"submaps {ids}, the first since the last jump is {submaps.since_jump}, judged by {submaps.first} on"
     yield from (f"no rigid pose of submap {s.id}" for s in submaps.states if not is_rigid(s.world_from_submap))
 
 
 def _homeless_tracks(state: MapState) -> Iterator[str]:
-    for track in state.tracks.values():
+    for track in state.everywhere():
         if not 0 <= track.submap_id <= track.seen_in <= state.submaps.open_id:
             yield f"#{track.id} of submap {track.submap_id}, seen in {track.seen_in} of {state.submaps.open_id}"
 
@@ -183,6 +192,7 @@ def _disordered_spaces(state: MapState) -> Iterator[str]:
 
 INVARIANTS: dict[str, Callable[[MapState], Iterator[str]]] = {
     "every track is under its own id": _misplaced_tracks,
+    "a track is elsewhere if and only if its submap was moved against the open one": _divided_tracks,
     "ids and tickets are below the next ones": _numbers_to_come,
     "a track that was merged is none any more": _living_merged,
     "a track was merged into one other": _shared_merged,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.split_candidates import SplitCandidates
     from hickory_stream.mapping.submaps import Submaps
-    from hickory_stream.records import DecisionKind, DropCause
+    from hickory_stream.records import DecisionKind, DropCause, Loop
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,7 +40,9 @@ class MapState:
 
     Attributes:
         submaps: the submaps with their poses, and the observed space.
-        tracks: the tracks by id.
+        tracks: the tracks by id that lie where the odometry has them.
+        elsewhere: the tracks by id of submaps that a correction has moved against the open one; their data are in the
+            frame of their submap. They come back among `tracks` when they are seen again (`moved_submaps`).
         votes: how often pairs of tracks were segmented together and apart.
         split_candidates: parts of tracks that keyframes segmented apart, by host.
         absorbed: the tracks that were merged into each track, by host.
@@ -50,12 +52,14 @@ class MapState:
         next_id, next_ticket: the ids of the next track and of the next shape job.
         pending: the keyframe whose features were requested and have not arrived yet.
         kept_views: the names of the views whose pixels are kept.
+        loops: what searches for loops gave, accepted or not, in the order in which they ended.
         decisions: the decisions since the last publication.
         num_masks, num_features: the number of masks so far, and of those whose features were requested.
     """
 
     submaps: Submaps
     tracks: dict[int, Track] = field(default_factory=dict)
+    elsewhere: dict[int, Track] = field(default_factory=dict)
     votes: VoteBook = field(default_factory=VoteBook)
     split_candidates: SplitCandidates = field(default_factory=dict)
     absorbed: Absorbed = field(default_factory=dict)
@@ -66,6 +70,7 @@ class MapState:
     next_ticket: int = 1
     pending: PendingFeatures | None = None
     kept_views: set[str] = field(default_factory=set)
+    loops: tuple[Loop, ...] = ()
     decisions: list[Decision] = field(default_factory=list)
     num_masks: int = 0
     num_features: int = 0
@@ -74,25 +79,30 @@ class MapState:
         """Return the tracks in the order of their ids."""
         return [self.tracks[i] for i in sorted(self.tracks)]
 
+    def everywhere(self) -> list[Track]:
+        """Return all tracks, those elsewhere as well, in the order of their ids."""
+        known = {**self.tracks, **self.elsewhere}
+        return [known[i] for i in sorted(known)]
+
     def is_judged(self, track: Track) -> bool:
         """Return whether a track was seen since the last pose jump, so that it can be judged by the observed space."""
         return track.seen_in >= self.submaps.first
 
     def current_id(self, track_id: int | None) -> int | None:
         """Return the id of a track, or of the one that it was merged into; None if it was dropped."""
-        if track_id is None or track_id in self.tracks:
+        if track_id is None or track_id in self.tracks or track_id in self.elsewhere:
             return track_id
-        return next((i for i in sorted(self.tracks) if track_id in self.tracks[i].merged_ids), None)
+        return next((track.id for track in self.everywhere() if track_id in track.merged_ids), None)
 
     def support_graph(self, config: MappingConfig) -> SupportGraph:
-        """Return the support graph of the tracks; it follows them as they change."""
+        """Return the support graph of `tracks`; it follows them as they change."""
         return SupportGraph(
             bodies=self.tracks, space=self.submaps.space, config=config.support, unsupported=config.unsupported
         )
 
     def view_names(self) -> set[str]:
         """Return the names of the views that the tracks have, or that a later split could restore."""
-        own = {view.name for track in self.tracks.values() for view in track.views}
+        own = {view.name for track in self.everywhere() for view in track.views}
         return own.union(views_of(self.absorbed))
 
     def advance_clock(self, stamp_ns: int) -> None:
@@ -160,7 +170,8 @@ class MapState:
         self.revision = max(self.revision, later.revision)
         lost = set(lost_views)
         self.kept_views -= lost
-        for track_id, track in self.tracks.items():
-            if not lost.isdisjoint(view.name for view in track.views):
-                self.tracks[track_id] = without_views(track, lost)
+        for tracks in (self.tracks, self.elsewhere):
+            for track_id, track in tracks.items():
+                if not lost.isdisjoint(view.name for view in track.views):
+                    tracks[track_id] = without_views(track, lost)
         self.absorbed = without_lost_views(self.absorbed, lost)

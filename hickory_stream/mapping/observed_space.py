@@ -21,6 +21,7 @@ from hickory_stream.geometry.voxels import (
     key_of_point,
     keys_of_cells,
     places,
+    sorted_unique,
     union,
 )
 from hickory_stream.mapping.wall_columns import WALL_M, column_sizes, column_starts, is_wall_column
@@ -28,6 +29,8 @@ from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import ObservedSpace
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.boxes import OrientedBox
@@ -134,6 +137,31 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
     return replace(state, free=free, hidden_free=exchanged(state.hidden_free, lost, hidden))
 
 
+def joined(spaces: Sequence[SpaceState]) -> SpaceState:
+    """Return the union of spaces (at least one) on one lattice: votes add up, the floor is that of the last one."""
+    keys, at = np.unique(np.concatenate([space.surface for space in spaces]), return_inverse=True)
+    all_hits, all_misses = np.zeros(len(keys), np.int64), np.zeros(len(keys), np.int64)
+    np.add.at(all_hits, at, np.concatenate([space.hits for space in spaces]))
+    np.add.at(all_misses, at, np.concatenate([space.misses for space in spaces]))
+    share = np.maximum((np.maximum(all_hits, all_misses) + _MOST_VOTES) // (_MOST_VOTES + 1), 1)
+    hits, misses = (all_hits // share).astype(np.uint8), (all_misses // share).astype(np.uint8)
+    structure = keys[_is_structure(hits, misses)]
+    passed = sorted_unique(np.concatenate([part for space in spaces for part in (space.free, space.hidden_free)]))
+    is_hidden = contains(structure, passed)
+    free = passed[~is_hidden]
+    free.flags.writeable = False
+    return SpaceState(
+        voxel_m=spaces[-1].voxel_m,
+        free=free,
+        hidden_free=passed[is_hidden],
+        surface=keys,
+        hits=hits,
+        misses=misses,
+        room=sorted_unique(np.concatenate([space.room for space in spaces])),
+        floor_z_m=spaces[-1].floor_z_m,
+    )
+
+
 def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
     """Return the height of the presumed floor if the floor now seen refutes it, else None.
 
@@ -167,6 +195,12 @@ def is_another_storey(state: SpaceState, seen_m: float | None) -> bool:
     """Return whether the floor seen at `seen_m` is that of another storey."""
     known_m = state.floor_z_m
     return known_m is not None and seen_m is not None and abs(seen_m - known_m) > _STOREY_M / 2
+
+
+def without_floor(state: SpaceState, false_m: float, seen_m: float | None) -> SpaceState:
+    """Return the space without a floor that turned out to be a table; the one seen below it takes its place."""
+    was_taken = state.floor_z_m is not None and abs(state.floor_z_m - false_m) < _NO_STEP_M
+    return replace(without_level(state, false_m), floor_z_m=seen_m if was_taken else state.floor_z_m)
 
 
 def without_level(state: SpaceState, z_m: float) -> SpaceState:

@@ -28,22 +28,28 @@ def request_shapes(state: MapState, config: RequestConfig, graph: SupportGraph, 
 
     `graph` gives the support surface of an object, at which a completed shape ends.
     """
-    num_open = sum(track.shape_state.open_ticket is not None for track in state.tracks.values())
+    num_open = sum(track.shape_state.open_ticket is not None for track in state.everywhere())
     replaced = [] if is_final else next_replacements(state.tracks, state.clock_ns, config)
     wanted = next_requests(state.tracks, num_open, state.clock_ns, is_final=is_final, config=config)
-    return [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, config, graph)]
+    effects = [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, config, graph)]
+    if is_final:
+        missing = next_requests(state.elsewhere, num_open, state.clock_ns, is_final=True, config=config)
+        effects += [effect for track_id in missing for effect in _requested(state, track_id, config, graph)]
+    return effects
 
 
 def _requested(state: MapState, track_id: int, config: RequestConfig, graph: SupportGraph) -> list[Effect]:
     """Request the shape of a track; an open job of the track is replaced."""
     effects: list[Effect] = []
-    track = state.tracks[track_id]
+    tracks = state.tracks if track_id in state.tracks else state.elsewhere
+    track = tracks[track_id]
     if (gone := track.shape_state.open_ticket) is not None:
         effects.append(CancelShape(ticket=gone))
         state.decide("shape", track_id, f"job {gone} is replaced: S grew by {increase_in_score(track):.3f}")
     ticket = state.next_ticket
     state.next_ticket += 1
-    support = graph.rests_on(track)
+    # What lies below a track elsewhere is not known in its own frame.
+    support = graph.rests_on(track) if tracks is state.tracks else None
     due_ns = (state.stamp_ns or 0) + int(config.latency_s * 1e9)
     request = shape_request(
         track, ticket=ticket, support_z_m=None if support is None else support.height_m, due_ns=due_ns
@@ -56,20 +62,21 @@ def _requested(state: MapState, track_id: int, config: RequestConfig, graph: Sup
         f"new {gain_of(track):.2f}, {len(request.views)} views",
     )
     asked = state_of_request(track, ticket, state.clock_ns, is_replacement=gone is not None)
-    state.tracks[track_id] = replace(track, shape_state=asked)
+    tracks[track_id] = replace(track, shape_state=asked)
     return effects
 
 
 def end_shape(state: MapState, event: ShapeReady | ShapeFailed) -> None:
     """Store the result of a shape job in its track; a result of a job that is no longer wanted is ignored."""
-    track = state.tracks.get(event.object_id)
+    tracks = state.tracks if event.object_id in state.tracks else state.elsewhere
+    track = tracks.get(event.object_id)
     if track is None or track.shape_state.open_ticket != event.ticket:
         state.decide("shape", event.object_id, f"job {event.ticket} ended, but is no longer wanted")
         return
     ended = replace(track.shape_state, open_ticket=None)
     if isinstance(event, ShapeReady):
         state.decide("shape", track.id, f"job {event.ticket}: {len(event.shape.fitted)} superquadrics")
-        state.tracks[track.id] = replace(track, shape=event.shape, shape_state=replace(ended, failures=0))
+        tracks[track.id] = replace(track, shape=event.shape, shape_state=replace(ended, failures=0))
     else:
         state.decide("shape", track.id, f"job {event.ticket} gave no shape: {event.reason}")
-        state.tracks[track.id] = replace(track, shape_state=replace(ended, failures=ended.failures + 1))
+        tracks[track.id] = replace(track, shape_state=replace(ended, failures=ended.failures + 1))

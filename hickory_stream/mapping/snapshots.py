@@ -33,7 +33,7 @@ class Snapshots:
         """Return the map as it is now."""
         shown = {
             track.id: self._shown(track, state.submaps.world_from(track.submap_id))
-            for track in state.ordered()
+            for track in state.everywhere()
             if track.phase is not Phase.ROOM
         }
         self._objects = shown
@@ -86,10 +86,10 @@ class Snapshots:
 
 def metrics_of(state: MapState) -> tuple[tuple[str, float], ...]:
     """Return named numbers for plots: tracks by phase, the share of masks without computed features, best scores."""
-    counts = [(f"core/{phase}", float(sum(t.phase is phase for t in state.tracks.values()))) for phase in Phase]
+    counts = [(f"core/{phase}", float(sum(t.phase is phase for t in state.everywhere()))) for phase in Phase]
     scores = [
         (f"score/{track.id}", track.best_view.score)
-        for track in state.ordered()
+        for track in state.everywhere()
         if track.best_view is not None and track.best_view.score is not None
     ]
     saved = 1.0 - state.num_features / state.num_masks if state.num_masks else 0.0

@@ -4,20 +4,25 @@ An object, like a voxel, belongs to the submap in which it was first seen. All d
 correction only sets the pose of each submap, which is applied when the map is published. So no shape is recomputed,
 and without corrections the published data are the original ones, to the byte.
 
-A submap ends after a length of the camera's path, when the floor becomes that of another storey, or when the odometry
-jumps. An end by path length only changes which submap owns new objects and voxels: checks against the observed space
-use everything seen since the last jump.
+A submap ends when the odometry may have drifted by a few centimetres in it, when the floor becomes that of another
+storey, or when the odometry jumps. An end by drift only changes which submap owns new objects and voxels: checks
+against the observed space use everything seen since the last jump, as far as it was not moved against the open submap.
+
+All frames of submaps are the frame of the odometry, that of the open one as well: frames go on in it, whatever is
+corrected. A submap is *rigid with the open one* if both have the same pose; what belongs to others does not lie where
+the odometry has it any more.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.geometry.voxels import contains, places
 from hickory_stream.mapping import observed_space
 from hickory_stream.mapping.observed_space import (
@@ -27,8 +32,9 @@ from hickory_stream.mapping.observed_space import (
     empty_space,
     false_floor,
     is_another_storey,
-    without_level,
+    without_floor,
 )
+from hickory_stream.mapping.submap_surface import SubmapSurface, no_surface, points_of, with_points
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation, Submap
 
@@ -37,52 +43,78 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.events import FrameObserved
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SubmapConfig(Ranged):
-    """When a submap ends (besides jumps of the odometry): after `travel_m` of the camera's path."""
+    """When a submap ends, besides jumps of the odometry.
+
+    Attributes:
+        travel_m: after this length of the camera's path.
+        drift_m, drift_share, drift_per_rad_m: when the odometry may have drifted by `drift_m` in it: by a share of the
+            path, and by a length for each radian that the camera turned.
+        surface_m: the voxel size of its surface, in which loops are searched.
+        surface_range_m: depth beyond this is no part of its surface.
+    """
 
     travel_m: float = number(15.0, 0.01, 1e6, "m")
+    drift_m: float = number(0.06, 0.001, 1e6, "m")
+    drift_share: float = number(0.01, 0, 1, "share")
+    drift_per_rad_m: float = number(0.005, 0, 10, "m")
+    surface_m: float = number(0.08, 0.01, 1, "m")
+    surface_range_m: float = number(5.0, 0.5, 100, "m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SubmapState:
     """A submap: `space` is the part of the observed space that it owns; `world_from_submap` is its corrected pose.
 
-    The frame of a submap is the odometry frame: `world_from_submap` is the identity until it is corrected.
+    The frame of a submap is the odometry frame: `world_from_submap` is the identity until it is corrected. `began_ns`
+    and `anchor` (4, 4) are the stamp and the camera's pose, in that frame, of its first keyframe; None before it.
+    `way_m` and `turn_rad` are how far the camera moved and turned in it, `after_jump` whether the odometry jumped
+    before it. `surface` is all surface that was seen in it.
     """
 
     id: int
     world_from_submap: NDArray[np.float64]
     space: SpaceState
+    began_ns: int | None = None
+    anchor: NDArray[np.float64] | None = None
+    way_m: float = 0.0
+    turn_rad: float = 0.0
+    after_jump: bool = False
+    surface: SubmapSurface = field(default_factory=no_surface)
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_submap", np.float64, (4, 4))
+        if self.anchor is not None:
+            freeze(self, "anchor", np.float64, (4, 4))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Submaps:
-    """All submaps, the last of which is open, and the `space` seen since the last jump of the odometry.
+    """All submaps, the last of which is open, and the `space` against which tracks are checked.
 
-    Tracks are checked against `space`. `first` is the id of the first submap since that jump. `owned` (N,) are the
-    sorted keys of the voxels of closed submaps, `owners` (N,) the id of the submap that owns each. `way_m` is the
-    length of the camera's path in the open submap, up to the position `last_world` (3,), which is None before the first
-    keyframe and after a jump.
+    That is the space of the submaps from `first` on: of those since the last jump of the odometry, which came before
+    submap `since_jump`, the last ones that are rigid with the open one. `owned` (N,) are the sorted keys of the voxels
+    of the closed ones of them, `owners` (N,) the id of the submap that owns each. `last_pose` (4, 4) is the camera's at
+    the last keyframe; None before the first one and after a jump.
     """
 
     states: tuple[SubmapState, ...]
     space: SpaceState
     first: int = 0
+    since_jump: int = 0
     owned: NDArray[np.int64]
     owners: NDArray[np.int32]
-    way_m: float = 0.0
-    last_world: NDArray[np.float64] | None = None
+    last_pose: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "owned", np.int64, (None,))
         freeze(self, "owners", np.int32, (len(self.owned),))
-        if self.last_world is not None:
-            freeze(self, "last_world", np.float64, (3,))
+        if self.last_pose is not None:
+            freeze(self, "last_pose", np.float64, (4, 4))
 
     @property
     def open_id(self) -> int:
@@ -93,6 +125,15 @@ class Submaps:
         """Return the pose of a submap: world_from_submap (4, 4)."""
         return self.states[submap_id].world_from_submap
 
+    def is_rigid_with_open(self, submap_id: int) -> bool:
+        """Return whether a submap has the pose of the open one: its data lie where the odometry has them."""
+        place = self.states[submap_id].world_from_submap
+        return place is self.states[-1].world_from_submap or np.array_equal(place, self.states[-1].world_from_submap)
+
+    def open_from(self, submap_id: int) -> NDArray[np.float64]:
+        """Return where a submap lies in the frame of the open one, which is that of the frames to come: (4, 4)."""
+        return compose(invert(self.states[-1].world_from_submap), self.states[submap_id].world_from_submap)
+
 
 def first_submap(voxel_m: float) -> Submaps:
     """Return one open, empty submap."""
@@ -101,18 +142,41 @@ def first_submap(voxel_m: float) -> Submaps:
     return Submaps(states=(state,), space=space, owned=np.empty(0, np.int64), owners=np.empty(0, np.int32))
 
 
-def travelled(submaps: Submaps, place_world: NDArray[np.float64], config: SubmapConfig) -> Submaps:
-    """Return the submaps after the camera has moved to (3,); a new one is opened after `travel_m` of its path."""
-    step_m = 0.0 if submaps.last_world is None else portable.norm(place_world - submaps.last_world)
-    way_m = submaps.way_m + step_m
-    if way_m < config.travel_m:
-        return replace(submaps, way_m=way_m, last_world=place_world)
-    return replace(_opened(_closed(submaps)), way_m=0.0, last_world=place_world)
+def with_keyframe(submaps: Submaps, event: FrameObserved, config: SubmapConfig) -> Submaps:
+    """Return the submaps after the camera has moved to a keyframe, with its surface on that of the open one."""
+    submaps = travelled(submaps, event.world_from_camera, event.stamp_ns, config)
+    if event.coarse is None:
+        return submaps
+    return with_surface(submaps, points_of(event.coarse, event.world_from_camera, config.surface_range_m), config)
+
+
+def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config: SubmapConfig) -> Submaps:
+    """Return the submaps after the camera has moved to a pose (4, 4); a new one is opened where the old one ends."""
+    last, current = submaps.last_pose, submaps.states[-1]
+    if last is not None:
+        way_m = current.way_m + portable.norm(pose[:3, 3] - last[:3, 3])
+        turn_rad = current.turn_rad + rotation_angle_rad(portable.matmul(last[:3, :3].T, pose[:3, :3]))
+        current = replace(current, way_m=way_m, turn_rad=turn_rad)
+        submaps = replace(submaps, states=(*submaps.states[:-1], current), last_pose=pose)
+        drift_m = config.drift_share * way_m + config.drift_per_rad_m * turn_rad
+        if way_m >= config.travel_m or drift_m >= config.drift_m:
+            submaps = _opened(_closed(submaps))
+    current = submaps.states[-1]
+    if current.anchor is None:
+        current = replace(current, anchor=pose, began_ns=stamp_ns)
+    return replace(submaps, states=(*submaps.states[:-1], current), last_pose=pose)
+
+
+def with_surface(submaps: Submaps, points: NDArray[np.float32], config: SubmapConfig) -> Submaps:
+    """Return the submaps with a keyframe's points (N, 3), in the odometry's frame, on the open one's surface."""
+    current = submaps.states[-1]
+    current = replace(current, surface=with_points(current.surface, points, config.surface_m))
+    return replace(submaps, states=(*submaps.states[:-1], current))
 
 
 def interrupted(submaps: Submaps) -> Submaps:
     """Return the submaps after a jump of the stamps: the way to the next camera position does not count as path."""
-    return replace(submaps, last_world=None)
+    return replace(submaps, last_pose=None)
 
 
 def torn(submaps: Submaps) -> Submaps:
@@ -120,32 +184,34 @@ def torn(submaps: Submaps) -> Submaps:
 
     If the open submap has no keyframe yet, it stays open instead.
     """
-    if submaps.last_world is None and submaps.way_m == 0.0 and not _has_space(submaps.states[-1].space):
+    if submaps.states[-1].anchor is None:
         return submaps
     empty = empty_space(submaps.space.voxel_m)
+    after = submaps.open_id + 1
     alone = replace(
         submaps,
         space=empty,
-        first=submaps.open_id + 1,
+        first=after,
+        since_jump=after,
         owned=np.empty(0, np.int64),
         owners=np.empty(0, np.int32),
-        way_m=0.0,
-        last_world=None,
+        last_pose=None,
     )
-    return _opened(alone)
+    opened = _opened(alone)
+    return replace(opened, states=(*opened.states[:-1], replace(opened.states[-1], after_jump=True)))
 
 
 def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
     """Return the submaps after one more keyframe; a new one is opened on another storey, since each has one floor."""
     false_m = false_floor(submaps.space, seen.floor_z_m)
     if false_m is None and is_another_storey(submaps.space, seen.floor_z_m):
-        submaps = replace(_opened(_closed(submaps)), way_m=0.0)
+        submaps = _opened(_closed(submaps))
     if submaps.first == submaps.open_id:
         return _alone(submaps, add(submaps.space, seen))
     if false_m is not None:
-        # Structure at the height of the false floor is withdrawn in all submaps since the last jump.
-        kept, open_ones = submaps.states[: submaps.first], submaps.states[submaps.first :]
-        without = tuple(replace(state, space=without_level(state.space, false_m)) for state in open_ones)
+        # What was concluded from the false floor is withdrawn in all submaps that are judged together.
+        kept, judged = submaps.states[: submaps.first], submaps.states[submaps.first :]
+        without = tuple(replace(state, space=without_floor(state.space, false_m, seen.floor_z_m)) for state in judged)
         submaps = replace(submaps, states=(*kept, *without))
     space = add(submaps.space, seen)
     free, structure = _by_owner(submaps, seen.free_keys), _by_owner(submaps, seen.structure_keys)
@@ -182,7 +248,7 @@ def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
 
 
 def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float64]]) -> Submaps:
-    """Return the submaps with some of their poses corrected.
+    """Return the submaps with some of their poses corrected, and the space of those that are now rigid with the open.
 
     Raises:
         ValueError: there is no such submap.
@@ -194,7 +260,7 @@ def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float
         replace(state, world_from_submap=world_from_submap[state.id]) if state.id in world_from_submap else state
         for state in submaps.states
     )
-    return replace(submaps, states=states)
+    return _judged_by_rigid_ones(replace(submaps, states=states))
 
 
 def record_of(state: SubmapState) -> Submap:
@@ -205,10 +271,28 @@ def record_of(state: SubmapState) -> Submap:
 # ---- the steps ------------------------------------------------------------------------------------------------------
 
 
+def _judged_by_rigid_ones(submaps: Submaps) -> Submaps:
+    """Return the submaps with the space of the last ones that are rigid with the open one."""
+    first = submaps.open_id
+    while first > submaps.since_jump and submaps.is_rigid_with_open(first - 1):
+        first -= 1
+    if first == submaps.first:
+        return submaps
+    closed = submaps.states[first:-1]
+    keys = [_voxels(state.space) for state in closed]
+    owned = np.concatenate([np.empty(0, np.int64), *keys])
+    owners = np.concatenate(
+        [np.empty(0, np.int32), *(np.full(len(k), s.id, np.int32) for k, s in zip(keys, closed, strict=True))]
+    )
+    # Of submaps that were moved apart for a while both may have a voxel: it is the earlier one's again.
+    owned, at = np.unique(owned, return_index=True)
+    space = observed_space.joined([state.space for state in submaps.states[first:]])
+    return replace(submaps, first=first, space=space, owned=owned, owners=owners[at])
+
+
 def _closed(submaps: Submaps) -> Submaps:
     """Return the submaps with the voxels of the open one assigned to it permanently."""
-    space = submaps.states[-1].space
-    keys = np.union1d(np.union1d(space.free, space.surface), space.room)
+    keys = _voxels(submaps.states[-1].space)
     owned = np.concatenate([submaps.owned, keys])
     owners = np.concatenate([submaps.owners, np.full(len(keys), submaps.open_id, dtype=np.int32)])
     order = np.argsort(owned, kind="stable")
@@ -232,14 +316,17 @@ def _with_spaces(submaps: Submaps, space: SpaceState, changed: Mapping[int, Spac
     states = list(submaps.states)
     for i, own in changed.items():
         states[i] = replace(states[i], space=own)
-    # Only the open submap follows the current floor: closed ones keep the floor that was seen in them.
+    # Only the open submap follows the current floor: closed ones keep the floor that was seen in them, if any was.
+    for i in range(submaps.first, submaps.open_id):
+        if states[i].space.floor_z_m is None and space.floor_z_m is not None:
+            states[i] = replace(states[i], space=replace(states[i].space, floor_z_m=space.floor_z_m))
     last = states[-1]
     states[-1] = replace(last, space=replace(last.space, floor_z_m=space.floor_z_m))
     return replace(submaps, space=space, states=tuple(states))
 
 
-def _has_space(space: SpaceState) -> bool:
-    return len(space.free) + len(space.surface) > 0
+def _voxels(space: SpaceState) -> NDArray[np.int64]:
+    return np.union1d(np.union1d(space.free, space.surface), space.room)
 
 
 def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:
     """Drop a track that turned out not to be an object."""
-    del state.tracks[track.id]
+    (state.tracks if track.id in state.tracks else state.elsewhere).pop(track.id)
     state.votes = state.votes.without(track.id)
     state.split_candidates.pop(track.id, None)
     state.absorbed.pop(track.id, None)

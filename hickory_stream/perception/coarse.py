@@ -1,4 +1,4 @@
-"""A keyframe's depth and structure at low resolution, kept in the journal to explain decisions later.
+"""A keyframe's depth and structure at low resolution, kept in the journal: for loops, and to explain decisions later.
 
 About 160 cells across for any camera: enough to tell where a pixel was in 3D and whether it was structure, at a
 twentieth of the size of a keyframe in the journal.
@@ -15,11 +15,13 @@ from hickory_stream.records import CoarseFrame
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.camera import Camera
+
 _CELLS_ACROSS = 160
 _MOST_MM = 65535.0
 
 
-def coarse_frame(depth_m: NDArray[np.float32], structure: NDArray[np.bool_]) -> CoarseFrame:
+def coarse_frame(depth_m: NDArray[np.float32], structure: NDArray[np.bool_], camera: Camera) -> CoarseFrame:
     """Return the low-resolution copy of (H, W) depth and structure; depth beyond 65 m is stored as no return."""
     height, width = depth_m.shape
     stride = max(1, -(-width // _CELLS_ACROSS))
@@ -28,7 +30,10 @@ def coarse_frame(depth_m: NDArray[np.float32], structure: NDArray[np.bool_]) -> 
     millimetres = np.nan_to_num(depth_m[sampled] * np.float32(1000.0), nan=0.0, posinf=0.0, neginf=0.0)
     millimetres = np.where((millimetres < 0) | (millimetres > _MOST_MM), np.float32(0.0), millimetres)
     return CoarseFrame(
-        stride_px=stride, depth_mm=np.rint(millimetres).astype(np.uint16), structure=structure[sampled].copy()
+        stride_px=stride,
+        depth_mm=np.rint(millimetres).astype(np.uint16),
+        structure=structure[sampled].copy(),
+        camera=camera,
     )
 
 

@@ -82,7 +82,7 @@ class Perceived:
             observations=self.observations,
             space=self.space,
             rejected=self.rejected,
-            coarse=coarse_frame(frame.depth_m, self.segmentation.structure),
+            coarse=coarse_frame(frame.depth_m, self.segmentation.structure, frame.camera),
         )
 
 

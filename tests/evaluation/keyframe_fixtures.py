@@ -40,7 +40,7 @@ def a_keyframe(*, has_coarse: bool = True, map_from_odometry: np.ndarray | None 
     free = keys_of_points(np.linspace(0.1, 0.9, 200)[:, None] * point_at(ON_WALL, WALL_M), SPACE_M)
     observed = keyframe(7, [seen], seen=space(free=free, structure=structure))
     rejected = RejectedMask(box_px=(48, 38, 53, 43), reason="too few points", mask=np.ones((5, 5), dtype=bool))
-    coarse = coarse_frame(depth_m, depth_m == WALL_M) if has_coarse else None
+    coarse = coarse_frame(depth_m, depth_m == WALL_M, CAMERA) if has_coarse else None
     return RecordedKeyframe(
         number=2,
         camera=CAMERA,

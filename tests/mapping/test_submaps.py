@@ -87,6 +87,12 @@ def whose(snapshot: MapSnapshot) -> list[tuple[int, int]]:
     return [(item.id, item.submap_id) for item in snapshot.objects]
 
 
+def camera_at(x_m: float) -> NDArray[np.float64]:
+    pose = np.eye(4)
+    pose[0, 3] = x_m
+    return pose
+
+
 # ---- the way ---------------------------------------------------------------------------------------------------------
 
 
@@ -139,7 +145,7 @@ def test_every_voxel_is_in_one_submap_and_all_together_are_what_was_seen(
             submaps = with_seen(submaps, seen)
         elif kind == "went":
             place += 1.0
-            submaps = travelled(submaps, np.array([place, 0.0, 0.0]), SubmapConfig(travel_m=1.5))
+            submaps = travelled(submaps, camera_at(place), 0, SubmapConfig(travel_m=1.5))
         else:
             submaps = with_room(submaps, free)
     judge, parts = as_record(submaps.space), [record_of(state).observed_space for state in submaps.states]
@@ -154,7 +160,7 @@ def test_a_submap_that_holds_nothing_of_what_became_room_stays_as_it_is() -> Non
     here, there = np.int64([3, 4]), np.int64([20, 21])
     submaps = with_seen(first_submap(0.05), space(free=here))
     for x_m in (0.0, 2.0):
-        submaps = travelled(submaps, np.array([x_m, 0.0, 0.0]), SubmapConfig(travel_m=1.5))
+        submaps = travelled(submaps, camera_at(x_m), 0, SubmapConfig(travel_m=1.5))
     submaps = with_seen(submaps, space(free=there))
     now = with_room(submaps, there)
     assert now.states[0] is submaps.states[0]
@@ -164,7 +170,7 @@ def test_a_submap_that_holds_nothing_of_what_became_room_stays_as_it_is() -> Non
 
 def test_the_way_is_not_measured_across_a_jump_of_the_stamps() -> None:
     def went(submaps: Submaps, x_m: float) -> Submaps:
-        return travelled(submaps, np.array([x_m, 0.0, 0.0]), SubmapConfig(travel_m=15.0))
+        return travelled(submaps, camera_at(x_m), 0, SubmapConfig(travel_m=15.0, drift_m=100.0))
 
     there = reduce(went, [0.0, 7.0, 14.0], first_submap(0.05))
     assert len(went(interrupted(there), 0.0).states) == 1
@@ -326,9 +332,16 @@ def test_a_transform_that_is_not_rigid_and_a_submap_named_twice_are_refused() ->
 
 def test_an_addition_to_space_follows_the_floor_of_the_open_submap_only() -> None:
     seen = SpaceObservation(free_keys=np.int64([1, 2]), structure_keys=np.int64([5]), floor_z_m=0.0)
-    lower = replace(seen, free_keys=np.int64([2, 3]), floor_z_m=-0.5)
-    one = with_seen(travelled(first_submap(0.05), np.zeros(3), SubmapConfig()), seen)
-    two = with_seen(travelled(one, np.array([20.0, 0.0, 0.0]), SubmapConfig()), lower)
-    assert [state.space.floor_z_m for state in two.states] == [0.0, -0.5]
-    assert add(one.space, lower).floor_z_m == two.space.floor_z_m
+    step = replace(seen, free_keys=np.int64([2, 3]), floor_z_m=-0.2)
+    one = with_seen(travelled(first_submap(0.05), camera_at(0.0), 0, SubmapConfig()), seen)
+    two = with_seen(travelled(one, camera_at(20.0), 0, SubmapConfig()), step)
+    assert [state.space.floor_z_m for state in two.states] == [0.0, two.space.floor_z_m]
+    assert add(one.space, step).floor_z_m == two.space.floor_z_m
     assert torn(two).space.floor_z_m is None
+
+
+def test_a_floor_that_turns_out_to_be_a_table_is_none_in_the_submaps_before_either() -> None:
+    seen = SpaceObservation(free_keys=np.int64([1, 2]), structure_keys=np.int64([5]), floor_z_m=0.0)
+    one = with_seen(travelled(first_submap(0.05), camera_at(0.0), 0, SubmapConfig()), seen)
+    two = with_seen(travelled(one, camera_at(20.0), 0, SubmapConfig()), replace(seen, floor_z_m=-0.5))
+    assert [state.space.floor_z_m for state in two.states] == [-0.5, -0.5]

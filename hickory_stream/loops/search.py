@@ -1,0 +1,204 @@
+"""The search for loops: where a submap that has ended lies in those before it.
+
+First from where the graph has it: its surface is registered to the earlier submaps that it overlaps there. Where the
+graph is too unsure for that, or nothing met, its objects are aligned with those of the earlier submaps, by the
+project's own alignment and its test of significance, and the surfaces refine the answer. Budgets are in candidates and
+iterations, never in time: the same snapshot gives the same loops.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.object_map import object_map
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.rigid import (
+    apply,
+    compose,
+    from_rotation_translation,
+    invert,
+    rotation_angle_rad,
+    yaw_rotation,
+)
+from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
+from hickory_stream.loops.surfaces import Surface, SurfaceFit, registered
+from hickory_stream.records import Loop, MapSnapshot
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.align_config import AlignConfig
+    from hickory_stream.alignment.object_map import ObjectMap
+    from hickory_stream.loops.config import LoopConfig
+
+_CELL_M = 0.4
+_WITHIN_SIGMAS = 3.0
+_SURE_M = 0.1
+"""Where the graph knows a place this well there is no other one nearby that could be meant."""
+
+_SAME_M, _SAME_RAD = 0.15, 0.035
+_LEAST_OBJECTS = 4
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Predicted:
+    """Where the graph has the later submap in an earlier one: `earlier_from_later` (4, 4) between their frames.
+
+    `sigma_m` and `sigma_yaw_rad` say how well, in a horizontal direction and about the vertical.
+    """
+
+    earlier_from_later: NDArray[np.float64]
+    sigma_m: float
+    sigma_yaw_rad: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LoopQuery:
+    """What is searched: the submap `later_id` among the earlier ones of `predicted`.
+
+    `surfaces` are theirs by id; `snapshot` is the map with all of them, None: objects are not compared.
+    """
+
+    later_id: int
+    surfaces: Mapping[int, Surface]
+    predicted: Mapping[int, Predicted]
+    snapshot: MapSnapshot | None = None
+    extractor: str = ""
+
+
+def search_loops(query: LoopQuery, config: LoopConfig, align_config: AlignConfig | None = None) -> tuple[Loop, ...]:
+    """Return the loops found, those that are not believed with the reason; none where nothing overlaps."""
+    if len(query.surfaces[query.later_id].points) < config.least_points:
+        return ()
+    known = [i for i in sorted(query.predicted) if query.predicted[i].sigma_m <= config.most_sigma_m]
+    loops = [_by_surface(query, earlier_id, config) for earlier_id in _overlapped(query, known, config)]
+    if any(loop.reason is None for loop in loops) or len(known) == len(query.predicted):
+        return tuple(loops)
+    by_objects = _by_objects(query, config, align_config)
+    return (*loops, *(() if by_objects is None else (by_objects,)))
+
+
+# ---- by surfaces, from where the graph has them ----------------------------------------------------------------------
+
+
+def _overlapped(query: LoopQuery, earlier_ids: list[int], config: LoopConfig) -> list[int]:
+    """Return the earlier submaps that the later one overlaps most, as the graph has them, in the order of their ids."""
+    later = query.surfaces[query.later_id]
+    shares: list[tuple[float, int]] = []
+    for earlier_id in earlier_ids:
+        earlier, predicted = query.surfaces[earlier_id], query.predicted[earlier_id]
+        if len(earlier.points) < config.least_points:
+            continue
+        share = _overlap(earlier.points, apply(predicted.earlier_from_later, later.points))
+        if share >= config.least_overlap:
+            shares.append((-share, earlier_id))
+    return sorted(earlier_id for _, earlier_id in sorted(shares)[: config.most_candidates])
+
+
+def _overlap(earlier: NDArray[np.float64], later: NDArray[np.float64]) -> float:
+    cells = sorted_unique(keys_of_points(earlier, _CELL_M))
+    return float(contains(cells, keys_of_points(later, _CELL_M)).mean())
+
+
+def _by_surface(query: LoopQuery, earlier_id: int, config: LoopConfig) -> Loop:
+    """Register a submap to an earlier one from where the graph has it, and from around there."""
+    earlier, later, predicted = query.surfaces[earlier_id], query.surfaces[query.later_id], query.predicted[earlier_id]
+    reach_m = _WITHIN_SIGMAS * predicted.sigma_m
+    fits = [registered(earlier, later, start, reach_m) for start in _starts(predicted, later)]
+    best = max(fits, key=lambda fit: (_worth(fit, config), fit.agreement))
+    rivals = [fit for fit in fits if not _is_same(fit, best, later) and _worth(fit, config)]
+    reason = _why_not(best, config)
+    if reason is None and any(fit.agreement > best.agreement - config.rival_agreement for fit in rivals):
+        reason = f"it fits elsewhere nearby as well: {best.agreement:.0%} of the surface agrees in both"
+    return _loop(earlier_id, query.later_id, best, "surface", reason)
+
+
+def _starts(predicted: Predicted, later: Surface) -> list[NDArray[np.float64]]:
+    """Return where to start a registration: at the prediction, and around it where that is unsure."""
+    starts = [predicted.earlier_from_later]
+    if predicted.sigma_m <= _SURE_M:
+        return starts
+    for sign in (1.0, -1.0):
+        for axis in range(2):
+            shifted = np.array(predicted.earlier_from_later)
+            shifted[axis, 3] += sign * 1.5 * predicted.sigma_m
+            starts.append(shifted)
+        turn = from_rotation_translation(yaw_rotation(sign * 1.5 * predicted.sigma_yaw_rad), np.zeros(3))
+        about = from_rotation_translation(np.eye(3), apply(predicted.earlier_from_later, later.anchor[None, :3, 3])[0])
+        starts.append(compose(about, turn, invert(about), predicted.earlier_from_later))
+    return starts
+
+
+def _worth(fit: SurfaceFit, config: LoopConfig) -> bool:
+    return fit.num_met >= config.least_points
+
+
+def _is_same(a: SurfaceFit, b: SurfaceFit, later: Surface) -> bool:
+    step = compose(invert(compose(a.earlier_from_later, later.anchor)), compose(b.earlier_from_later, later.anchor))
+    return portable.norm(step[:3, 3]) < _SAME_M and rotation_angle_rad(step[:3, :3]) < _SAME_RAD
+
+
+def _why_not(fit: SurfaceFit, config: LoopConfig) -> str | None:
+    """Return why a fit is not believed, None where it is."""
+    if fit.num_met < config.least_points:
+        return f"{fit.num_met} points of the surfaces meet; expected {config.least_points} and more"
+    if fit.agreement < config.least_agreement:
+        against = fit.num_known - fit.num_met
+        return (
+            f"{fit.agreement:.0%} of the surface agrees, {against} points lie in free space; "
+            f"expected {config.least_agreement:.0%} and more"
+        )
+    return None
+
+
+def _loop(earlier_id: int, later_id: int, fit: SurfaceFit, method: str, reason: str | None) -> Loop:
+    return Loop(
+        earlier=earlier_id,
+        later=later_id,
+        earlier_from_later=fit.earlier_from_later,
+        covariance=fit.covariance,
+        method="objects" if method == "objects" else "surface",
+        score=round(fit.agreement, 6),
+        reason=reason,
+    )
+
+
+# ---- by objects ------------------------------------------------------------------------------------------------------
+
+
+def _by_objects(query: LoopQuery, config: LoopConfig, align_config: AlignConfig | None) -> Loop | None:
+    """Align the objects of a submap with those of the earlier ones; None where there is nothing to refine it by."""
+    if query.snapshot is None:
+        return None
+    later_map = _objects_of(query.snapshot, {query.later_id}, query.extractor)
+    earlier_map = _objects_of(query.snapshot, set(query.predicted), query.extractor)
+    if min(len(later_map), len(earlier_map)) < _LEAST_OBJECTS:
+        return None
+    answer = align(earlier_map, later_map, align_config)
+    if not isinstance(answer, Alignment):
+        return None
+    places = {submap.id: submap.world_from_submap for submap in query.snapshot.submaps}
+    owner = dict(zip(earlier_map.ids.tolist(), earlier_map.submap_ids.tolist(), strict=True))
+    owners = [owner[pair.id_a] for pair in answer.pairs]
+    earlier_id = max(sorted(set(owners)), key=owners.count)
+    start = compose(invert(places[earlier_id]), answer.a_from_b, places[query.later_id])
+    earlier, later = query.surfaces[earlier_id], query.surfaces[query.later_id]
+    if min(len(earlier.points), len(later.points)) < config.least_points:
+        return None
+    fit = registered(earlier, later, start, _WITHIN_SIGMAS * answer.translation_sigma_m)
+    return _loop(earlier_id, query.later_id, fit, "objects", _why_not(fit, config))
+
+
+def _objects_of(snapshot: MapSnapshot, submap_ids: set[int], extractor: str) -> ObjectMap:
+    objects = tuple(item for item in snapshot.objects if item.submap_id in submap_ids)
+    submaps = tuple(submap for submap in snapshot.submaps if submap.id in submap_ids)
+    return object_map(
+        MapSnapshot(revision=snapshot.revision, stamp_ns=snapshot.stamp_ns, submaps=submaps, objects=objects), extractor
+    )
