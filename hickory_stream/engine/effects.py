@@ -47,10 +47,14 @@ class AtHand:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Handled:
-    """What an event led to: what the core published, and the patch features (h, w, D); None where there is nothing."""
+    """What an event led to: what the core published, and the patch features (h, w, D); None where there is nothing.
+
+    `effects` are those that nobody waits for who wants to see the map: shape jobs, and what they make superfluous.
+    """
 
     published: Publish | None
     patches: NDArray[np.float32] | None
+    effects: tuple[Effect, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -78,8 +82,15 @@ class EffectRunner:
 
     async def handle(self, event: Event, at_hand: AtHand | None = None) -> Handled:
         """Give the core an event, and carry out its effects and those that follow from them."""
+        handled = await self.decide(event, at_hand)
+        await self.carry_out(handled.effects)
+        return handled
+
+    async def decide(self, event: Event, at_hand: AtHand | None = None) -> Handled:
+        """Give the core an event, and publish the map after it; the effects that are left are for `carry_out`."""
         published: Publish | None = None
         patches: NDArray[np.float32] | None = None
+        left: list[Effect] = []
         asked: Event | None = event
         while asked is not None:
             self._to.steps.add_event(asked)
@@ -93,11 +104,16 @@ class EffectRunner:
                 elif isinstance(effect, Publish):
                     published = effect
                 else:
-                    await self._carry_out(effect)
+                    left.append(effect)
         if published is not None:
             self._to.publish(published.snapshot)
             self._to.steps.add_published(published)
-        return Handled(published=published, patches=patches)
+        return Handled(published=published, patches=patches, effects=tuple(left))
+
+    async def carry_out(self, effects: Sequence[Effect]) -> None:
+        """Carry out what was left of an event, in its order."""
+        for effect in effects:
+            await self._carry_out(effect)
 
     async def _carry_out(self, effect: Effect) -> None:
         match effect:

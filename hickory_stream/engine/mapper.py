@@ -83,8 +83,8 @@ class Mapper:
         self._overwrite = overwrite
         self._segmenter = segmenter or make_segmenter(self.config.perception)
         self._extractor = extractor or make_extractor(self.config.perception)
-        is_own = segmenter is None and extractor is None
-        self._processor = processor_of_run(self.config.perception, is_own=is_own)
+        self._is_own = segmenter is None and extractor is None
+        self._processor = processor_of_run(self.config.perception, is_own=self._is_own)
         self._core = core or MapperCore(self.config.mapping)
         self._workers = workers or make_workers(self.config)
         self._resumes = False
@@ -235,6 +235,7 @@ class Mapper:
                     publish=publish,
                     progress=progress,
                     resumes=continued,
+                    rehearses=mode == "live" and self._is_own,
                 )
                 run = self._run = Run(parts)
                 await self._play(run, source, folder, journal, threads, rate, loops)

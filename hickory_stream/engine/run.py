@@ -48,6 +48,7 @@ from hickory_stream.engine.step import StepKind
 from hickory_stream.engine.step_writer import StepWriter
 from hickory_stream.engine.stopping import Stop
 from hickory_stream.engine.threads import on_thread
+from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import RecordingError
 from hickory_stream.events import PoseJumped, SourceEnded
 from hickory_stream.perception.perceive import Perceived, perceive
@@ -78,7 +79,8 @@ logger = logging.getLogger(__name__)
 class RunParts:
     """What a run is made of: a source and what maps it, where the map goes, and who is told.
 
-    `resumes` is the state of an interrupted run that this one continues, with its core.
+    `resumes` is the state of an interrupted run that this one continues, with its core. `rehearses`: perception and
+    core are tried out before the first frame is read, which then takes no longer than the others.
     """
 
     config: MapperConfig
@@ -94,6 +96,7 @@ class RunParts:
     publish: Callable[[MapSnapshot], None]
     progress: Callable[[Progress], None]
     resumes: ResumePoint | None = None
+    rehearses: bool = False
 
 
 class Run:
@@ -208,6 +211,9 @@ class Run:
         total = source.info.num_frames
         self._announcer.total = total * loops if total is not None else None
         await self._stop.within_grace(compile_kernels(self._tell_compiling), "compile")
+        if self._parts.rehearses and not self._stop.is_requested:
+            parts = self._parts
+            await on_thread(self._thinker, rehearse, parts.segmenter, parts.extractor, parts.config)
         try:
             async with asyncio.TaskGroup() as group:
                 watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
@@ -321,12 +327,28 @@ class Run:
             self._clock.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
         at_hand = AtHand(frame=frame, observations=perceived.observations)
-        handled = await self._effects.handle(perceived.event(frame), at_hand)
+        decided = await self._effects.decide(perceived.event(frame), at_hand)
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
         for stage, seconds in times.items():
             self.timings_s[stage] += seconds
         metrics = self._metrics({**times, "latency": time.monotonic() - read.arrived_s})
+        if decided.published is not None:
+            # A sink may save a map that names views: they are there by then.
+            await self._recorder.written()
+            await self._announcer.show(
+                keyframe_report(
+                    read.raw,
+                    frame,
+                    perceived,
+                    decided.published,
+                    keyframe_index=self._clock.num_keyframes - 1,
+                    patches=decided.patches,
+                    metrics=metrics,
+                )
+            )
+        # A robot waits for the map, not for shape jobs and the journal.
+        await self._effects.carry_out(decided.effects)
         await self._steps.commit(
             StepKind.KEYFRAME,
             frame.stamp_ns,
@@ -334,18 +356,6 @@ class Run:
             color=lambda: color_of(read.raw, frame, self._parts.config.journal),
             core=self._effects.core,
         )
-        if handled.published is not None:
-            await self._announcer.show(
-                keyframe_report(
-                    read.raw,
-                    frame,
-                    perceived,
-                    handled.published,
-                    keyframe_index=self._clock.num_keyframes - 1,
-                    patches=handled.patches,
-                    metrics=metrics,
-                )
-            )
 
     def _perceived(self, frame: Frame, prepared: object) -> Perceived:
         config, prior = self._parts.config, self._effects.core.prior()

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from hickory_stream.events import Effect
+    from hickory_stream.ports import FeatureExtractor, Segmenter
 
 # A stool with a back: several primitives, some of them thin.
 _STOOL = (
@@ -44,6 +45,7 @@ _STOOL = (
 _FRAMES = (0, 9, 18, 27)
 _WALL = SceneBox(low=(-3.0, 1.6, 0.0), high=(3.0, 1.8, 2.4), rgb=(220, 220, 210))
 _NUM_MAPPED = 12
+_NUM_REHEARSED = 3
 _COARSE = ShapeConfig(
     fused=FusedConfig(volume=VolumeConfig(cells=20)),
     fit=FitConfig(cells=20, coarse_samples=200, fine_samples=400, gain_samples=1000, joint_samples=500),
@@ -61,20 +63,29 @@ def warm_up() -> None:
 
 def warm_up_mapping() -> None:
     """Map a few frames, for the kernels of perception and of the core, as `warm_up` does for those of shapes."""
+    config = MapperConfig()
     with _one_at_a_time("mapping"):
-        config = MapperConfig()
-        segmenter, extractor = make_segmenter(config.perception), ColorTextureDescriptor()
-        core = MapperCore(config.mapping)
-        for raw in SceneSource(_NUM_MAPPED, (*SCENE_BOXES, _WALL)).frames():
-            frame = raw.decode()
-            prepared, prior = segmenter.prepare(frame), core.prior()
-            perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.lattice)
-            waiting: list[Effect] = core.handle(perceived.event(frame))
-            while waiting:
-                effect = waiting.pop(0)
-                if isinstance(effect, ComputeFeatures):
-                    features, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
-                    waiting += core.handle(FeaturesReady(frame_index=effect.frame_index, features=features))
+        rehearse(make_segmenter(config.perception), ColorTextureDescriptor(), config, num_frames=_NUM_MAPPED)
+
+
+def rehearse(
+    segmenter: Segmenter, extractor: FeatureExtractor, config: MapperConfig, *, num_frames: int = _NUM_REHEARSED
+) -> None:
+    """Map the first frames of a small scene, and forget them: afterwards kernels are loaded, and networks have run.
+
+    The first keyframe of a process takes a second longer than the others without it.
+    """
+    core = MapperCore(config.mapping)
+    for raw in SceneSource(num_frames, (*SCENE_BOXES, _WALL)).frames():
+        frame = raw.decode()
+        prepared, prior = segmenter.prepare(frame), core.prior()
+        perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.lattice)
+        waiting: list[Effect] = core.handle(perceived.event(frame))
+        while waiting:
+            effect = waiting.pop(0)
+            if isinstance(effect, ComputeFeatures):
+                features, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
+                waiting += core.handle(FeaturesReady(frame_index=effect.frame_index, features=features))
 
 
 PARTS: dict[str, Callable[[], None]] = {"mapping": warm_up_mapping, "shapes": warm_up}

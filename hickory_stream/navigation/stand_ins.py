@@ -37,7 +37,7 @@ from hickory_stream.geometry.voxels import (
 from hickory_stream.navigation.observed import NO_HULLS, above_floor, box_corners, rectangles
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -51,6 +51,7 @@ SEEN_SURFACE = -1
 _MOST_SLABS, _CUTS = 4, 15
 _LEAST_SAVED = 0.1
 _THINNEST_M = 0.001
+_SAMPLED = 64
 _GONE = 2
 """After so many keyframes that saw through it, or structure there, a voxel is no surface any more."""
 
@@ -66,12 +67,34 @@ class Obstacle:
 
 def early_obstacles(objects: Sequence[TrackedObject]) -> list[Obstacle]:
     """Return what all objects take up, those that were seen once included."""
-    return [
-        Obstacle(id=tracked.id, body=stand_in_of(tracked), is_observed_only=True)
-        if tracked.shape is None or len(tracked.shape.inflated) == 0
-        else Obstacle(id=tracked.id, body=tracked.shape.inflated, is_observed_only=False)
-        for tracked in objects
-    ]
+    return _MADE.of(objects)
+
+
+class _Made:
+    """Obstacles of the objects that were asked for last: several sinks ask, and most objects stay as they are."""
+
+    def __init__(self) -> None:
+        self._last: Mapping[int, tuple[TrackedObject, Obstacle]] = {}
+
+    def of(self, objects: Sequence[TrackedObject]) -> list[Obstacle]:
+        """Return the obstacles of objects."""
+        known = self._last  # whoever asks at the same time replaces it as a whole
+        found: dict[int, tuple[TrackedObject, Obstacle]] = {}
+        for tracked in objects:
+            before = known.get(tracked.id)
+            is_same = before is not None and before[0] is tracked
+            found[tracked.id] = before if before is not None and is_same else (tracked, _obstacle_of(tracked))
+        self._last = found
+        return [obstacle for _, obstacle in found.values()]
+
+
+_MADE = _Made()
+
+
+def _obstacle_of(tracked: TrackedObject) -> Obstacle:
+    if tracked.shape is None or len(tracked.shape.inflated) == 0:
+        return Obstacle(id=tracked.id, body=stand_in_of(tracked), is_observed_only=True)
+    return Obstacle(id=tracked.id, body=tracked.shape.inflated, is_observed_only=False)
 
 
 def stand_in_of(tracked: TrackedObject, margin_m: float = MARGIN_M) -> Superquadrics:
@@ -108,26 +131,47 @@ def _around(box: OrientedBox, points: NDArray[np.float64]) -> OrientedBox:
 def _slabs(box: OrientedBox, points: NDArray[np.float64], margin_m: float) -> list[OrientedBox]:
     """Return a box that holds all points as slabs that do; one slab as long as more hardly save space."""
     local = apply(invert(box.world_from_box), points)
-    parts = [np.arange(len(local))]
+    parts = [_Part.of(local, margin_m)] if len(local) else []
     for _ in range(_MOST_SLABS - 1):
-        best, saved_m3 = None, _LEAST_SAVED * sum(_volume_m3(local[part], margin_m) for part in parts)
-        for n, part in enumerate(parts):
-            heights = local[part, 2]
-            for height in np.linspace(heights.min(initial=0.0), heights.max(initial=0.0), _CUTS + 2)[1:-1]:
-                halves = part[heights <= height], part[heights > height]
-                if min(map(len, halves)) == 0:
-                    continue
-                less_m3 = _volume_m3(local[part], margin_m) - sum(_volume_m3(local[half], margin_m) for half in halves)
-                if less_m3 > saved_m3:
-                    best, saved_m3 = (n, halves), less_m3
-        if best is None:
+        least_m3 = _LEAST_SAVED * sum(part.volume_m3 for part in parts)
+        saves_m3, n = max(((part.saves_m3, -n) for n, part in enumerate(parts)), default=(0.0, 0))
+        if saves_m3 <= least_m3:
             break
-        parts[best[0] : best[0] + 1] = best[1]
-    return [box] if len(parts) == 1 else [_box_of(box, local[part]) for part in parts]
+        part = parts[-n]
+        is_low = part.local[:, 2] <= part.cut_m
+        parts[-n : 1 - n or None] = [_Part.of(part.local[side], margin_m) for side in (is_low, ~is_low)]
+    return [box] if len(parts) < 2 else [_box_of(box, part.local) for part in parts]
 
 
-def _volume_m3(local: NDArray[np.float64], margin_m: float) -> float:
-    return float((np.ptp(local, axis=0) + 2 * margin_m).prod()) if len(local) else 0.0
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Part:
+    """Points (N, 3) in the frame of a box, the volume around them, and the cut that makes two parts of least volume."""
+
+    local: NDArray[np.float64]
+    volume_m3: float
+    cut_m: float
+    saves_m3: float
+
+    @classmethod
+    def of(cls, local: NDArray[np.float64], margin_m: float) -> _Part:
+        heights = local[:, 2]
+        cuts = np.linspace(heights.min(), heights.max(), _CUTS + 2)[1:-1]
+        layers = np.searchsorted(cuts, heights).astype(np.uint8)
+        order = np.argsort(layers, kind="stable")
+        filled, first = np.unique(layers[order], return_index=True)
+        low, high = (side.reduceat(local[order], first, axis=0) for side in (np.minimum, np.maximum))
+        # Of the layers below and above each border between two that have points.
+        below = np.maximum.accumulate(high)[:-1] - np.minimum.accumulate(low)[:-1]
+        above = (np.maximum.accumulate(high[::-1]) - np.minimum.accumulate(low[::-1]))[:-1][::-1]
+        volume_m3 = float((high.max(axis=0) - low.min(axis=0) + 2 * margin_m).prod())
+        saves_m3 = volume_m3 - sum((sides + 2 * margin_m).prod(axis=1) for sides in (below, above))
+        best = int(np.argmax(saves_m3)) if len(saves_m3) else -1
+        return cls(
+            local=local,
+            volume_m3=volume_m3,
+            cut_m=float(cuts[filled[best]]) if best >= 0 else np.inf,
+            saves_m3=float(saves_m3[best]) if best >= 0 else 0.0,
+        )
 
 
 def _box_of(box: OrientedBox, local: NDArray[np.float64]) -> OrientedBox:
@@ -140,11 +184,17 @@ def _box_of(box: OrientedBox, local: NDArray[np.float64]) -> OrientedBox:
 
 def _grown(sketch: Superquadrics, points: NDArray[np.float64], margin_m: float) -> Superquadrics:
     """Return a sketch that is larger by a margin along its axes, and by one factor where points are still outside."""
-    steps = sketch.world_from_local[0, :3, :3].T * margin_m
-    held = np.concatenate([points + side * step for step in steps for side in (-1.0, 1.0)])
-    larger = replace(sketch, semi_axes_m=sketch.semi_axes_m + margin_m)
-    log_g = float(log_implicit_value(larger, 0, held).max(initial=0.0))
-    return replace(larger, semi_axes_m=larger.semi_axes_m * np.exp(log_g * larger.exponents[0, 0] / 2) * (1 + 1e-9))
+    exponent = float(sketch.exponents[0, 0])
+    local = np.abs(apply(invert(sketch.world_from_local[0]), points))
+    larger = replace(sketch, semi_axes_m=sketch.semi_axes_m + margin_m, world_from_local=np.eye(4)[None])
+    held = np.concatenate([local + margin_m * axis for axis in np.eye(3)])
+    log_g = float(log_implicit_value(larger, 0, held[::_SAMPLED]).max(initial=0.0))
+    # G of a point is at most that of the corner of the box through it: most are not worth the logarithms.
+    most = float(log_implicit_value(larger, 0, larger.semi_axes_m)[0])
+    is_far = (held / larger.semi_axes_m[0]).max(axis=1) >= np.exp((log_g - most) * exponent / 2) * (1 - 1e-9)
+    log_g = max(log_g, float(log_implicit_value(larger, 0, held[is_far]).max(initial=0.0)))
+    axes = larger.semi_axes_m * np.exp(log_g * exponent / 2) * (1 + 1e-9)
+    return replace(sketch, semi_axes_m=axes)
 
 
 class SeenSurface:

@@ -67,6 +67,8 @@ _TOPICS = {
 _OBJECTS_EVERY_S = 0.5
 # Who comes late has the last whole grid, and no windows from before: it is never older than this.
 _WHOLE_EVERY_S = 5.0
+# A goal is planned in the newest map in any case; the less there is to catch up with then, the sooner it is answered.
+_FOLLOWED_EVERY_S = 1.0
 _GOALS = 4
 # As AMCL does it (transform_tolerance): whoever looks the transform up is a little later than the keyframe.
 _TF_AHEAD_NS = 1_000_000_000
@@ -103,7 +105,8 @@ class PublishSink:
         self._map_from_odom = np.eye(4)
         self._robot_at: NDArray[np.float64] | None = None
         self._stamp_ns = 0
-        self._told_s = self._whole_s = -np.inf
+        self._unfollowed: MapSnapshot | None = None
+        self._told_s = self._whole_s = self._followed_s = -np.inf
         self._goals: queue.Queue[bytes | None] = queue.Queue(_GOALS)
         self._goal_fates = {"answered": 0, "no_path": 0, "refused": 0, "dropped": 0}
         warm_up()
@@ -131,8 +134,9 @@ class PublishSink:
             self._space.drove(self._robot_at)
             if report.space is not None:
                 self._seen.add(report.space, snapshot)
-            if "plan" in self._parts:
-                self._space.update(snapshot)
+            self._unfollowed = snapshot
+            if "plan" in self._parts and time.monotonic() - self._followed_s >= _FOLLOWED_EVERY_S:
+                self._follow()
         if "tf" in self._parts:
             data = transform_message(report.stamp_ns + _TF_AHEAD_NS, self._odom_frame, map_from_odom)
             self._outbox.put(TF_TOPIC, data)
@@ -158,6 +162,13 @@ class PublishSink:
             self._goals_put(None)
             self._planner.join(2.0)
         self._outbox.close()
+
+    def _follow(self) -> None:
+        """Have the grid of the planner be that of the newest snapshot; called with the lock."""
+        if self._unfollowed is not None:
+            self._space.update(self._unfollowed)
+            self._unfollowed = None
+            self._followed_s = time.monotonic()
 
     def _tell_objects(self, snapshot: MapSnapshot) -> None:
         if "objects" in self._parts:
@@ -207,6 +218,7 @@ class PublishSink:
         if goal.frame not in (FRAME_ID, self._odom_frame):
             return f"found the frame {goal.frame!r}, expected {FRAME_ID} or {self._odom_frame}"
         with self._lock:
+            self._follow()
             space, start = self._space.grid, self._robot_at
             if space is None or start is None:
                 return "nothing was mapped yet"

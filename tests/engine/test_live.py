@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from dataclasses import replace
 from itertools import islice
@@ -12,20 +13,28 @@ import pytest
 
 from hickory_stream.box_scene import START_NS, SceneSource
 from hickory_stream.cli import main
+from hickory_stream.config import MapperConfig
+from hickory_stream.engine.announcer import Announcer
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.journal_format import JOURNAL
+from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map
+from hickory_stream.engine.shape_queue import ShapeQueue
+from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import OutputError, RecordingError
+from hickory_stream.perception.choose import make_extractor, make_segmenter
 from hickory_stream.testing import InstanceSegmenter, RememberingSink
-from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, scene_config
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.modes import Mode
+    from hickory_stream.events import RequestShape
     from hickory_stream.ports import Sink
     from hickory_stream.records import Frame, FrameReport, MapPrior, RawFrame, Segmentation
 
@@ -90,6 +99,63 @@ def test_what_comes_while_the_map_is_behind_is_dropped_and_every_frame_accounted
     assert frames["read"] == frames["keyframes"] + lost
     with Journal(tmp_path / "map") as journal:
         assert journal.step(1).frames[-1].index == 6 * NUM_FRAMES - 1
+
+
+def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    happened: list[str] = []
+    show = Announcer.show
+
+    async def shown(announcer: Announcer, report: FrameReport) -> None:
+        happened.append(f"shown {report.keyframe_index}")
+        await show(announcer, report)
+
+    async def asked(queue: ShapeQueue, request: RequestShape) -> None:
+        del queue
+        # A request is due half a second after its keyframe; they are half a second apart.
+        happened.append(f"asked {round((request.due_ns - START_NS) / 5e8) - 1}")
+
+    monkeypatch.setattr(Announcer, "show", shown)
+    monkeypatch.setattr(ShapeQueue, "request", asked)
+    map_scene(tmp_path, mode="live", rate=3.0)
+    requests = [entry for entry in happened if entry.startswith("asked")]
+    assert requests
+    for entry in requests:
+        assert happened.index(entry.replace("asked", "shown")) < happened.index(entry), happened
+
+
+@pytest.mark.parametrize(("mode", "is_rehearsed"), [("live", True), ("playback", False)])
+def test_what_a_live_run_perceives_with_was_tried_out_before_the_first_frame_is_read(
+    mode: Mode, is_rehearsed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    happened: list[str] = []
+
+    class NotingSource(SceneSource):
+        def frames(self) -> Iterator[RawFrame]:
+            happened.append("read")
+            return super().frames()
+
+    def noted(*_: object) -> None:
+        happened.append("rehearsed")
+
+    monkeypatch.setattr("hickory_stream.engine.run.rehearse", noted)
+
+    async def run() -> None:
+        async with Mapper(scene_config(tmp_path, *NO_SHAPES), out=tmp_path / "map") as mapper:
+            async for _ in mapper.run(NotingSource(1), mode=mode):
+                pass
+
+    asyncio.run(run())
+    assert happened == ["rehearsed"] * is_rehearsed + ["read"]
+
+
+def test_a_rehearsal_leaves_nothing_behind() -> None:
+    config = MapperConfig()
+    segmenter, extractor = make_segmenter(config.perception), make_extractor(config.perception)
+    frame = next(SceneSource(1).frames()).decode()
+    before = segmenter.segment(frame)
+    rehearse(segmenter, extractor, config, num_frames=2)
+    after = segmenter.segment(frame)
+    np.testing.assert_array_equal(before.instances, after.instances)
 
 
 class HangingSink(RememberingSink):

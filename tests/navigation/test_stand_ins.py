@@ -141,6 +141,17 @@ def test_the_real_shape_replaces_the_stand_in_when_it_comes() -> None:
     assert after.body is finished.shape.inflated
 
 
+def test_of_what_did_not_change_the_stand_in_is_made_once_and_of_what_did_anew() -> None:
+    still, moving = crate(), replace(crate(), id=7)
+    before = early_obstacles([still, moving])
+    grown = replace(moving, points_world=moving.points_world + np.float32(0.1))
+    after = early_obstacles([still, grown])
+    assert after[0] is before[0]
+    assert after[1] is not before[1]
+    assert held_share(after[1].body, grown.points_world) == 1.0
+    assert [obstacle.id for obstacle in early_obstacles([grown])] == [7]
+
+
 def test_what_was_seen_and_is_of_no_track_blocks_until_rays_pass_there_twice() -> None:
     seen, empty = SeenSurface(), snapshot()
     seen.add(surface(surface_cells=cells_of_crate()), empty)

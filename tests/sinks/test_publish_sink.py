@@ -176,6 +176,17 @@ def test_a_goal_is_answered_with_a_path_around_what_was_observed_only() -> None:
     assert (np.abs(ways - [4.5, 1.0]).max(axis=1) > 0.3).all()
 
 
+def test_a_goal_is_planned_in_the_map_of_that_moment() -> None:
+    link = Link()
+    sink = PublishSink(ROBOT, link, odom_frame="odom")
+    # The grid of the planner follows once a second: the second snapshot is not in it before it is asked for.
+    for of in (snapshot(tracked(1, table())), room()):
+        sink.show(report(of))
+    link.ears[GOAL_TOPIC](goal_message(0, np.array([4.5, 1.0])))
+    sink.close()
+    assert sink.counts()["goals"]["no_path"] == 1
+
+
 def test_a_goal_that_cannot_be_reached_is_answered_with_an_empty_path() -> None:
     link, fates = asked(goal_message(0, np.array([4.5, 1.0])), room())
     assert fates["no_path"] == 1

@@ -193,6 +193,13 @@ def _safety(sample: Sample, folder: Path) -> list[Figure]:
     never = len(found.shown_s) - len(found.safe_s)
     return [
         _figure("time_to_safe_shape_s", _p95(list(found.safe_s.values())), "s", "lower", f"p95 of {things}"),
+        _figure(
+            "time_to_safe_shape_log_s",
+            _p95(list(found.safe_log_s.values())),
+            "s",
+            "lower",
+            "the same by the stamps: 0 is the first keyframe that shows a thing",
+        ),
         _figure("never_safe_things", never, "things", "lower", f"of {things}, in {sample.safety_s:g} s"),
         _figure("stand_in_contained_p5", _p5(found.contained), "share", "higher", "of the surface seen so far"),
         _figure("avoided_p5", _p5(found.avoided), "share", "higher", "the same with occupied space"),

@@ -18,8 +18,8 @@ from hickory_stream.engine.mapper import Mapper
 from hickory_stream.evaluation.truth import frame_at, instances_of, load_truth
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.superquadric import implicit_value, volumes_m3
-from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_points, sorted_unique
+from hickory_stream.geometry.superquadric import implicit_value, volumes_m3, world_bounds
+from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_points, sorted_unique, union
 from hickory_stream.navigation.stand_ins import SeenSurface, early_obstacles
 from players import note_of, open_noted
 from players.options import SourceOptions
@@ -45,19 +45,43 @@ _POINTS_M = 0.01
 class Safety:
     """Of each true thing: when it was shown and first avoided (seconds after that), and how much of it the bodies hold.
 
-    `contained` are shares of seen surface in stand-ins and layers 4 alone, `avoided` with occupied space, both at each
-    keyframe; `volumes` are those of stand-ins over those of the final layers 4.
+    `safe_log_s` are the same seconds by the stamps of the log, without what the machine took for that. `contained` are
+    shares of seen surface in stand-ins and layers 4 alone, `avoided` with occupied space, both at each keyframe;
+    `volumes` are those of stand-ins over those of the final layers 4.
     """
 
     shown_s: dict[int, float] = field(default_factory=dict)
     safe_s: dict[int, float] = field(default_factory=dict)
+    safe_log_s: dict[int, float] = field(default_factory=dict)
     contained: list[float] = field(default_factory=list)
     avoided: list[float] = field(default_factory=list)
     volumes: list[float] = field(default_factory=list)
 
 
-class Watcher:
-    """A sink that holds the stand-ins of each snapshot against the truth."""
+class Noted:
+    """A sink that only keeps what keyframes saw and the snapshots after them: judging them takes longer than mapping.
+
+    A live run does not wait, and must not be held up by what measures it.
+    """
+
+    def __init__(self) -> None:
+        self.reports: list[FrameReport] = []
+        self.last: MapSnapshot | None = None
+
+    def show(self, report: FrameReport) -> None:
+        """Keep a keyframe."""
+        if report.snapshot is None:
+            return
+        self.last = report.snapshot
+        if report.frame is not None and report.space is not None:
+            self.reports.append(report)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class Judge:
+    """Holds what a robot keeps off after each keyframe against the truth."""
 
     def __init__(self, truth: Truth) -> None:
         self.found = Safety()
@@ -66,15 +90,11 @@ class Watcher:
         self._seen = SeenSurface()
         self._surface: dict[int, NDArray[np.int64]] = {}
         self._stand_ins: defaultdict[int, list[float]] = defaultdict(list)
-        self._last: MapSnapshot | None = None
 
-    def show(self, report: FrameReport) -> None:
+    def take(self, report: FrameReport) -> None:
         """Judge the snapshot of a keyframe."""
-        if report.snapshot is None:
-            return
-        self._last = report.snapshot
         at = frame_at(self._stamps, report.stamp_ns)
-        if report.frame is None or report.space is None or at is None:
+        if report.frame is None or report.space is None or report.snapshot is None or at is None:
             return
         self._seen.add(report.space, report.snapshot)
         instances = instances_of(self._truth, self._truth.frames[at])
@@ -92,11 +112,9 @@ class Watcher:
             self._surface[item.id] = np.union1d(known, keys)
         self._judge(report)
 
-    def close(self) -> None:
+    def end(self, last: MapSnapshot) -> None:
         """Hold the stand-ins' volumes against those of the final layers 4."""
-        if self._last is None:
-            return
-        for obstacle in early_obstacles(self._last.objects):
+        for obstacle in early_obstacles(last.objects):
             if not obstacle.is_observed_only:
                 final_m3 = float(volumes_m3(obstacle.body).sum())
                 self.found.volumes += [volume / final_m3 for volume in self._stand_ins[obstacle.id]]
@@ -108,15 +126,18 @@ class Watcher:
             if obstacle.is_observed_only:
                 self._stand_ins[obstacle.id].append(float(volumes_m3(obstacle.body).sum()))
         latency_s = dict(report.metrics)["time/latency"]
+        space = report.snapshot.submaps[-1].observed_space
+        occupied = union(self._seen.keys(), space.structure)
         for item_id in self.found.shown_s:
             points = (cells_of_keys(self._surface[item_id]) + 0.5) * _POINTS_M
             is_held = self._held(points, obstacles)
-            is_avoided = is_held | self._occupied(points, report.snapshot)
+            is_avoided = is_held | contains(occupied, keys_of_points(points, space.voxel_m))
             self.found.contained.append(float(is_held.mean()))
             self.found.avoided.append(float(is_avoided.mean()))
             if is_avoided.mean() >= CONTAINED:
-                waited_s = report.stamp_ns / 1e9 - self.found.shown_s[item_id] + latency_s
-                self.found.safe_s.setdefault(item_id, waited_s)
+                waited_s = report.stamp_ns / 1e9 - self.found.shown_s[item_id]
+                self.found.safe_log_s.setdefault(item_id, waited_s)
+                self.found.safe_s.setdefault(item_id, waited_s + latency_s)
 
     def _held(self, points: NDArray[np.float64], obstacles: list[Obstacle]) -> NDArray[np.bool_]:
         is_held = np.zeros(len(points), bool)
@@ -124,33 +145,34 @@ class Watcher:
             is_held |= _inside(obstacle.body, points)
         return is_held
 
-    def _occupied(self, points: NDArray[np.float64], snapshot: MapSnapshot) -> NDArray[np.bool_]:
-        space = snapshot.submaps[-1].observed_space
-        keys = keys_of_points(points, space.voxel_m)
-        return contains(self._seen.keys(), keys) | contains(space.structure, keys)
-
 
 def early_safety(log: Path, out: Path, *, seconds: float, rate: float = 1.0) -> Safety:
     """Map the beginning of a log live, and return how soon and how well its things were avoided."""
-    watcher = Watcher(load_truth(log.with_suffix(".truth")))
+    noted = Noted()
     config = MapperConfig()
     note = note_of([str(log)], SourceOptions(), end_s=seconds)
     source = open_noted(note, PlaybackClock(rate), config.keyframes)
 
     async def run() -> None:
         async with Mapper(config, out=out, overwrite=True) as mapper:
-            async for _ in mapper.run(source, sinks=lambda _folder: [(watcher, True)], mode="live"):
+            async for _ in mapper.run(source, sinks=lambda _folder: [(noted, True)], mode="live"):
                 pass
 
     asyncio.run(run())
     source.close()
-    return watcher.found
+    judge = Judge(load_truth(log.with_suffix(".truth")))
+    for report in noted.reports:
+        judge.take(report)
+    if noted.last is not None:
+        judge.end(noted.last)
+    return judge.found
 
 
 def _inside(body: Superquadrics, points: NDArray[np.float64]) -> NDArray[np.bool_]:
     is_inside = np.zeros(len(points), bool)
-    for i in range(len(body)):
-        is_inside |= implicit_value(body, i, points) <= 1.0
+    for i, (low, high) in enumerate(world_bounds(body)):
+        near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+        is_inside[near] |= implicit_value(body, i, points[near]) <= 1.0
     return is_inside
 
 
