@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -468,13 +468,88 @@ class Loop:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class GraphNode:
+    """A submap in the pose graph: where its first camera pose is, and where odometry alone had put it.
+
+    `place` and `uncorrected` (4, 4) are world_from_node; `stamp_ns` is when the submap was opened. `sigma_m` and
+    `sigma_rad` are how uncertain the place is relative to the first node: the root of the summed variances along, and
+    about, the three axes. `covariance_xy` (2, 2), m^2, is that of the place in the plane, along the world's axes.
+    """
+
+    submap_id: int
+    stamp_ns: int
+    place: NDArray[np.float64]
+    uncorrected: NDArray[np.float64]
+    sigma_m: float
+    sigma_rad: float
+    covariance_xy: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        whole_number(self.submap_id, "submap")
+        freeze(self, "place", np.float64, (4, 4))
+        freeze(self, "uncorrected", np.float64, (4, 4))
+        freeze(self, "covariance_xy", np.float64, (2, 2))
+
+
+EdgeKind = Literal["odometry", "loop"]
+EdgeStatus = Literal["accepted", "rejected", "withdrawn"]
+EDGE_KINDS: tuple[EdgeKind, ...] = get_args(EdgeKind)
+EDGE_STATUSES: tuple[EdgeStatus, ...] = get_args(EdgeStatus)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GraphEdge:
+    """What odometry or a loop says of two submaps, by their ids, and whether the solution believes it.
+
+    `residual_m` and `residual_rad` are how far the solution is from what it says; `score` is what the search said for a
+    loop, None of odometry; `reason` says why a loop is not believed, or what is wrong with odometry, else it is "".
+    `stamp_ns` is when the edge was found.
+    """
+
+    kind: EdgeKind
+    earlier: int
+    later: int
+    status: EdgeStatus
+    score: float | None
+    reason: str
+    residual_m: float
+    residual_rad: float
+    stamp_ns: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.earlier < self.later:
+            raise ValueError(f"an edge goes from an earlier submap to a later one, found {self.earlier}, {self.later}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PoseGraphRecord:
+    """The pose graph as of one moment: `nodes` sorted by submap, `edges` between them."""
+
+    nodes: tuple[GraphNode, ...]
+    edges: tuple[GraphEdge, ...]
+
+    def __post_init__(self) -> None:
+        ids = [node.submap_id for node in self.nodes]
+        if ids != sorted(set(ids)):
+            raise ValueError(f"the submaps of a graph's nodes are not in ascending order: {ids[:10]}")
+        if unknown := {i for edge in self.edges for i in (edge.earlier, edge.later)} - set(ids):
+            raise ValueError(f"an edge ends at submap {min(unknown)}, which the graph does not have")
+
+    @property
+    def loops(self) -> tuple[GraphEdge, ...]:
+        """The edges that are loops."""
+        return tuple(edge for edge in self.edges if edge.kind == "loop")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MapSnapshot:
-    """The map as of one moment; `objects` sorted by id."""
+    """The map as of one moment; `objects` sorted by id. `graph` is None of a map without a search for loops."""
 
     revision: int
     stamp_ns: int
     submaps: tuple[Submap, ...]
     objects: tuple[TrackedObject, ...]
+    graph: PoseGraphRecord | None = None
 
 
 # ---- what sinks are shown -------------------------------------------------------------------------------------------

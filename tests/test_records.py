@@ -119,6 +119,15 @@ VALID: dict[type, dict[str, Any]] = {
         "shape": None,
     },
     records.ObservedSpace: {"voxel_m": 0.05, "free": _KEYS, "structure": _KEYS, "floor_z_m": 0.0},
+    records.GraphNode: {
+        "submap_id": 0,
+        "stamp_ns": 1,
+        "place": _POSE,
+        "uncorrected": _POSE,
+        "sigma_m": 0.1,
+        "sigma_rad": 0.01,
+        "covariance_xy": np.eye(2),
+    },
     records.Submap: {
         "id": 0,
         "world_from_submap": _POSE,
@@ -302,3 +311,25 @@ def test_the_name_of_a_view_is_its_frame_and_its_observation_whatever_object_it_
     assert replace(view, object_id=99, score=None).name == view.name
     assert replace(view, frame_index=8).name != view.name
     assert replace(view, observation_index=1).name != view.name
+
+
+def test_a_graph_whose_edges_end_nowhere_or_go_backwards_is_refused() -> None:
+    nodes = tuple(records.GraphNode(**{**VALID[records.GraphNode], "submap_id": i}) for i in (0, 2))
+    edge = records.GraphEdge(
+        kind="loop",
+        earlier=0,
+        later=2,
+        status="rejected",
+        score=3.0,
+        reason="contradicted",
+        residual_m=1.0,
+        residual_rad=0.1,
+        stamp_ns=5,
+    )
+    assert records.PoseGraphRecord(nodes=nodes, edges=(edge,)).loops == (edge,)
+    with pytest.raises(ValueError, match="submap 1, which the graph does not have"):
+        records.PoseGraphRecord(nodes=nodes, edges=(replace(edge, later=1),))
+    with pytest.raises(ValueError, match="ascending order"):
+        records.PoseGraphRecord(nodes=nodes[::-1], edges=())
+    with pytest.raises(ValueError, match="earlier submap to a later one"):
+        replace(edge, later=0)

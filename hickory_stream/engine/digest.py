@@ -3,9 +3,9 @@
 In it, object by object in the order of their ids: id, phase, submap, sightings, first and last stamp, points and their
 colours, box, feature, every view (stamps, box, pose, factors, score, variance, feature, whether cut), which of them is
 the best, the ids merged into it; and of its shape the reconstructor, the hash of the mesh, its place, the fitted and
-the inflated superquadrics, the seen shares and the containment, or its sketch where it has one. Not in it: timings,
-ledger, configuration, the revision and stamp of the snapshot, tickets and file names, the observed space, anything of
-wall time.
+the inflated superquadrics, the seen shares and the containment, or its sketch where it has one; and of a map that has a
+pose graph its nodes and edges. Not in it: timings, ledger, configuration, the revision and stamp of the snapshot,
+tickets and file names, the observed space, anything of wall time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import MapSnapshot, ObjectShape, TrackedObject, View
+    from hickory_stream.records import MapSnapshot, ObjectShape, PoseGraphRecord, TrackedObject, View
 
 
 def map_digest(snapshot: MapSnapshot) -> str:
@@ -27,6 +27,9 @@ def map_digest(snapshot: MapSnapshot) -> str:
     digest = hashlib.sha256()
     for tracked in sorted(snapshot.objects, key=lambda tracked: tracked.id):
         _feed(digest, _object_values(tracked))
+    # A map without a graph keeps the digest that it had before there were graphs.
+    if snapshot.graph is not None:
+        _feed(digest, _graph_values(snapshot.graph))
     return digest.hexdigest()
 
 
@@ -78,6 +81,25 @@ def _shape_values(shape: ObjectShape) -> tuple[Any, ...]:
         _primitive_values(shape.inflated),
         shape.seen_share,
         dataclasses.astuple(shape.containment),
+    )
+
+
+def _graph_values(graph: PoseGraphRecord) -> tuple[Any, ...]:
+    return (
+        "graph",
+        tuple(
+            (
+                node.submap_id,
+                node.stamp_ns,
+                node.place,
+                node.uncorrected,
+                node.sigma_m,
+                node.sigma_rad,
+                node.covariance_xy,
+            )
+            for node in graph.nodes
+        ),
+        tuple(dataclasses.astuple(edge) for edge in graph.edges),
     )
 
 

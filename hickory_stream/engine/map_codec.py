@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hickory_stream.confined import plain_name, whole_number
 from hickory_stream.engine.array_files import npy_array, npy_bytes, ply_arrays, ply_bytes
@@ -31,11 +31,16 @@ from hickory_stream.engine.json_values import (
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.superquadric import Superquadrics, check_bodies
 from hickory_stream.records import (
+    EDGE_KINDS,
+    EDGE_STATUSES,
     Containment,
+    GraphEdge,
+    GraphNode,
     MapSnapshot,
     ObjectShape,
     ObservedSpace,
     Phase,
+    PoseGraphRecord,
     Submap,
     TrackedObject,
     View,
@@ -44,6 +49,8 @@ from hickory_stream.records import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+
+T = TypeVar("T", bound=str)
 
 POINTS, SPACE = "points", "space"
 Json = dict[str, Any]
@@ -60,6 +67,8 @@ def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
         "submaps": [_encode_submap(submap, files) for submap in snapshot.submaps],
         "objects": [_encode_object(tracked, files) for tracked in snapshot.objects],
     }
+    if snapshot.graph is not None:
+        document["graph"] = _encode_graph(snapshot.graph)
     return document, files
 
 
@@ -74,6 +83,8 @@ def decode_snapshot(document: Json, read: Callable[[str], bytes]) -> MapSnapshot
         stamp_ns=stamp(document["stamp_ns"]),
         submaps=tuple(_decode_submap(entry, read) for entry in document["submaps"]),
         objects=tuple(_decode_object(entry, read) for entry in document["objects"]),
+        # Maps without a search for loops, and those from before there was one, have none.
+        graph=None if document.get("graph") is None else _decode_graph(document["graph"]),
     )
     _check_ids("submap", [submap.id for submap in snapshot.submaps])
     _check_ids("object", [tracked.id for tracked in snapshot.objects])
@@ -251,6 +262,75 @@ def _decode_shape(entry: Json) -> ObjectShape:
             shell_m=float(checked.get("shell_m", 0.0)),
         ),
     )
+
+
+def _encode_graph(graph: PoseGraphRecord) -> Json:
+    return {
+        "nodes": [
+            {
+                "submap_id": int(node.submap_id),
+                "stamp_ns": int(node.stamp_ns),
+                "place": json_numbers(node.place),
+                "uncorrected": json_numbers(node.uncorrected),
+                "sigma_m": json_number(node.sigma_m),
+                "sigma_rad": json_number(node.sigma_rad),
+                "covariance_xy": json_numbers(node.covariance_xy),
+            }
+            for node in graph.nodes
+        ],
+        "edges": [
+            {
+                "kind": edge.kind,
+                "earlier": int(edge.earlier),
+                "later": int(edge.later),
+                "status": edge.status,
+                "score": json_number(edge.score),
+                "reason": edge.reason,
+                "residual_m": json_number(edge.residual_m),
+                "residual_rad": json_number(edge.residual_rad),
+                "stamp_ns": int(edge.stamp_ns),
+            }
+            for edge in graph.edges
+        ],
+    }
+
+
+def _decode_graph(entry: Json) -> PoseGraphRecord:
+    return PoseGraphRecord(
+        nodes=tuple(
+            GraphNode(
+                submap_id=whole_number(node["submap_id"], "submap"),
+                stamp_ns=stamp(node["stamp_ns"]),
+                place=rigid_pose(node["place"]),
+                uncorrected=rigid_pose(node["uncorrected"]),
+                sigma_m=finite(node["sigma_m"]),
+                sigma_rad=finite(node["sigma_rad"]),
+                covariance_xy=finite_array(node["covariance_xy"]),
+            )
+            for node in entry["nodes"]
+        ),
+        edges=tuple(
+            GraphEdge(
+                kind=_one_of(edge["kind"], EDGE_KINDS),
+                earlier=whole_number(edge["earlier"], "submap"),
+                later=whole_number(edge["later"], "submap"),
+                status=_one_of(edge["status"], EDGE_STATUSES),
+                score=maybe_float(edge["score"]),
+                reason=plain_text(edge["reason"]),
+                residual_m=finite(edge["residual_m"]),
+                residual_rad=finite(edge["residual_rad"]),
+                stamp_ns=stamp(edge["stamp_ns"]),
+            )
+            for edge in entry["edges"]
+        ),
+    )
+
+
+def _one_of(word: Any, known: tuple[T, ...]) -> T:
+    for choice in known:
+        if choice == word:
+            return choice
+    raise ValueError(f"{word!r} is none of {', '.join(map(str, known))}")
 
 
 def encode_superquadrics(primitives: Superquadrics) -> Json:

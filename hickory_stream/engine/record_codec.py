@@ -223,12 +223,12 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
 
 @cache
 def _records() -> dict[str, Any]:
-    """Return the dataclasses and enums of records, events, geometry and mapping by their names."""
+    """Return the dataclasses and enums of records, events, factors, geometry and mapping by their names."""
     import hickory_stream.geometry
     import hickory_stream.mapping
 
     names = ["hickory_stream.records", "hickory_stream.events", "hickory_stream.engine.step"]
-    names.append("hickory_stream.engine.checkpoints")
+    names += ["hickory_stream.engine.checkpoints", "hickory_stream.graph.factors"]
     for package in (hickory_stream.geometry, hickory_stream.mapping):
         names += [f"{package.__name__}.{module.name}" for module in pkgutil.iter_modules(package.__path__)]
     found: dict[str, Any] = {}

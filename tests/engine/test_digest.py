@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +14,9 @@ from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.map_codec import decode_snapshot, encode_snapshot
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.records import MapSnapshot, Phase, TrackedObject
+from hickory_stream.records import GraphEdge, MapSnapshot, Phase, TrackedObject
 from tests.engine.snapshot_fixtures import make_snapshot
+from tests.graph.graph_fixtures import solved_graph
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -102,6 +105,52 @@ def test_the_digest_knows_which_view_is_the_best_and_what_is_absent() -> None:
 def test_the_digest_does_not_depend_on_the_order_or_on_when_the_snapshot_was_taken() -> None:
     later = replace(SNAPSHOT, revision=99, stamp_ns=1, objects=SNAPSHOT.objects[::-1])
     assert map_digest(later) == map_digest(SNAPSHOT)
+
+
+GRAPH = solved_graph()
+
+
+def test_a_map_without_a_graph_has_the_digest_that_it_had_before_there_were_graphs() -> None:
+    assert map_digest(replace(SNAPSHOT, objects=())) == hashlib.sha256().hexdigest()
+    assert map_digest(replace(SNAPSHOT, graph=GRAPH)) != map_digest(SNAPSHOT)
+
+
+LAST_NODES = dict(variants(GRAPH.nodes[-1]))
+
+
+@pytest.mark.parametrize("path", LAST_NODES, ids=".".join)
+def test_the_digest_changes_with_everything_in_a_node_of_the_graph(path: tuple[str, ...]) -> None:
+    without = replace(GRAPH, edges=())
+    changed = replace(without, nodes=(*GRAPH.nodes[:-1], LAST_NODES[path]))
+    assert map_digest(replace(SNAPSHOT, graph=changed)) != map_digest(replace(SNAPSHOT, graph=without))
+
+
+@pytest.mark.parametrize("field", [field.name for field in fields(GraphEdge)])
+def test_the_digest_changes_with_everything_in_an_edge_of_the_graph(field: str) -> None:
+    edge = GRAPH.loops[0]
+    other = {"kind": "odometry", "earlier": edge.earlier - 1}.get(field, nudged(getattr(edge, field)))
+    with_other = replace(GRAPH, edges=(replace(edge, **{field: other}),))
+    assert map_digest(replace(SNAPSHOT, graph=with_other)) != map_digest(
+        replace(SNAPSHOT, graph=replace(GRAPH, edges=(edge,)))
+    )
+
+
+def test_a_graph_survives_writing_and_reading() -> None:
+    document, files = encode_snapshot(replace(SNAPSHOT, graph=GRAPH))
+    read = decode_snapshot(json.loads(json.dumps(document)), files.__getitem__)
+    assert read.graph is not None
+    assert read.graph.edges == GRAPH.edges
+    assert map_digest(read) == map_digest(replace(SNAPSHOT, graph=GRAPH))
+    assert "graph" not in encode_snapshot(SNAPSHOT)[0]
+
+
+def test_a_graph_that_nobody_wrote_is_refused() -> None:
+    document, files = encode_snapshot(replace(SNAPSHOT, graph=GRAPH))
+    for damage in ({"status": "maybe"}, {"kind": 3}, {"later": 10_000}, {"residual_m": "1"}):
+        damaged = json.loads(json.dumps(document))
+        damaged["graph"]["edges"][0].update(damage)
+        with pytest.raises(ValueError, match=r"found|none of|does not have"):
+            decode_snapshot(damaged, files.__getitem__)
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)

@@ -12,9 +12,11 @@ from hypothesis.extra import numpy as hnp
 
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.record_codec import decode, encode
+from hickory_stream.graph.solve import solve
 from hickory_stream.mapping.track_merging import VoteBook, Votes
 from hickory_stream.records import Phase
 from tests.engine.snapshot_fixtures import make_snapshot
+from tests.graph.graph_fixtures import solved_graph, walk
 
 DTYPES = st.sampled_from(["<f4", "<f8", "<i8", "|u1", "|b1", "<i4", "<u2"])
 SCALARS = st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text() | st.binary()
@@ -44,6 +46,14 @@ def test_a_map_with_everything_in_it_comes_back_with_its_digest() -> None:
     read = decode(encode(snapshot))
     assert map_digest(read) == map_digest(snapshot)
     assert read.submaps[0].observed_space.free.tolist() == snapshot.submaps[0].observed_space.free.tolist()
+
+
+def test_the_factors_of_a_pose_graph_and_its_record_come_back() -> None:
+    factors, record = walk().graph, solved_graph()
+    read_factors, read_record = decode(encode((factors, record)))
+    assert encode((read_factors, read_record)) == encode((factors, record))
+    assert solve(read_factors).accepted == solve(factors).accepted
+    assert read_record.edges == record.edges
 
 
 def test_keys_of_any_kind_sets_and_enums_come_back() -> None:

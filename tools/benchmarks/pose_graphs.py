@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.graph.config import GraphConfig
 
-NODE_STEP_M = 3.0
+NODE_STEP_M, NODE_STEP_NS = 3.0, 5_000_000_000
 _ROUTE = np.array([[0, 0], [12, 0], [12, 8], [6, 8], [6, 16], [0, 16], [0, 8], [-6, 8], [-6, 0]], dtype=np.float64)
 _LOOP_SIGMA_M, _LOOP_SIGMA_RAD = 0.03, 0.01
 _NEAR_M, _FAR_M, _LEAST_GAP = 3.0, 6.0, 10
@@ -44,8 +44,12 @@ def simulated_graph(
     num_loops: int = 40,
     num_wrong: int = 4,
     drift: float = 1.0,
+    start_ns: int = 0,
 ) -> SimulatedGraph:
-    """Return a graph; `drift` multiplies the drift of `hickory_stream.worlds.drift`; loops are those of a seed."""
+    """Return a graph; `drift` multiplies the drift of `hickory_stream.worlds.drift`.
+
+    A loop is found when its later node is, and a node is every five seconds from `start_ns` on.
+    """
     true = _walked(num_nodes)
     poses = _by_odometry(true, drift, rng)
     odometry = tuple(
@@ -68,7 +72,7 @@ def simulated_graph(
         kind = int(is_wrong[:i].sum()) % 3 if wrong else None
         k = int(rng.choice(far if kind == 0 else near))
         a, b = int(earlier[k]), int(later[k])
-        loops.append(_loop(i, a, b, true, kind, rng))
+        loops.append(_loop(i, a, b, true, kind, start_ns, rng))
     graph = PoseGraph(world_from_node=poses, odometry=odometry, loops=tuple(loops), gravity_sigma_rad=0.02)
     return SimulatedGraph(graph=graph, true=true, wrong=frozenset(np.flatnonzero(is_wrong).tolist()))
 
@@ -102,7 +106,7 @@ def _turned_rad(first: NDArray[np.float64], second: NDArray[np.float64]) -> floa
 
 
 def _loop(
-    number: int, a: int, b: int, true: NDArray[np.float64], kind: int | None, rng: np.random.Generator
+    number: int, a: int, b: int, true: NDArray[np.float64], kind: int | None, start_ns: int, rng: np.random.Generator
 ) -> LoopEdge:
     a_from_b = invert(true[a]) @ true[b]
     if kind == 0:
@@ -123,5 +127,5 @@ def _loop(
         covariance=np.diag([_LOOP_SIGMA_RAD**2] * 3 + [_LOOP_SIGMA_M**2] * 3),
         method="surface",
         score=float(rng.uniform(5, 30)),
-        stamp_ns=number * 1_000_000_000,
+        stamp_ns=start_ns + b * NODE_STEP_NS,
     )

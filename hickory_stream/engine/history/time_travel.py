@@ -16,7 +16,7 @@ from hickory_stream.engine.history.core_replay import Replay
 from hickory_stream.engine.history.recorded_config import recorded_config
 from hickory_stream.engine.journal import Journal
 from hickory_stream.errors import InputError
-from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot, PoseGraphRecord
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,7 +61,8 @@ def seen_by(final: MapSnapshot, stamp_ns: int) -> MapSnapshot:
     An object that had been seen then keeps its final shape and points; one whose views are all later has none left.
     """
     objects = [_with_views_until(o, stamp_ns) for o in final.objects if o.first_seen_ns <= stamp_ns]
-    return replace(final, stamp_ns=min(final.stamp_ns, stamp_ns), objects=tuple(objects))
+    graph = None if final.graph is None else _graph_until(final.graph, stamp_ns)
+    return replace(final, stamp_ns=min(final.stamp_ns, stamp_ns), objects=tuple(objects), graph=graph)
 
 
 def changes(before: MapSnapshot, after: MapSnapshot) -> tuple[Change, ...]:
@@ -129,6 +130,14 @@ def step_at(stamps_ns: NDArray[np.int64], stamp_ns: int) -> int | None:
     # The last time that the clock went over this stamp.
     later = np.flatnonzero((stamps_ns[:-1] <= stamp_ns) & (stamps_ns[1:] > stamp_ns))
     return int(later[-1]) if len(later) else int(at[-1])
+
+
+def _graph_until(graph: PoseGraphRecord, stamp_ns: int) -> PoseGraphRecord:
+    return PoseGraphRecord(
+        nodes=tuple(node for node in graph.nodes if node.stamp_ns <= stamp_ns),
+        # No edge is older than the nodes that it joins.
+        edges=tuple(edge for edge in graph.edges if edge.stamp_ns <= stamp_ns),
+    )
 
 
 def _with_views_until(tracked: TrackedObject, stamp_ns: int) -> TrackedObject:

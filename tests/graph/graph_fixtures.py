@@ -1,0 +1,35 @@
+"""A solved pose graph as the map has it: three rounds with drift, true loops, and wrong ones of each kind."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.graph.config import GraphConfig
+from hickory_stream.graph.record import record_of
+from hickory_stream.graph.solution import Solution
+from hickory_stream.graph.solve import solve
+from tools.benchmarks.pose_graphs import SimulatedGraph, simulated_graph
+
+if TYPE_CHECKING:
+    from hickory_stream.records import PoseGraphRecord
+
+START_NS = 1_700_000_000_000_000_000
+
+
+@cache
+def walk() -> SimulatedGraph:
+    return simulated_graph(
+        np.random.default_rng(8), GraphConfig(), num_nodes=60, num_loops=9, num_wrong=3, start_ns=START_NS
+    )
+
+
+@cache
+def solved_graph() -> PoseGraphRecord:
+    graph = walk().graph
+    answer = solve(graph, accepted_before=[min(walk().wrong)])
+    assert isinstance(answer, Solution)
+    stamps_ns = [START_NS + 5_000_000_000 * i for i in range(graph.num_nodes)]
+    return record_of(graph, answer, range(graph.num_nodes), stamps_ns)
