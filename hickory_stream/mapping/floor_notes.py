@@ -37,21 +37,21 @@ def floor_notes(snapshot: MapSnapshot) -> tuple[str, ...]:
         if not any(len(submap.observed_space.free) for submap in snapshot.submaps):
             return ()
         return (
-            "no floor was seen: heights above the floor are unknown. What goes by them (what is a wall, what floats, "
-            "where one can drive) is left undecided, or taken from the lowest object; if there was a floor in view, "
-            "see whether the poses have z upwards",
+            "no floor was seen: heights above the floor are unknown. Decisions that need them (walls, unsupported "
+            "objects, traversability) are not made, or use the height of the lowest object. If a floor was in view, "
+            "check that the poses have z upwards",
         )
     notes = []
     areas_m2 = [_area_m2(submap.observed_space) for submap in floors]
     if sum(areas_m2) < _TABLE_M2:
         notes.append(
-            f"no floor was surely seen: what is taken for it, at z = {_height_m(floors[-1]):.2f} m, is "
-            f"{sum(areas_m2):.1f} m2 in all and may be a table. If a floor appears below it, this is revised"
+            f"the floor is uncertain: the surface taken for it, at z = {_height_m(floors[-1]):.2f} m, has an area of "
+            f"{sum(areas_m2):.1f} m2 only and may be a table. A lower floor replaces it as soon as it is seen"
         )
     levels = _levels([_height_m(submap) for submap in floors])
     if len(levels) > 1:
         told = ", ".join(f"{z_m:.2f} m" for z_m in levels)
-        notes.append(f"the floor has {len(levels)} levels, at z = {told}: each submap goes by its own")
+        notes.append(f"the floor has {len(levels)} levels, at z = {told}: each submap uses its own")
     largest = max(floors, key=lambda submap: _area_m2(submap.observed_space))
     tilted = tilt_note(largest.observed_space)
     return (*notes, tilted) if tilted is not None else tuple(notes)
@@ -84,8 +84,8 @@ def tilt_note(space: ObservedSpace) -> str | None:
     uphill_deg = float(np.degrees(portable.arctan2(rise[1], rise[0])))
     return (
         f"the floor is tilted by {tilt_deg:.1f} degrees against gravity, uphill towards {uphill_deg:.0f} degrees from "
-        "x: the ground slopes, or the poses are not aligned with gravity. The map goes by the floor as it is; upright "
-        "boxes are off by as much"
+        "x: the ground slopes, or the poses are not aligned with gravity. The map uses the floor as it is; upright "
+        "boxes are tilted against it by as much"
     )
 
 

@@ -79,7 +79,7 @@ class LifeEvent(StrEnum):
     BORN = "an observation matches no track"
     SPLIT_OFF = "it was seen apart from another track often enough"
     TAKES_IN = "another track is merged into it"
-    JUDGED = "a keyframe: held against the observed space"
+    JUDGED = "a keyframe: comparison with the observed space"
     AGED = "a keyframe: time has passed"
     SPACE_FORGOTTEN = "the odometry jumps, or the source has ended"
     SOURCE_ENDED = "the source has ended"
@@ -90,28 +90,28 @@ class Guard(StrEnum):
 
     IS_ROOM = "it is too large, a piece of a wall, or flat and flush with one"
     IN_ROOM = "more than `structure_share` of it lies on tracks that are part of the room"
-    REVISED = "seen again with evidence of `revise_evidence`; it is not large, a piece of a wall or flush any more"
-    SEEN_THROUGH = "out of sight, and the keyframe saw through its place"
-    PHANTOM = "`phantom_frames` keyframes saw through its place"
-    SURE = "its evidence is that of `confirm_sightings` sightings"
-    UNCONFIRMED = "unseen for `tentative_s`"
-    DOUBTED = "a keyframe saw through its place"
-    UNSEEN = "unseen for `dormant_s`"
-    LONG_UNSEEN = "unseen for `archive_s`"
+    REVISED = "seen again with evidence of `revise_evidence`, and by its shape no longer part of the room"
+    SEEN_THROUGH = "not observed, and the keyframe observed free space at its position"
+    PHANTOM = "`phantom_frames` keyframes observed free space at its position"
+    SURE = "its evidence reaches `confirm_sightings`"
+    UNCONFIRMED = "not seen for `tentative_s`"
+    DOUBTED = "a keyframe observed free space at its position"
+    UNSEEN = "not seen for `dormant_s`"
+    LONG_UNSEEN = "not seen for `archive_s`"
     KNOWN_HERE = "seen since the last pose jump"
     UNSUPPORTED = "nothing supports it, and it touches another track"
-    OTHER_SEEN_MORE = "that was seen in more keyframes"
-    OTHER_MAYBE_OBJECT = "that is no part of the room"
+    OTHER_SEEN_MORE = "the other was seen in more keyframes"
+    OTHER_MAYBE_OBJECT = "the other is not part of the room"
 
 
 class TrackEffect(StrEnum):
     """What else is done when a row applies."""
 
-    SET_ASIDE = "it is tracked on, but no object; its shape job is cancelled"
-    DOUBT = "its evidence falls"
+    SET_ASIDE = "it is tracked further, but is no object; its shape job is cancelled"
+    DOUBT = "its evidence decreases"
     TRIM = "its points in a wall are removed"
-    DROP = "it is forgotten, its shape job cancelled"
-    MERGE = "the other track takes it in, its shape job is cancelled"
+    DROP = "it is removed, its shape job cancelled"
+    MERGE = "it is merged into the other track, its shape job cancelled"
 
 
 class End(StrEnum):

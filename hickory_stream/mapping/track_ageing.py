@@ -149,7 +149,7 @@ class Case:
         return seen_since >= self.config.lifecycle.revise_evidence and self.why_structure is None
 
     def is_seen_through(self) -> bool:
-        """Return whether the keyframe did not observe the track, but saw through its place."""
+        """Return whether the keyframe did not observe the track, but free space at its position."""
         is_in_sight = self.track.seen_clock_ns == self.state.clock_ns
         return (
             not is_in_sight

@@ -1,8 +1,9 @@
-"""A grid that follows the snapshots of a run: what did not change is not stamped again.
+"""An occupancy grid that follows the snapshots of a run incrementally.
 
-An object is stamped again only when its layer 4 (or, without one, its box) is another one; walls and unknown space
-every few snapshots, since the whole observed space is looked through for them. The grid grows in steps of metres. In a
-live run it is early: what has no layer 4 yet has a stand-in, and what was seen and is of no object is occupied.
+An object is stamped again only if its layer 4 (or, without one, its box) has changed; walls and unknown space every few
+snapshots, since the whole observed space has to be searched for them. The grid grows in steps of metres. In a live run
+it includes early obstacles: an object without layer 4 is represented by a stand-in, and observed surface that belongs
+to no object is occupied.
 """
 
 from __future__ import annotations
@@ -33,27 +34,27 @@ _MOST_DRIVEN = 2000
 
 
 class Stamped(Protocol):
-    """What follows: cells of one body, or of all postures and headings of a robot."""
+    """A grid that obstacles are stamped into: of one body, or of all postures and headings of a robot."""
 
     @property
     def frame(self) -> GridFrame:
-        """Where the cells are."""
+        """The position of the cells in the world."""
         ...
 
     def put(self, object_id: int, inflated: Superquadrics) -> None:
-        """Add an object, or replace what it was."""
+        """Add an object, or replace its former shape."""
         ...
 
     def put_hulls(self, object_id: int, hulls: NDArray[np.float64]) -> None:
-        """Add an object that is the union of hulls, or replace what it was."""
+        """Add an object that is a union of convex hulls, or replace its former shape."""
         ...
 
     def remove(self, object_id: int) -> None:
-        """Take an object out."""
+        """Remove an object."""
         ...
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
-        """Let hulls be structure, and space that nobody saw."""
+        """Set the convex hulls of structure and of unobserved space."""
         ...
 
 
@@ -61,10 +62,10 @@ Grid = TypeVar("Grid", bound=Stamped)
 
 
 class Followed(Generic[Grid]):
-    """Keeps a grid in step with snapshots; `make` is told the cells and the floor's height of a new one.
+    """Keeps a grid up to date with snapshots; `make` returns a new one for given cells and a height of the floor.
 
-    `heights_m` are those of the body above the floor, `reach_m` is how far it reaches in the plane. `num_layers` is how
-    many grids `make` makes of one frame. `seen`: what was seen in a live run; whoever calls adds to it.
+    `heights_m` are those of the body above the floor, `reach_m` is its horizontal reach. `num_layers` is the number of
+    grids that `make` makes of one frame. `seen` is the surface seen in a live run, to which the caller adds.
     """
 
     def __init__(
@@ -94,11 +95,11 @@ class Followed(Generic[Grid]):
 
     @property
     def grid(self) -> Grid | None:
-        """The grid of the last snapshot, None before anything was seen."""
+        """The grid of the last snapshot, None before the first."""
         return self._grid
 
     def update(self, snapshot: MapSnapshot) -> Grid | None:
-        """Return the grid of a snapshot: another one where it had to grow; None where nothing was seen yet."""
+        """Return the grid of a snapshot, a new one if it had to grow; None while nothing has been observed."""
         obstacles = bodies_of(snapshot, early=self._seen is not None)
         try:
             low, high = extent_of(snapshot, obstacles)
@@ -120,12 +121,12 @@ class Followed(Generic[Grid]):
         return grid
 
     def drove(self, place: NDArray[np.float64]) -> None:
-        """Take note that the body is at (2,): what it takes up there is not unknown, whatever the camera saw."""
+        """Note that the body is at (2,): the space that it occupies there is not unknown, even if no camera saw it."""
         if not self._driven or float(np.linalg.norm(self._driven[-1] - place)) > self._cell_m:
             self._driven = [*self._driven[-_MOST_DRIVEN:], place]
 
     def _is_driven(self, frame: GridFrame) -> NDArray[np.bool_]:
-        """Return (rows, columns) which cells the body has touched, wherever in its cell its middle was."""
+        """Return (rows, columns) which cells the body has touched, for every position of its centre within its cell."""
         is_driven = np.zeros(frame.shape, bool)
         reach = int(np.ceil(self._reach_m / frame.cell_m)) + 2
         for row, column in frame.cells_of(np.array(self._driven).reshape(-1, 2)).tolist():
@@ -149,7 +150,7 @@ class Followed(Generic[Grid]):
         return self._grid
 
     def _put(self, grid: Grid, snapshot: MapSnapshot, obstacles: Sequence[Obstacle]) -> None:
-        """Stamp the obstacles that are new or have changed, and take those out that are gone."""
+        """Stamp the obstacles that are new or have changed, and remove those that are gone."""
         records = {tracked.id: tracked for tracked in snapshot.objects}
         for object_id in sorted(self._known.keys() - {obstacle.id for obstacle in obstacles}):
             grid.remove(object_id)
@@ -158,7 +159,7 @@ class Followed(Generic[Grid]):
             tracked = records[obstacle.id]
             shape: object = tracked.box if tracked.shape is None else tracked.shape.inflated
             if obstacle.is_observed_only:
-                shape = tracked.points_world  # any new point may reach out
+                shape = tracked.points_world  # Any new point may extend the box.
             if self._known.get(obstacle.id) is not shape:
                 grid.put(obstacle.id, obstacle.body)
                 self._known[obstacle.id] = shape

@@ -1,7 +1,7 @@
-"""A grid as map_server reads it: a PGM picture, and a YAML file that says where it lies and what its grey values mean.
+"""The grid format of Nav2's map_server: a PGM picture, and a YAML file with its pose and grey values.
 
-Row 0 of the picture is the far end of y. The values are those that map_saver writes; with its thresholds unknown is
-neither free nor occupied (with Nav2's default free_thresh of 0.25 it would be free, so the file says 0.196).
+Row 0 of the picture is at the largest y. The grey values are those of map_saver. The file sets free_thresh to 0.196,
+since with Nav2's default of 0.25 unknown cells would be free.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _GREY = {Cell.FREE: 254, Cell.UNKNOWN: 205, Cell.OCCUPIED: 0}
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ServedMap:
-    """What map_server would publish: (rows, columns) int8 states as `Cell`, and where they are."""
+    """The map that map_server would publish: (rows, columns) int8 states as `Cell`, and their pose."""
 
     states: NDArray[np.int8]
     frame: GridFrame
@@ -53,7 +53,7 @@ def read_served_map(yaml_path: Path) -> ServedMap:
     """Return a map as map_server would serve it, in its mode `trinary`.
 
     Raises:
-        InputError: a file is missing, or not as map_server expects it.
+        InputError: a file is missing, or not in the format of map_server.
     """
     try:
         told = _parsed(yaml_path.read_text(encoding="utf-8"))

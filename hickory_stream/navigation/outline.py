@@ -29,7 +29,7 @@ TOLERANCE_M = 0.002
 _MOST = 96
 _MOST_STEPS = 40
 _STEEPEST = 1e6
-# A direction while an outline is refined: its x and y, the support, the touched point (2), the multiplier m.
+# A row per direction while an outline is refined: x and y, the support, the touched point (2), the multiplier m.
 _DX, _DY, _H, _PX, _PY, _M = 0, 1, 2, 3, 4, 5
 
 
@@ -38,7 +38,7 @@ def outlines_of_rows(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the outlines of primitives (rows of `kernels`) for a part of a body.
 
-    (V, 2) corners of all outlines, and (N + 1,) where each begins; one that is out of reach has no corners.
+    The corners (V, 2) of all outlines, and the index (N + 1,) at which each begins; one out of reach has no corners.
     """
     return _outlines(locked(rows), NO_HULLS, part.numbers, part.corners_m, tolerance_m)
 
@@ -51,9 +51,9 @@ def outlines_of_hulls(
 
 
 def locked(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a read-only view, contiguous: whether an array may be written to is part of its type for a kernel.
+    """Return a contiguous read-only view, since writability is part of an array's type in numba.
 
-    With both kinds, each kernel would be compiled twice.
+    With writable and read-only arrays, each kernel would be compiled twice.
     """
     view = np.ascontiguousarray(array, dtype=np.float64).view()
     view.flags.writeable = False
@@ -85,7 +85,7 @@ def _outlines(rows, hulls, part, corners, tolerance):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, nogil=True)
 def _outline(is_hull, row, hull, part, corners, tolerance, found, after, out):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Write the corners of one outline; return how many."""
+    """Write the corners of one outline; return their number."""
     count = half_planes(is_hull, row, hull, part, corners, tolerance, found, after)
     corner = np.empty(2)
     i = 0
@@ -98,10 +98,10 @@ def _outline(is_hull, row, hull, part, corners, tolerance, found, after, out):  
 
 @numba.njit(cache=True, nogil=True)
 def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Fill in the half planes of one outline and which one follows each, counter-clockwise from 0; return how many.
+    """Fill in the half planes of one outline and the successor of each, counter-clockwise from 0; return their number.
 
-    `found` (M, 6) holds a direction (2) and the support along it, and what the search needs. 0 where the obstacle is
-    out of the body's reach.
+    `found` (M, 6) has a direction (2), the support along it, and values for the search. The number is 0 if the obstacle
+    is out of the body's reach.
     """
     if is_hull:
         low, high = hull[:, 2].min(), hull[:, 2].max()
@@ -109,7 +109,7 @@ def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):  # 
         low, high = row[LOW + 2], row[HIGH + 2]
     if high + part[3] < part[0] or low - part[3] > part[1]:
         return 0
-    # The first four directions: those of the primitive, whose faces are found at once then.
+    # The first four directions are the axes of the primitive, which gives its faces at once.
     cx, cy = 1.0, 0.0
     if not is_hull:
         for axis in range(2):
@@ -125,7 +125,7 @@ def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):  # 
         after[k] = (k + 1) % 4
         cx, cy = -cy, cx
     corner = np.empty(2)
-    # Round by round, so that directions are spread evenly where there are not enough of them.
+    # Round by round, so that directions are distributed evenly if their number is not sufficient.
     before = 0
     while count > before:
         before = count
@@ -146,7 +146,7 @@ def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):  # 
 
 @numba.njit(cache=True, nogil=True)
 def _meeting(first, second, corner):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Fill in where two border lines meet; return how far that is beyond the chord of their touched points."""
+    """Fill in the intersection of two border lines; return its distance beyond the chord of their touched points."""
     cross = first[_DX] * second[_DY] - first[_DY] * second[_DX]
     corner[0] = (first[_H] * second[_DY] - second[_H] * first[_DY]) / cross
     corner[1] = (second[_H] * first[_DX] - first[_H] * second[_DX]) / cross
@@ -160,7 +160,7 @@ def _meeting(first, second, corner):  # type: ignore[no-untyped-def] # pragma: n
 
 @numba.njit(cache=True, nogil=True)
 def _between(first, second, new):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Choose a direction between two: across the chord of their touched points, which finds an edge at once."""
+    """Choose a direction between two: the normal of the chord of their touched points, which finds an edge at once."""
     dx, dy = second[_PY] - first[_PY], first[_PX] - second[_PX]
     length = np.sqrt(dx * dx + dy * dy)
     if length > 1e-9:
@@ -182,7 +182,7 @@ def _touch_slice(is_hull, row, hull, part, corners, found, guess, tolerance):  #
     dx, dy = found[_DX], found[_DY]
     a, b, c = np.empty(4), np.empty(4), np.empty(4)
     _touch(is_hull, row, hull, part, corners, dx, dy, 0.0, a)
-    # At m = 0 the body's band leaves a choice of heights: a[2] is that of the obstacle alone.
+    # At m = 0 the height is not unique within the body's band: a[2] is that of the obstacle alone.
     if part[0] <= a[2] <= part[1]:
         found[_H], found[_PX], found[_PY], found[_M] = a[3], a[0], a[1], 0.0
         return
@@ -199,7 +199,7 @@ def _touch_slice(is_hull, row, hull, part, corners, found, guess, tolerance):  #
             break
         a[:] = b
         at_a, at_b = at_b, 4.0 * at_b
-    # Where the tangents at both ends meet is a bound from below; it is reached where the function itself is evaluated.
+    # The intersection of the tangents at both ends is a lower bound.
     for step in range(_MOST_STEPS):
         slope = b[2] - a[2]
         if slope * sign <= 0.0 or b[2] == 0.0 or b[2] * sign < 0.0:
@@ -283,7 +283,7 @@ def stamp(counts, corners, starts, origin, cell, delta):  # type: ignore[no-unty
         first, last = starts[n], starts[n + 1]
         if first == last:
             continue
-        # A hair more: a border on the edge of a cell touches both of its neighbours.
+        # A tolerance: a border on the edge of a cell touches both of its neighbours.
         low = (corners[first:last, 1].min() - origin[1]) / cell - 1e-9
         high = (corners[first:last, 1].max() - origin[1]) / cell + 1e-9
         row_low, row_high = max(int(np.floor(low)), 0), min(int(np.floor(high)), rows - 1)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _HEADINGS = 24
 _MOST_POSTURES = 8
 
-# What the numbers of a robot's file may be; a `Part` takes heights of the world as well.
+# The ranges of the numbers in a robot's file; a `Part` may also have heights in the world frame.
 _IN_A_FILE = {
     "low_m": Range(low=0, high=100, unit="m"),
     "high_m": Range(low=0, high=100, unit="m"),
@@ -59,7 +59,7 @@ class Part(Ranged):
 
     @property
     def reach_m(self) -> float:
-        """How far it reaches from the robot's middle, in the plane."""
+        """Its horizontal reach from the robot's centre."""
         return float(np.linalg.norm(self.corners_m, axis=1).max()) + self.disc_m + self.ball_m
 
     @property
@@ -78,15 +78,15 @@ class Posture(Ranged):
 
     @property
     def height_m(self) -> float:
-        """How high it reaches above the floor."""
+        """Its height above the floor."""
         return max(part.high_m + part.ball_m for part in self.parts)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Robot(Ranged):
-    """A robot that turns on the spot and drives straight on, forwards or backwards, in any of its postures.
+    """A robot that turns on the spot and drives straight, forwards or backwards, in any of its postures.
 
-    The postures that it prefers come first. `num_headings` is 1 for a round body, which needs not turn.
+    The preferred postures come first. `num_headings` is 1 for a round body, which need not turn.
     """
 
     name: str
@@ -95,12 +95,12 @@ class Robot(Ranged):
 
     @property
     def reach_m(self) -> float:
-        """How far it reaches from its middle, in the plane."""
+        """Its horizontal reach from its centre."""
         return max(part.reach_m for posture in self.postures for part in posture.parts)
 
     @property
     def heights_m(self) -> tuple[float, float]:
-        """From where to where it reaches above the floor, in whichever posture."""
+        """The least and greatest height above the floor, over all postures."""
         parts = [part for posture in self.postures for part in posture.parts]
         return min(part.low_m - part.ball_m for part in parts), max(part.high_m + part.ball_m for part in parts)
 
@@ -128,7 +128,7 @@ def turned(part: Part, heading_rad: float, range_rad: float) -> Part:
 
 
 def raised(part: Part, floor_z_m: float) -> Part:
-    """Return a part whose heights are the world's rather than above the floor."""
+    """Return a part with heights in the world frame instead of above the floor."""
     return replace(part, low_m=part.low_m + floor_z_m, high_m=part.high_m + floor_z_m)
 
 
@@ -146,7 +146,7 @@ def load_robot(name_or_path: str) -> Robot:
     """Return a robot that comes with the package, by name, or that of a TOML file.
 
     Raises:
-        ConfigError: there is no such robot, or the file is not as it must be.
+        ConfigError: there is no such robot, or its file is invalid.
     """
     path = Path(name_or_path)
     if path.suffix == ".toml" or path.is_file():
@@ -167,7 +167,7 @@ def load_robot(name_or_path: str) -> Robot:
 
 
 def robot_of(record: dict[str, Any], default_name: str = "robot") -> Robot:
-    """Return the robot of a parsed TOML file; raises ValueError, TypeError or KeyError where that cannot be."""
+    """Return the robot of a parsed TOML file; raises ValueError, TypeError or KeyError if it is invalid."""
     _only(record, {"name", "description", "num_headings", "posture"})
     found = record["posture"]
     if not isinstance(found, list) or not 1 <= len(found) <= _MOST_POSTURES:

@@ -1,8 +1,8 @@
 """A map for physics simulators: MJCF for MuJoCo, URDF for the rest, each a folder of one XML file and meshes.
 
-What is seen is layer 2; what is touched is layer 4, one convex mesh for each primitive (neither format knows
-superquadrics): a polyhedron around it rather than inside, so that it still holds the object. Walls are boxes, as they
-were seen; nothing moves.
+The visual geometry is layer 2. The collision geometry is layer 4, one convex mesh for each primitive, since neither
+format has superquadrics; the polyhedron is circumscribed, so that it still contains the object. Walls are boxes, where
+they were observed. All bodies are static.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _WALL_RGBA = "0.84 0.86 0.89 1"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SimulatedObject:
-    """One object: its mesh in its own frame (None: it has none), its place, its layer 4 in the world.
+    """One object: its mesh in its own frame (or None), its pose, and its layer 4 in the world.
 
-    The name becomes that of files.
+    Its name is used for file names.
 
     Raises:
-        ValueError: it is no plain name.
+        ValueError: the name has characters that are not allowed in file names.
     """
 
     name: str
@@ -124,15 +124,15 @@ def urdf_files(
 
 
 def _around(item: SimulatedObject) -> list[tuple[NDArray[np.float64], NDArray[np.int32]]]:
-    """Return for each primitive a convex polyhedron, in the object's frame, that holds it."""
+    """Return for each primitive a convex polyhedron, in the object's frame, that contains it."""
     local = moved(item.inflated, invert(item.world_from_object))
     return [polyhedron_around(local, i) for i in range(len(local))]
 
 
 def polyhedron_around(primitives: Superquadrics, index: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return vertices (V, 3) and faces (F, 3) of a convex polyhedron that holds a primitive, and a little more.
+    """Return vertices (V, 3) and faces (F, 3) of a convex polyhedron slightly larger than a primitive.
 
-    That with vertices on the surface, scaled about the centre until its faces lie outside.
+    It is the polyhedron with vertices on the surface, scaled about the centre until its faces lie outside.
     """
     from scipy.spatial import ConvexHull
 
@@ -160,7 +160,7 @@ def _support(primitives: Superquadrics, index: int, directions: NDArray[np.float
 def _boxes(
     hulls: NDArray[np.float64],
 ) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
-    """Return centre, half extents and quaternion (w first) of boxes given by corners as `box_corners` has them."""
+    """Return centre, half extents and quaternion (w first) of boxes given by corners in the order of `box_corners`."""
     out = []
     for corners in hulls:
         edges = corners[[1, 2, 4]] - corners[0]

@@ -1,9 +1,10 @@
-"""What a robot keeps off before the map is sure of it: stand-ins for things without a layer 4, and what else was seen.
+"""Early obstacles of a live run: stand-ins for objects without a layer 4, and observed surface of no object.
 
-In a live run nothing waits for 32 sightings. A track has a stand-in from its first keyframe on: its sketch, or its box
-in a few slabs one above the other (a lamp is no pillar), whichever takes less space, grown around all of its points. It
-is never cut upright: the inside of a thing of which two sides were seen stays inside. Surface that is of no track is
-occupied space, until rays pass there or it is found to be structure.
+Obstacles must not wait until an object is confirmed and reconstructed. A track has a stand-in from its first keyframe
+on, which contains all of its points: its sketch (one superquadric), or its box divided into a few horizontal slabs
+(since a lamp is wide only at its top), whichever has less volume. Slabs are not divided vertically, so that the inside
+of an object of which two sides were seen stays occupied. Surface that belongs to no track is occupied, until later rays
+pass through it or it is classified as structure.
 """
 
 from __future__ import annotations
@@ -46,19 +47,19 @@ if TYPE_CHECKING:
 
 MARGIN_M = 0.02
 SEEN_SURFACE = -1
-"""Stands in the place of an object's id for surface that is of no object yet."""
+"""The id used for surface that belongs to no object yet."""
 
 _MOST_SLABS, _CUTS = 4, 15
 _LEAST_SAVED = 0.1
 _THINNEST_M = 0.001
 _SAMPLED = 64
 _GONE = 2
-"""After so many keyframes that saw through it, or structure there, a voxel is no surface any more."""
+"""The number of keyframes with free space or structure at a voxel after which it is no longer surface."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Obstacle:
-    """What an object takes up. `is_observed_only`: no layer 4 was made yet; it is a stand-in for what was seen."""
+    """The space that an object occupies; `is_observed_only`: it is a stand-in, in the absence of a layer 4."""
 
     id: int
     body: Superquadrics
@@ -66,7 +67,7 @@ class Obstacle:
 
 
 def early_obstacles(objects: Sequence[TrackedObject]) -> list[Obstacle]:
-    """Return what all objects take up, those that were seen once included."""
+    """Return the obstacles of all objects, including those that were seen only once."""
     return _MADE.of(objects)
 
 
@@ -98,9 +99,9 @@ def _obstacle_of(tracked: TrackedObject) -> Obstacle:
 
 
 def stand_in_of(tracked: TrackedObject, margin_m: float = MARGIN_M) -> Superquadrics:
-    """Return superquadrics that hold all points of an object and a margin: of its slabs or its sketch the smaller.
+    """Return superquadrics that contain all points of an object and a margin: its slabs or its sketch, by least volume.
 
-    Of the sketch the margin holds along its axes; of the slabs everywhere.
+    For the sketch the margin is kept along its axes, for the slabs everywhere.
     """
     points = tracked.points_world.astype(np.float64)
     slabs = _slabs(_around(tracked.box, points), points, margin_m)
@@ -112,8 +113,8 @@ def stand_in_of(tracked: TrackedObject, margin_m: float = MARGIN_M) -> Superquad
 
 
 def box_as_superquadric(box: OrientedBox, margin_m: float) -> Superquadrics:
-    """Return the superquadric with the sharpest edges that holds a box and a margin around it."""
-    # At a corner of the box G is 3 before this: 1 for each axis.
+    """Return the superquadric with the sharpest edges that contains a box and a margin around it."""
+    # At a corner of the box, G would be 3 otherwise: 1 for each axis.
     axes = (box.half_extents_m + margin_m) * 3 ** (MIN_EXPONENT / 2) * (1 + 1e-9)
     return Superquadrics(
         exponents=np.full((1, 2), MIN_EXPONENT), semi_axes_m=axes[None], world_from_local=box.world_from_box[None]
@@ -121,7 +122,7 @@ def box_as_superquadric(box: OrientedBox, margin_m: float) -> Superquadrics:
 
 
 def _around(box: OrientedBox, points: NDArray[np.float64]) -> OrientedBox:
-    """Return a box that holds all points, too."""
+    """Return a box enlarged to contain all points."""
     if len(points) == 0:
         return box
     local = apply(invert(box.world_from_box), points)
@@ -129,7 +130,7 @@ def _around(box: OrientedBox, points: NDArray[np.float64]) -> OrientedBox:
 
 
 def _slabs(box: OrientedBox, points: NDArray[np.float64], margin_m: float) -> list[OrientedBox]:
-    """Return a box that holds all points as slabs that do; one slab as long as more hardly save space."""
+    """Return the slabs of a box that contains all points; a single slab if more save little volume."""
     local = apply(invert(box.world_from_box), points)
     parts = [_Part.of(local, margin_m)] if len(local) else []
     for _ in range(_MOST_SLABS - 1):
@@ -175,7 +176,7 @@ class _Part:
 
 
 def _box_of(box: OrientedBox, local: NDArray[np.float64]) -> OrientedBox:
-    """Return the box around points in the frame of another one, with its axes."""
+    """Return the box around points along the axes of another box."""
     low, high = local.min(axis=0), local.max(axis=0)
     pose = box.world_from_box.copy()
     pose[:3, 3] = apply(box.world_from_box, (low + high)[None] / 2)[0]
@@ -183,7 +184,7 @@ def _box_of(box: OrientedBox, local: NDArray[np.float64]) -> OrientedBox:
 
 
 def _grown(sketch: Superquadrics, points: NDArray[np.float64], margin_m: float) -> Superquadrics:
-    """Return a sketch that is larger by a margin along its axes, and by one factor where points are still outside."""
+    """Return a sketch enlarged by a margin along its axes, and by a common factor if points are still outside."""
     exponent = float(sketch.exponents[0, 0])
     local = np.abs(apply(invert(sketch.world_from_local[0]), points))
     larger = replace(sketch, semi_axes_m=sketch.semi_axes_m + margin_m, world_from_local=np.eye(4)[None])
@@ -198,14 +199,14 @@ def _grown(sketch: Superquadrics, points: NDArray[np.float64], margin_m: float) 
 
 
 class SeenSurface:
-    """The voxels in which keyframes have seen something that is no structure, submap by submap."""
+    """The voxels in which keyframes have seen surface other than structure, submap by submap."""
 
     def __init__(self) -> None:
         self._seen: dict[int, tuple[NDArray[np.int64], NDArray[np.uint8]]] = {}
         self._voxel_m = 0.0
 
     def add(self, seen: SpaceObservation, snapshot: MapSnapshot) -> None:
-        """Take what a keyframe saw; `snapshot` is the map after it."""
+        """Add the surface seen by a keyframe; `snapshot` is the map after it."""
         if not snapshot.submaps:
             return
         submap = snapshot.submaps[-1]
@@ -214,7 +215,7 @@ class SeenSurface:
         self._seen.setdefault(submap.id, (np.empty(0, np.int64), np.empty(0, np.uint8)))
         against = union(seen.free_keys, seen.structure_keys)
         new = seen.surface_keys
-        # All keys are in the world of the odometry: what one submap saw, a later one may see through.
+        # All keys are in the odometry's world: a later submap may see free space at the surface of an earlier one.
         for submap_id, (keys, misses) in self._seen.items():
             is_seen = contains(seen.surface_keys, keys)
             counted = np.where(is_seen, 0, misses + contains(against, keys))
@@ -228,13 +229,13 @@ class SeenSurface:
         self._seen[submap.id] = (merged, counts)
 
     def keys(self) -> NDArray[np.int64]:
-        """Return the sorted keys of all, in the world of the odometry."""
+        """Return the sorted keys of all voxels, in the odometry's world."""
         return sorted_unique(np.concatenate([np.empty(0, np.int64), *(keys for keys, _ in self._seen.values())]))
 
     def hulls(
         self, snapshot: MapSnapshot, obstacles: Sequence[Obstacle], band: Band, floor_z_m: float
     ) -> NDArray[np.float64]:
-        """Return (N, 8, 3) the corners, in the world, of boxes that hold what is within the band and of no object.
+        """Return the corners (N, 8, 3), in the world, of boxes around the surface in the band that is of no object.
 
         `obstacles` are those of the snapshot's objects.
         """
@@ -260,9 +261,9 @@ def _of_no_object(
     objects: Sequence[TrackedObject],
     obstacles: Sequence[Obstacle],
 ) -> NDArray[np.int64]:
-    """Return the keys of voxels without a point of an object, and whose centre is in no obstacle.
+    """Return the keys of voxels that contain no point of an object and whose centre is in no obstacle.
 
-    Where an object has a layer 4, what is beside its points is noise of its edges.
+    Surface next to the points of an object with layer 4 is noise at its edges.
     """
     submap_from_world = invert(world_from_submap)
     for tracked, obstacle in zip(objects, obstacles, strict=True):
@@ -278,7 +279,7 @@ def _of_no_object(
 
 
 def _layered_boxes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return (M, 6) low and high corners, in voxels, of boxes that make up (N, 3) cells, layer by layer."""
+    """Return the low and high corners (M, 6), in voxels, of boxes whose union is (N, 3) cells, layer by layer."""
     boxes: list[tuple[float, ...]] = []
     for z in np.unique(cells[:, 2]).tolist():
         flat = cells[cells[:, 2] == z, :2]

@@ -1,10 +1,11 @@
 """Swept balls and boxes against superquadrics: both are convex, so that they are disjoint if a plane separates them.
 
-What is swept is the sum of a segment, a box and a ball; without the ball it is the core. The distance between the core
-and a primitive is that of the origin to their difference, which is searched as Gilbert, Johnson and Keerthi (1988) do:
-from the touching points of planes a simplex grows in the difference, and its point nearest to the origin names the next
-plane. The plane proves that the way is free as soon as it keeps them apart by more than the ball's radius; the point,
-a difference of two points that exist, proves that they come as near as it is to the origin.
+The swept volume is the Minkowski sum of a segment, a box and a ball; without the ball it is called the core. The
+distance between the core and a primitive is that of the origin to their Minkowski difference, and is found by the
+algorithm of Gilbert, Johnson and Keerthi (1988): a simplex of support points grows in the difference, and its point
+nearest to the origin gives the direction of the next support plane. The motion is proven free as soon as a plane
+separates the two by more than the ball's radius; a collision is proven by the nearest point, which is an upper bound of
+the distance.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ from hickory_stream.navigation.kernels import (
     touching,
 )
 
-# A way that comes this near to touching counts as a hit: the search ends when either is proven.
+# A motion with less than this clearance counts as a collision, so that the search ends.
 NEAR_M = 1e-4
-# Ten to twenty planes decide what is decided within a micrometre.
+# Ten to twenty planes suffice for a micrometre.
 _MOST_PLANES = 100
-# What a plane must leave besides, of the lengths involved: several orders above the rounding.
+# A relative reserve of a separating plane, several orders of magnitude above the rounding error.
 _ROUNDING = 1e-10
 
 
 @numba.njit(cache=True, nogil=True)
 def sweep_states(starts, ends, half, radius, rows, kinds, layout, top, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N,) uint8: the gravest kind that a body touches on its way from (N, 3) starts to ends, else FREE.
+    """Return (N,) uint8: the most severe kind that a body touches between (N, 3) starts and ends, else FREE.
 
     The body is an axis-aligned box of half extents `half` (3), rounded by `radius`; a ball for half extents of 0.
     """
@@ -88,7 +89,7 @@ def sweep_states(starts, ends, half, radius, rows, kinds, layout, top, values, l
 
 @numba.njit(cache=True, nogil=True)
 def _passes_its_box(row, start, way, half, radius, local, edges):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether a face of the primitive's own box keeps all of the way apart.
+    """Return whether a face of the primitive's own box separates it from the whole motion.
 
     Fills `local`, the start and the way along the primitive's axes, and `edges`, the half edges of the swept box.
     """
@@ -109,7 +110,7 @@ def _passes_its_box(row, start, way, half, radius, local, edges):  # type: ignor
 
 @numba.njit(cache=True, nogil=True)
 def _nearest_to_center(row, local):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return where on the way, 0 to 1, the primitive's centre is nearest, in units of its semi-axes."""
+    """Return the parameter 0..1 of the motion nearest to the primitive's centre, in units of its semi-axes."""
     t, length = 0.0, 0.0
     for i in range(3):
         inverse = 1.0 / (row[AXES + i] * row[AXES + i])
@@ -120,12 +121,9 @@ def _nearest_to_center(row, local):  # type: ignore[no-untyped-def] # pragma: no
 
 @numba.njit(cache=True, nogil=True)
 def _touches(row, t, radius, local, edges, simplex, nearest, direction):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether the core comes as near as the radius; never False where it does.
-
-    True also where it comes nearer than `NEAR_M` to that.
-    """
+    """Return whether the core comes as near as the radius, or to within `NEAR_M` of that."""
     size = 0.0
-    # The first plane: as if the primitive were an ellipsoid, from where the way is nearest to its centre.
+    # The first plane is that of an ellipsoid, from the point of the motion nearest to the primitive's centre.
     for i in range(3):
         size += abs(local[0, i]) + abs(local[1, i])
         direction[i] = (local[0, i] + t * local[1, i]) / row[AXES + i] ** 2
@@ -167,9 +165,9 @@ def _supported(row, local, edges, direction, point):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True)
 def _nearest_of_simplex(simplex, count, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Fill the point nearest to the origin of the hull of `count` points; return how many of them it needs.
+    """Fill the point nearest to the origin in the hull of `count` points; return the number of points that span it.
 
-    Those come first then. 0 where the origin is inside of a tetrahedron.
+    These points are moved to the front. The number is 0 if the origin is inside a tetrahedron.
     """
     if count == 1:
         nearest[:] = simplex[0]
@@ -183,7 +181,7 @@ def _nearest_of_simplex(simplex, count, nearest):  # type: ignore[no-untyped-def
     is_inside = True
     for face in ((1, 2, 3, 0), (0, 2, 3, 1), (0, 1, 3, 2), (0, 1, 2, 3)):
         a, b, c, d = simplex[face[0]], simplex[face[1]], simplex[face[2]], simplex[face[3]]
-        # The last face holds the origin's side: a flat tetrahedron has no inside.
+        # For a flat tetrahedron, which has no inside, the last face is used.
         if _volume(a, b, c, d) * _volume_to_origin(a, b, c) > 0.0:
             continue
         is_inside = False
@@ -219,13 +217,13 @@ def _nearest_of_edge(simplex, nearest):  # type: ignore[no-untyped-def] # pragma
 
 @numba.njit(cache=True, nogil=True)
 def _kept(simplex, corners, weights, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Fill the point of these weights, move the corners that have one to the front, return how many these are."""
+    """Fill the point with these weights, move the corners of non-zero weight to the front, and return their number."""
     for i in range(3):
         nearest[i] = 0.0
         for m in range(3):
             nearest[i] += weights[m] * simplex[corners[m], i]
     count = 0
-    # The corners ascend: none is overwritten before it is moved.
+    # The corners are in ascending order, so that none is overwritten before it is moved.
     for m in range(3):
         if weights[m] > 0.0:
             for i in range(3):

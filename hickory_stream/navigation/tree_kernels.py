@@ -1,8 +1,8 @@
 """Kernels of the planners: edges over free cells, turns on the spot, growth of trees, shortening of paths.
 
-Places are in cells, from the low corner of the grid. A state is posture * headings + heading; -1 is none yet. A robot
-turns on the spot and drives straight, forwards or backwards; all cells that a way touches are free, so is every heading
-that a turn passes.
+Positions are in cells, from the low corner of the grid. A state is posture * headings + heading; -1 is not set. A robot
+turns on the spot and drives straight, forwards or backwards. An edge is valid if all cells that it touches are free, a
+turn if every heading that it passes is free.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 
-# A hair: a way along the edge of a cell touches both neighbours.
+# Tolerance in cells: a segment along the edge of a cell touches both neighbours.
 _HAIR = 1e-9
 NO_STATE = -1
 _NO_WAY = -2
@@ -19,7 +19,7 @@ _NO_WAY = -2
 
 @numba.njit(cache=True, nogil=True)
 def way_is_free(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether all cells that a segment touches are free; those outside of the grid are not."""
+    """Return whether all cells that a segment touches are free; cells outside the grid are not."""
     rows, columns = blocked.shape
     if y1 < y0:
         x0, y0, x1, y1 = x1, y1, x0, y0
@@ -41,7 +41,7 @@ def way_is_free(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # prag
 
 @numba.njit(cache=True, nogil=True)
 def turn_is_free(blocked, x, y, before, after):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether the robot can change its state at a place, turning in either posture, either way round."""
+    """Return whether the robot can change its state at a position, by a turn in either posture and direction."""
     headings = blocked.shape[1]
     if before < 0 or after < 0 or headings == 1:
         return True
@@ -61,10 +61,10 @@ def turn_is_free(blocked, x, y, before, after):  # type: ignore[no-untyped-def] 
 
 @numba.njit(cache=True, nogil=True)
 def state_after(blocked, x0, y0, before, x1, y1, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the state in which the robot gets from one place to the next, -2 where it cannot.
+    """Return the state in which the robot gets from one position to the next, -2 if there is none.
 
-    Postures in their order, forwards before backwards. `is_backward`: the way is driven from the second place to the
-    first one, as in a tree that grows from the goal.
+    Postures are tried in their order, forwards before backwards. `is_backward`: the segment is driven from the second
+    position to the first one, as in a tree that grows from the goal.
     """
     postures, headings = blocked.shape[:2]
     heading = 0
@@ -93,7 +93,7 @@ def _nearest(points, count, x, y):  # type: ignore[no-untyped-def] # pragma: no 
 
 @numba.njit(cache=True, nogil=True)
 def _branch(points, parents, n):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the places from the root to a node."""
+    """Return the positions from the root to a node."""
     length, at = 0, n
     while at >= 0:
         length += 1
@@ -108,7 +108,7 @@ def _branch(points, parents, n):  # type: ignore[no-untyped-def] # pragma: no co
 
 @numba.njit(cache=True, nogil=True)
 def grow_rrt(blocked, start, goal, start_state, goal_state, samples, toss, step, bias):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the path that the RRT of the paper finds (no places if none), and the iterations it took."""
+    """Return the path that the RRT of the paper finds (empty if none), and the number of iterations."""
     count = 1
     most = len(samples) + 2
     points, parents, states = np.empty((most, 2)), np.empty(most, np.int64), np.empty(most, np.int64)
@@ -145,13 +145,13 @@ def grow_rrt(blocked, start, goal, start_state, goal_state, samples, toss, step,
 
 @numba.njit(cache=True, nogil=True)
 def grow_connect(blocked, start, goal, start_state, goal_state, samples, step):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the path that RRT-Connect finds (no places if none), and the iterations it took."""
+    """Return the path of RRT-Connect (Kuffner and LaValle, 2000; empty if none), and the number of iterations."""
     most = 4 * len(samples) + 64
     points, parents, states = np.empty((2, most, 2)), np.empty((2, most), np.int64), np.empty((2, most), np.int64)
     counts = np.array([1, 1])
     points[0, 0], points[1, 0] = start, goal
     parents[:, 0], states[0, 0], states[1, 0] = -1, start_state, goal_state
-    # Before any sample: the straight way.
+    # Before any sample, the straight segment is tried.
     state = state_after(blocked, start[0], start[1], start_state, goal[0], goal[1], False)
     if state >= 0 and turn_is_free(blocked, goal[0], goal[1], state, goal_state):
         direct = np.empty((2, 2))
@@ -174,7 +174,7 @@ def grow_connect(blocked, start, goal, start_state, goal_state, samples, step): 
             continue
         counts[one] += added
         node = counts[one] - 1
-        # The other tree reaches for the new node, as far as it gets.
+        # The other tree is extended towards the new node, as far as possible.
         at = _nearest(points[two], counts[two], x, y)
         while counts[two] + 4 <= most:
             dx, dy = x - points[two, at, 0], y - points[two, at, 1]
@@ -209,10 +209,10 @@ def grow_connect(blocked, start, goal, start_state, goal_state, samples, step): 
 
 @numba.njit(cache=True, nogil=True)
 def _link(blocked, points, parents, states, count, near, x, y, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Append the way from a node to a place; return how many nodes that took, 0 where there is no way.
+    """Append the path from a node to a position; return the number of nodes added, 0 if there is no path.
 
-    Straight, or where the heading does not fit at the place, as in a doorway, by a turn onto a line that does: the
-    robot drives to where that line is nearest, turns, and follows it.
+    The path is straight; or, if the robot's heading then collides at the position, as in a doorway, the robot drives to
+    the nearest point of a line along a free heading through the position, turns there, and follows that line.
     """
     ax, ay = points[near, 0], points[near, 1]
     state = state_after(blocked, ax, ay, states[near], x, y, is_backward)
@@ -265,10 +265,10 @@ def _cost_to(points, parents, states, costs, headings, n):  # type: ignore[no-un
 
 @numba.njit(cache=True, nogil=True)
 def grow_star(blocked, start, goal, start_state, goal_state, samples, costs, step, first_cost):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the best path that an informed RRT* finds (no places if none), and the iterations it took.
+    """Return the best path of an informed RRT* (Gammell et al., 2014; empty if none), and the number of iterations.
 
-    `first_cost` is that of a path which is known already, or infinite: only samples that could beat the best path are
-    looked at. A node that has successors gets a new predecessor only where the robot needs not turn.
+    `first_cost` is the cost of a known path, or infinite: only samples that can improve on the best path are used. A
+    node with successors is rewired only if the robot need not turn.
     """
     headings = blocked.shape[1]
     most = len(samples) + 1
@@ -341,7 +341,7 @@ def grow_star(blocked, start, goal, start_state, goal_state, samples, costs, ste
 
 @numba.njit(cache=True, nogil=True)
 def states_along(blocked, path, start_state, goal_state):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the state of each leg, and whether the whole path can be driven."""
+    """Return the state of each segment, and whether the whole path can be driven."""
     states = np.empty(len(path) - 1, np.int64)
     before = start_state
     for i in range(len(path) - 1):
@@ -364,9 +364,9 @@ def cost_along(path, states, costs, headings):  # type: ignore[no-untyped-def] #
 
 @numba.njit(cache=True, nogil=True)
 def thinned(blocked, path, start_state):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the places of a path that are left when, from each, the farthest one in sight follows.
+    """Return the positions of a path that remain if each is followed by the farthest one in a free straight line.
 
-    In no later posture than the first step takes: what could be passed upright is not passed ducked.
+    A shortcut may not need a later posture than its first segment, so that the robot does not lower itself to shorten.
     """
     headings = blocked.shape[1]
     out = np.empty_like(path)
@@ -389,9 +389,10 @@ def thinned(blocked, path, start_state):  # type: ignore[no-untyped-def] # pragm
 
 @numba.njit(cache=True, nogil=True)
 def shortened(blocked, path, start_state, goal_state, costs, spacing, most):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return a path of least cost along places of the given one, at most `spacing` apart, `most` of them.
+    """Return a path of least cost over at most `most` positions of the given one, which are at most `spacing` apart.
 
-    Over the shortcuts between all pairs of places (dynamic programming); exact for a robot that needs not turn.
+    Dynamic programming over the shortcuts between all pairs of positions; optimal among them for a robot that need not
+    turn.
     """
     length = 0.0
     for i in range(len(path) - 1):
@@ -432,7 +433,7 @@ def shortened(blocked, path, start_state, goal_state, costs, spacing, most):  # 
 
 @numba.njit(cache=True, nogil=True)
 def cut_corners(blocked, path, start_state, goal_state, costs, rounds, most):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return a path whose corners are cut off as far as its cells are free: what a string would do when pulled."""
+    """Return a path with its corners cut as far as cells are free (string pulling)."""
     headings = blocked.shape[1]
     for _ in range(rounds):
         gained = 0.0
@@ -449,7 +450,7 @@ def cut_corners(blocked, path, start_state, goal_state, costs, rounds, most):  #
                 trial[i] = path[i] + share * (path[i - 1] - path[i])
                 trial[i + 1] = path[i] + share * (path[i + 1] - path[i])
                 trial[i + 2 :] = path[i + 1 :]
-                # All of both sides: the corner goes.
+                # Both sides are cut whole, so that the corner vanishes.
                 if share == 1.0:
                     trial = np.concatenate((path[:i], path[i + 1 :]))
                 states, is_free = states_along(blocked, trial, start_state, goal_state)

@@ -1,7 +1,8 @@
 """Verification of a path against the obstacles themselves, without a grid: every leg and every turn.
 
-A body that moves straight along meets a convex obstacle where the way of its middle crosses the outline of the obstacle
-for that body: an intersection of half planes, so the way is clipped by each of them. Free is proven.
+A body that moves along a straight line collides with a convex obstacle if its reference point passes through the
+configuration-space obstacle: an intersection of half planes, by each of which the segment is clipped. A free answer is
+a proof.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[np.int64]) -> bool:
-    """Return whether a robot can drive the (N - 1,) legs between (N, 2) points in these states, and turn between them.
+    """Return whether a robot can drive the N - 1 segments between (N, 2) points in these states, and turn between them.
 
     A state is posture * headings + heading, for all headings in its range.
     """
@@ -34,7 +35,7 @@ def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[n
             return False
         low, high = np.minimum(start, end) - off.reach_m, np.maximum(start, end) + off.reach_m
         for group in space.hull_groups():
-            # Neighbours in the list are neighbours in space: most groups are far as a whole.
+            # Neighbours in the list are neighbours in space, so that most groups are skipped as a whole.
             if (group.low > high).any() or (group.high < low).any():
                 continue
             near = ((group.lows <= high) & (group.highs >= low)).all(axis=1)
@@ -46,7 +47,7 @@ def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[n
 def _moves(
     space: FreeSpace, points: NDArray[np.float64], states: NDArray[np.int64]
 ) -> Iterator[tuple[Part, NDArray[np.float64], NDArray[np.float64]]]:
-    """Yield every part of the body on every leg, and on every turn, with the ends of its way."""
+    """Yield every part of the body for every segment and every turn, with the ends of its motion."""
     headings = space.robot.num_headings
     before = None
     for start, end, state in zip(points[:-1], points[1:], states.tolist(), strict=True):
@@ -60,7 +61,7 @@ def _moves(
 
 
 def _turn(space: FreeSpace, place: NDArray[np.float64], before: int, after: int) -> list[Part]:
-    """Return the parts of all headings that a turn passes: the turn, of the four there are, that the cells allow."""
+    """Return the parts of all headings that a turn passes, for the first of four variants with free cells."""
     headings = space.robot.num_headings
     ((row, column),) = space.frame.cells_of(place[None])
     blocked = space.blocked()[:, :, row, column]
@@ -71,7 +72,7 @@ def _turn(space: FreeSpace, place: NDArray[np.float64], before: int, after: int)
                 passed.append((passed[-1] + way) % headings)
             if not blocked[posture, passed].any():
                 return [part for k in passed for part in space.parts[posture][k]]
-    raise AssertionError("a path turns where its cells are not free")
+    raise AssertionError("a path turns at cells that are not free")
 
 
 @numba.njit(cache=True, nogil=True)

@@ -1,7 +1,7 @@
-"""Occupancy in three dimensions: for robots that change their height, and for how low one must duck.
+"""Occupancy in three dimensions, for robots that change their height, and for the height to which they must lower.
 
-Layer upon layer of whole voxels, each exact over its own height: a voxel is occupied where a body that stands in its
-column, anywhere in the closed square of the cell, and is as high as the layer, may meet something.
+It consists of layers of voxels, each exact over its own height: a voxel is occupied if a body of the height of the
+layer, with its centre anywhere in the closed square of the cell, may collide.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _BYTES_PER_VOXEL = 13
 class VoxelOccupancy:
     """Voxels over the cells of a frame, from `low_m` up in layers of `layer_m`; updated object by object.
 
-    `radius_m` is that of a round body around the middle of which the voxels are asked.
+    `radius_m` is the radius of the round body whose configuration space the voxels are.
     """
 
     def __init__(
@@ -55,28 +55,28 @@ class VoxelOccupancy:
         ]
 
     def put(self, object_id: int, inflated: Superquadrics) -> None:
-        """Add an object, or replace what it was; raises ValueError where a primitive is not finite."""
+        """Add an object, or replace its former shape; raises ValueError if a primitive is not finite."""
         for layer in self._layers:
             layer.put(object_id, inflated)
 
     def put_hulls(self, object_id: int, hulls: NDArray[np.float64]) -> None:
-        """Add an object that is the union of the convex hulls of (N, M, 3) points, or replace what it was."""
+        """Add an object that is the union of the convex hulls of (N, M, 3) points, or replace its former shape."""
         for layer in self._layers:
             layer.put_hulls(object_id, hulls)
 
     def remove(self, object_id: int) -> None:
-        """Remove an object; nothing happens where it is not there."""
+        """Remove an object, if it is there."""
         for layer in self._layers:
             layer.remove(object_id)
 
     def is_occupied(self) -> NDArray[np.bool_]:
-        """Return (layers, rows, columns)."""
+        """Return (layers, rows, columns) which voxels are occupied."""
         return np.stack([layer.is_occupied() for layer in self._layers])
 
     def traversable_height_m(self) -> NDArray[np.float64]:
-        """Return (rows, columns) how high a body that stands on the lowest layer may be: how low it must duck.
+        """Return (rows, columns) the largest height of a body that stands on the lowest layer.
 
-        In whole layers, rounded down; infinite where nothing is above.
+        In whole layers, rounded down; infinite if nothing is above.
         """
         occupied = self.is_occupied()
         first = occupied.argmax(axis=0)

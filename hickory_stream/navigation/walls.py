@@ -1,9 +1,10 @@
-"""Walls as few long boxes, for simulators: what was seen as structure, without the noise of a camera.
+"""Walls as few long boxes, for simulators: observed structure without the noise of a camera.
 
-A planner takes every column with a voxel in it as a wall of full height (`observed.wall_hulls`), which is safe; built
-as bodies, such columns are posts in front of the walls. Here a column is a wall, from the bottom to the top, where a
-third of it was seen, high up too: a sofa may hide the rest. Other structure keeps its own height; of it, what is
-smaller than a cube of three voxels is left out as noise, and so is what lies in an object, whose body is there anyway.
+A planner takes every column with a structure voxel as a wall of full height (`observed.wall_hulls`), which is safe; as
+bodies in a simulator, noisy columns would be posts in front of the walls. Here a column is a wall from bottom to top
+only if a third of it was observed, including its upper part; furniture may occlude the rest. Other structure keeps its
+own height. Pieces of it smaller than a cube of three voxels are left out as noise, and so is structure inside objects,
+which have bodies of their own.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ _ORDERS = np.array([[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1
 def wall_boxes(
     submap: Submap, band: Band, floor_z_m: float, objects: Sequence[Superquadrics] = ()
 ) -> NDArray[np.float64]:
-    """Return (N, 8, 3) the corners, in the world, of boxes that make up the walls within the band.
+    """Return the corners (N, 8, 3), in the world, of boxes whose union is the walls within the band.
 
-    `objects` are the bodies in which no walls are wanted. Boxes may overlap one another.
+    Structure inside `objects` is left out. Boxes may overlap one another.
     """
     space = submap.observed_space
     cells = cells_of_keys(space.structure)
@@ -55,7 +56,7 @@ def wall_boxes(
         is_wall = mask.sum(axis=2) >= _WALL_SHARE * layers
         is_wall &= mask[:, :, int(_WALL_TOP * layers) :].any(axis=2)
     else:
-        # Columns of a tilted grid do not stand upright.
+        # The columns of a tilted grid are not vertical.
         is_wall = np.zeros(mask.shape[:2], bool)
     corners = boxes_of(_cleaned(mask, free, is_wall)).astype(np.float64) + np.tile(first, 2)
     hulls = box_corners(corners * space.voxel_m)
@@ -63,10 +64,10 @@ def wall_boxes(
 
 
 def boxes_of(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return (N, 6) low and high corners, in cells, of few boxes whose union is an (X, Y, Z) mask.
+    """Return the low and high corners (N, 6), in cells, of few boxes whose union is an (X, Y, Z) mask.
 
-    Greedily: of the boxes that grow from the first cell that is in none yet, axis by axis in each order, the one that
-    takes in most new cells.
+    Greedy: from the first uncovered cell, boxes are grown axis by axis in each order of the axes, and the one that
+    covers most new cells is taken.
     """
     found: NDArray[np.int64] = _boxes_of(np.ascontiguousarray(mask), _ORDERS)
     return found
@@ -80,7 +81,7 @@ def _mask_of(cells: NDArray[np.int64], first: NDArray[np.int64], shape: NDArray[
 
 
 def _is_within(points: NDArray[np.float64], objects: Sequence[Superquadrics]) -> NDArray[np.bool_]:
-    """Return for (N, 3) points whether one of the objects' primitives holds them."""
+    """Return (N,) whether each of (N, 3) points lies in a primitive of an object."""
     is_within = np.zeros(len(points), bool)
     for primitives in objects:
         bounds = world_bounds(primitives).reshape(-1, 3)
@@ -92,9 +93,9 @@ def _is_within(points: NDArray[np.float64], objects: Sequence[Superquadrics]) ->
 
 
 def _cleaned(mask: NDArray[np.bool_], free: NDArray[np.bool_], is_wall: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return (X, Y, Z): walls from bottom to top, and larger pieces of other structure, with cracks of a voxel filled.
+    """Return (X, Y, Z): walls from bottom to top, and larger pieces of other structure, with gaps of one voxel filled.
 
-    A crack that was looked into stays open.
+    A gap that was observed free stays open.
     """
     from scipy import ndimage
 
@@ -146,7 +147,7 @@ def _boxes_of(mask, orders):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _grow(mask, low, high, axis):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Move both ends of a box along an axis as far as all of it stays in the mask."""
+    """Move both ends of a box along an axis as far as the box stays in the mask."""
     while high[axis] < mask.shape[axis] and _is_full(mask, low, high, axis, high[axis]):
         high[axis] += 1
     while low[axis] > 0 and _is_full(mask, low, high, axis, low[axis] - 1):
@@ -155,7 +156,7 @@ def _grow(mask, low, high, axis):  # type: ignore[no-untyped-def] # pragma: no c
 
 @numba.njit(cache=True, nogil=True)
 def _is_full(mask, low, high, axis, place):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether the slice of a box at a place along an axis is all in the mask."""
+    """Return whether the slice of a box at a position along an axis lies entirely in the mask."""
     first, end = low.copy(), high.copy()
     first[axis], end[axis] = place, place + 1
     for i in range(first[0], end[0]):

@@ -34,7 +34,7 @@ class ShapeConfig:
     reconstructor: ReconstructorName = "fused"
     fused: FusedConfig = field(default_factory=FusedConfig)
     single_view: SingleViewConfig = field(default_factory=SingleViewConfig)
-    # A reconstruction is accurate to about a centimetre: a finer grid would fit its noise, and take longer.
+    # A reconstruction is accurate to about a centimetre; a finer grid would fit its noise and take longer.
     fit: FitConfig = field(default_factory=lambda: FitConfig(cells=40))
     inflate: InflateConfig = field(default_factory=InflateConfig)
 

@@ -42,18 +42,22 @@ SEEDS_PER_COMPONENT = 2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FitConfig(Ranged):
-    """How a mesh becomes superquadrics.
+    """The parameters of the fit of superquadrics to a mesh, in the order of its steps.
 
-    `cells` along the longest side, up to twice as many where the thinnest part is below `min_thickness_cells`;
-    distances are cut off at `band_cells`. For the next primitive boxes are grown in the `num_seeds` largest
-    components, and the `num_candidates` most promising starts are fitted. A primitive is kept when it adds at least
-    `min_gain` of the object's volume, at most `max_primitives` are; `waste_weight` is the price of claiming space
-    outside. `coarse_samples` cells and `coarse_iterations` are spent per candidate, `fine_...` on the best two; gains
-    are measured on up to `gain_samples` cells. Then `num_rounds` times all are refined together (`joint_...`), made
-    simple where the misfit rises by no more than `simple_tolerance` cells (`simple_...`), and pairs are merged that
-    lose at most `merge_loss` of the volume. Primitives that explain less than `min_explained` of it are no description.
-    Parts that reach more than `protruding_cells`, of `cells`, beyond all primitives get up to `max_protruding` of
-    their own.
+    Grid: `cells` along the longest side, up to twice as many if the thinnest part is below `min_thickness_cells`;
+    distances are truncated at `band_cells`.
+
+    Candidates: boxes are grown in the `num_seeds` largest components, and the `num_candidates` most promising starts
+    are fitted, with `coarse_samples` cells and `coarse_iterations` each, the best two with `fine_...`. Gains are
+    measured on up to `gain_samples` cells; `waste_weight` is the penalty on volume outside the object.
+
+    Stopping: a primitive is kept if it adds at least `min_gain` of the object's volume, up to `max_primitives`. If all
+    of them explain less than `min_explained` of the volume, the fit is rejected.
+
+    Refinement: in `num_rounds` rounds, all primitives are refined jointly (`joint_...`), their exponents are rounded to
+    simple shapes if the misfit rises by no more than `simple_tolerance` cells (`simple_...`), and pairs are merged if
+    that loses at most `merge_loss` of the volume. Parts that reach more than `protruding_cells` (at `cells` along the
+    longest side) beyond all primitives get up to `max_protruding` primitives of their own.
     """
 
     cells: int = number(64, 8, 512, "cells")
@@ -85,16 +89,16 @@ class FitConfig(Ranged):
 def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
     """Return the primitives of a mesh in its own frame, largest first, at least one.
 
-    What is flat or encloses nothing becomes its box, one superquadric with exponents of 0.1. A thin shell, such as a
-    bowl, is no union of convex bodies: where primitives explain less than half of the object, one around all of it is
-    returned instead of splinters.
+    A mesh that is flat or encloses no volume becomes its box, one superquadric with exponents of 0.1. A thin shell,
+    such as a bowl, is not a union of convex bodies: if the primitives explain too little of the object
+    (`min_explained`), one superquadric around all of it is returned instead.
 
     Raises:
         ValueError: the mesh has no triangles or no extent, or is not finite (`usable`).
     """
     mesh = usable(mesh)
     vertices = mesh.vertices.astype(np.float64)
-    # Far from the origin digits would be lost to the offset.
+    # Centred, since precision is lost far from the origin.
     offset = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     vertices = vertices - offset
     axes = object_axes(vertices, mesh.faces)
@@ -102,7 +106,7 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
     extent = np.ptp(local, axis=0)
     longest = float(extent.max())
     rows: list[NDArray[np.float64]] = []
-    # What is flat has no inside; what is thinner than a few thousandths would take a grid too fine.
+    # A flat mesh has no inside, and one thinner than a few thousandths of its length would need too fine a grid.
     if extent.min() > 1e-3 * longest:
         cells = adapted_cells(
             local,
@@ -128,10 +132,10 @@ def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superq
 
 
 def around_all(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size_m: float) -> Superquadrics:
-    """Return one superquadric about the surface of a mesh as a whole: what holds it in the least space.
+    """Return the superquadric of least volume, of a few candidates, that contains the surface of a mesh.
 
-    Its box, the cylinder in that along each axis, or what is fitted to the surface: a bowl is round and so is a bin,
-    the boards of a shelf are not.
+    The candidates are its box, the cylinders in that box along each axis, and a superquadric fitted to the surface; the
+    latter are tighter for round objects such as bowls and bins.
     """
     extent = np.ptp(vertices, axis=0)
     whole = box_superquadric(vertices, min_size_m)
@@ -162,29 +166,29 @@ def _cylinders_in(box: Superquadrics) -> list[Superquadrics]:
 
 
 def _cover_m3(primitive: Superquadrics, points: NDArray[np.float64]) -> float:
-    """Return the volume of a superquadric scaled until it holds (N, 3) points: G grows with the power 2 / e1."""
+    """Return the volume of a superquadric scaled to contain (N, 3) points; a scale s divides G by s^(2 / e1)."""
     scale = exp(float(log_implicit_value(primitive, 0, points).max()) * primitive.exponents[0, 0] / 2)
     return float(volumes_m3(primitive)[0] * (scale * scale * scale))
 
 
 def _surface_samples(vertices: NDArray[np.float64], faces: NDArray[np.int32], count: int = 500) -> NDArray[np.float64]:
-    """Return (count, 3) points of triangles by their share of the area, always the same ones."""
+    """Return (count, 3) points distributed over triangles by area, deterministically."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     passed = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     steps = np.arange(count)
     chosen = np.searchsorted(passed, (steps + 0.5) / count * passed[-1])
-    # Two sequences that fill a square evenly, folded into a triangle.
+    # A low-discrepancy sequence in the unit square, folded into a triangle.
     u, v = (steps * 0.7548776662466927) % 1.0, (steps * 0.5698402909980532) % 1.0
     u, v = np.where(u + v > 1, 1 - u, u)[:, None], np.where(u + v > 1, 1 - v, v)[:, None]
     return np.asarray(a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen])
 
 
 def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the rows (`quadric_lm`) of the primitives, in units of cells; none where they explain too little."""
+    """Return the rows (`quadric_lm`) of the primitives, in units of cells; none if they explain too little."""
     field = FitField(grid, config.waste_weight)
     rows: list[NDArray[np.float64]] = []
     least = config.min_gain * field.volume
-    # No primitive gains more than what is left.
+    # The gain of a primitive is at most the unexplained volume.
     while len(rows) < config.max_primitives and field.unexplained() >= least:
         best = best_candidate(field, config)
         if best is None or field.gain(best, config.gain_samples) < least:
@@ -207,7 +211,7 @@ def _are_same(rows: list[NDArray[np.float64]], others: list[NDArray[np.float64]]
 
 
 def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the primitives refined together, with simple exponents where these do."""
+    """Return the primitives refined jointly, with simple exponents where these fit nearly as well."""
     if not rows:
         return rows
     points, distances = field.samples(config.joint_samples)
@@ -378,7 +382,7 @@ def _best_by_gain(
     return [rows[i] for i in np.argsort(-gains, kind="stable")[:count]]
 
 
-# Cyclic orders of the axes: each lets another one be the axis of a cylinder.
+# Cyclic orders of the axes: each makes another one the axis of a cylinder.
 _ORDERS = ([0, 1, 2], [2, 0, 1], [1, 2, 0])
 
 

@@ -76,7 +76,7 @@ class FitField:
         return cells.astype(np.float64), self._distance[tuple(cells.T)].astype(np.float64)
 
     def protruding_part(self, min_reach: float) -> NDArray[np.int64] | None:
-        """Return the (N, 3) cells of the part that reaches farthest from what is explained; None below `min_reach`."""
+        """Return the (N, 3) cells of the part that protrudes farthest from all primitives; None below `min_reach`."""
         unexplained = self._covered < 0.5
         reach = np.where(self._distance < 0, chessboard_depth(unexplained), 0.0)
         farthest = np.unravel_index(int(np.argmax(reach)), reach.shape)
@@ -111,7 +111,7 @@ class FitField:
         return float(_gain(self._object, self._covered, row, low, high, stride, self._waste_weight))
 
     def fitted(self, row: NDArray[np.float64], max_samples: int, iterations: int) -> NDArray[np.float64]:
-        """Return the primitive fitted to what is not explained in its neighbourhood."""
+        """Return the primitive fitted to the unexplained volume in its neighbourhood."""
         if self._speaking is None:
             self._speaking = _speaking(self._distance, self._covered, self._band)
         low, high = self._window(row, self._band + 2)
@@ -280,7 +280,7 @@ def _gain_of_block(block, count, row, shares, befores, waste_weight):  # type: i
 
 @numba.njit(cache=True, nogil=True)
 def _gain_of(d, share, before, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return what one cell adds at a distance `d`, of which the object fills a `share` and `before` is covered."""
+    """Return the gain of one cell at a distance `d`, of which the object fills a `share` and `before` is covered."""
     after = max(_occupancy(d), before)
     more = min(after, share) - min(before, share)
     return more - waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))
@@ -288,7 +288,7 @@ def _gain_of(d, share, before, waste_weight):  # type: ignore[no-untyped-def] # 
 
 @numba.njit(cache=True, nogil=True)
 def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the (N, 3) cells that inform a fit: those near the surface, and one in eight of those deep inside."""
+    """Return the (N, 3) cells used for a fit: those near the surface, and one in eight of those deep inside."""
     out = np.empty((distance.size, 3), np.int64)
     count = 0
     for i in range(distance.shape[0]):

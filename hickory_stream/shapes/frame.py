@@ -22,9 +22,9 @@ _ITERATIONS = 40
 _AT_REST = 1e-6
 # Normals are pooled in bins of this width before the search, and taken one by one for the last steps.
 _BIN = 0.08
-_BINS = 16  # more than there are from the centre to the end
+_BINS = 16  # more bins than from the centre to the end
 _FINAL_STEPS = 8
-_SETTLED = 1e-12  # three or four steps come to this: each triples the digits
+_SETTLED = 1e-12  # reached in three or four steps, since convergence is cubic
 _MAX_FINAL = 20_000
 
 

@@ -60,7 +60,7 @@ class VolumeConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FusedConfig(Ranged):
-    """`volume`: the grid; `completion`: how unobserved space is filled; `revolution`: what is a surface of revolution.
+    """`volume`: the grid; `completion`: the filling of unobserved space; `revolution`: detection of round objects.
 
     `turned_trust` is the weight of a view rotated to the far side of a surface of revolution, relative to a real view.
     """
@@ -160,7 +160,7 @@ def noise_m(points_world: NDArray[np.float64], view: DepthView, volume: VolumeCo
 def reconstruct_views(
     inputs: ShapeInputs, views: list[DepthView], volume: VolumeConfig, completion: CompletionConfig
 ) -> Reconstruction | NoShape:
-    """Return the mesh of the surface that `views` and the points of `inputs` show within the box of `inputs`."""
+    """Return the mesh of the surface in `views` and the points of `inputs`, within the box of `inputs`."""
     block = block_over(inputs.box, inputs.support_z_m, volume, completion)
     grid = block.grid
     evidence = integrate(grid, views)

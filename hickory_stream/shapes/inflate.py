@@ -54,9 +54,9 @@ _ROUNDINGS = (0.25, 0.4)
 _SLACK = 1e-7
 _ROUNDS = 6
 _WORST = 12
-# Residuals get boxes only where they make a primitive grow to this multiple of its volume without them.
+# Residuals get boxes only if they make a primitive grow to this multiple of its volume without them.
 _OVERGROWN = 1.1
-# Boxes around residuals stay where all primitives then take less space by at least this share.
+# Boxes around residuals are kept if the total volume of all primitives then decreases by at least this share.
 _LEAST_GAIN = 0.05
 # Half the thickness of a box around residuals in one plane.
 _THINNEST = 0.01
@@ -160,7 +160,7 @@ def box_around(points_world: NDArray[np.float64], config: InflateConfig) -> Supe
 
 
 def inflate_to_cover(fitted: Superquadrics, points_world: NDArray[Any], config: InflateConfig) -> Superquadrics:
-    """Return the primitives grown so that the primitive nearest to each of (N, 3) points holds the ball around it."""
+    """Return the primitives grown so that the ball around each of (N, 3) points lies in the nearest primitive."""
     points = np.asarray(points_world, dtype=np.float64)
     return _Share.of(fitted, np.empty((0, 3)), np.empty((0, 3), np.int32), points, config).grown()
 
@@ -386,7 +386,7 @@ def _axes_around(
     exponents: NDArray[np.float64],
     g: float,
 ) -> NDArray[np.float64]:
-    """Return the (3,) semi-axes of about the least volume that hold all balls; `binding` are points to begin with."""
+    """Return the (3,) semi-axes of about the least volume that contain all balls; points `binding` are tried first."""
     e1, e2 = float(exponents[0]), float(exponents[1])
     limit = e1 / 2 * float(log(g)) - _SLACK
     axes = before

@@ -54,7 +54,7 @@ def refined_beside(
     max_log_axis: float,
     max_samples: int,
 ) -> NDArray[np.float64]:
-    """Return the (17,) row refined beside the (K, 17) `others`, which stay; on about `max_samples` around it."""
+    """Return the (17,) row refined with the (K, 17) `others` held fixed, on about `max_samples` samples around it."""
     near = np.flatnonzero(_near(row, points, band))
     if len(near) < 30:
         return row
@@ -75,7 +75,7 @@ def simplified(
     tolerance: float,
     per_primitive: int,
 ) -> NDArray[np.float64]:
-    """Return the rows with simple exponents wherever that raises its misfit by no more than `tolerance` cells.
+    """Return the rows with simple exponents where these raise a primitive's misfit by no more than `tolerance` cells.
 
     Each primitive is judged on about `per_primitive` of the samples around it.
     """
@@ -114,7 +114,7 @@ def _simple_rows(row: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def _stays(row: NDArray[np.float64], before: NDArray[np.float64]) -> bool:
-    """Return whether the box of a primitive, along the grid, is within two cells of what it was."""
+    """Return whether the axis-aligned box of a primitive has moved by at most two cells."""
     reach = portable.matmul(np.abs(row[8:17].reshape(3, 3)), exp_each(row[2:5]))
     room = portable.matmul(np.abs(before[8:17].reshape(3, 3)), exp_each(before[2:5])) + 2.0
     return bool((np.abs(row[5:8] - before[5:8]) + reach <= 1.1 * room).all())
@@ -194,7 +194,7 @@ def _swept(rows, points, targets, band, sweeps, max_log_axis, with_exponents):  
 def _stepped_beside(  # type: ignore[no-untyped-def] # pragma: no cover
     row, points, targets, others, band, steps, max_log_axis, with_exponents
 ):
-    """Return one primitive refined beside the others and the misfit of the union."""
+    """Return one primitive refined with the others held fixed, and the misfit of the union."""
     damping = np.full(1, 1e-3)
     found = cut_distances(row, points, band)
     for _ in range(steps):

@@ -61,7 +61,7 @@ def taubin_smoothed(vertices: NDArray[np.float64], faces: NDArray[np.int32], ite
 
 @numba.njit(cache=True, nogil=True)
 def _means_of_neighbours(vertices, faces):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (V, 3) the mean of the vertices that follow each in a face; itself where it is in none."""
+    """Return (V, 3) the mean of the vertices that follow each one in a face; the vertex itself if it is in no face."""
     means, counts = np.zeros(vertices.shape), np.zeros(len(vertices), np.int64)
     for f in range(len(faces)):
         for corner in range(3):

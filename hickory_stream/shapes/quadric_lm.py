@@ -88,9 +88,10 @@ def tangent_distance(  # type: ignore[no-untyped-def] # pragma: no cover
 
     `gradient` (3,) is that of ln h at the point of `local` (3,), `shape` (5,) its derivatives by e1, e2, ln a1, ln a2
     and ln a3. A convex body lies behind its tangent planes: the distance to one bounds the true distance from below
-    outside, from above inside. Outside the plane is that of the ray from the centre; inside it is the closest of that
-    and of those met along the three axes, or else the rim of a plate would seem to be nearer than its faces. For points
-    that are deeper than `depth` a bound is returned that is deeper, too, and nothing is filled.
+    outside, from above inside. For a point outside, the plane touches where the ray from the centre meets the surface;
+    for a point inside, it is the nearest of that plane and of those met along the three axes, since the first alone
+    would place the rim of a plate nearer than its faces. For points deeper than `depth`, some value deeper than `depth`
+    is returned, and nothing is filled.
     """
     dx, dy, dz = x - row[5], y - row[6], z - row[7]
     # The columns of the rotation are the local axes.
@@ -166,7 +167,7 @@ def _entropy(p, q):  # type: ignore[no-untyped-def] # pragma: no cover
 def _nearest_along_axes(  # type: ignore[no-untyped-def] # pragma: no cover
     row, px, py, pz, log_rho, log_h, share_x, share_y, share_r, share_z
 ):
-    """Return where the surface is nearest to an inner point along its axes: the axis, how far, and the shares there."""
+    """Return the nearest surface point along the axes from an inner point: axis, distance, and the shares there."""
     e1, e2 = row[0], row[1]
     whole = exp(2.0 / e1 * log_h)
     in_plane, along_z = share_r * whole, share_z * whole
@@ -315,7 +316,7 @@ def _loss(r):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the (N,) distances to a primitive, cut off at the band; what is outside its box is not looked at."""
+    """Return the (N,) distances to a primitive, truncated at the band; points outside its box are skipped."""
     out = np.full(len(points), OUTER_BAND)
     reach = exp_each(row[2:5]) + OUTER_BAND
     block, which = new_block(), np.empty(BLOCK, np.int64)
@@ -342,7 +343,7 @@ def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: 
 def normal_step(  # type: ignore[no-untyped-def] # pragma: no cover
     row, points, targets, others, found, band, damping, k, max_log_axis, with_exponents
 ):
-    """Return the row after one step beside other primitives, its distances, and the relative gain (0: no step).
+    """Return the row after one step with the others held fixed, its distances, and the relative gain (0: no step).
 
     `others` (N,) are the distances to the union of the others, `found` (N,) those to this one; `damping[k]` is updated.
     """

@@ -1,7 +1,7 @@
 """Logarithm and exponential that the compiler can vectorise.
 
-Those of the system are calls, one number at a time, and their last bits differ from one library to the next. These are
-good to 12 digits, have no branches, and are the same wherever numbers are IEEE doubles.
+The functions of the system's library process one number per call, and their last bits depend on the library. These have
+a relative error below 1e-12 and no branches, and give the same bits on every machine with IEEE doubles.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import numpy as np
 from hickory_stream.compiled import numba
 
 _LOG_2 = 0.6931471805599453
-# ln 2 in two parts, of which the first has zeros at its end: n times it is exact.
+# ln 2 in two parts; the first has trailing zeros, so that its product with n is exact.
 _LOG_2_HIGH, _LOG_2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 _ROOT_HALF_BITS = 0x3FE6A09E667F3BCD
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def quick_log(x):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return ln x of a normal, positive number: twice the series of artanh, for a mantissa within sqrt 2 of 1."""
+    """Return ln x of a normal positive number, by the artanh series of the mantissa in 1/sqrt 2 .. sqrt 2."""
     bits = np.float64(x).view(np.int64)
     exponent = np.int64(bits - np.int64(_ROOT_HALF_BITS)) >> np.int64(52)
     mantissa = np.int64(bits - (exponent << np.int64(52))).view(np.float64)
@@ -33,7 +33,7 @@ def quick_log(x):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def quick_exp(x):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return e^x, x cut off at +-700: Taylor's series about the nearest multiple of ln 2."""
+    """Return e^x, with x clipped to +-700, by the Taylor series about the nearest multiple of ln 2."""
     x = min(max(x, -700.0), 700.0)
     n = np.floor(x * (1.0 / _LOG_2) + 0.5)
     r = x - n * _LOG_2_HIGH - n * _LOG_2_LOW

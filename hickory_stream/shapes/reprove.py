@@ -1,4 +1,4 @@
-"""Checks the certificate of a stored layer 4 anew, from the mesh and the primitives."""
+"""The certificate of a stored layer 4, checked again from the mesh and the primitives."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from hickory_stream.records import ObjectShape
     from hickory_stream.shapes.certify import Certificate
 
-# What collision checks take for solid: a primitive up to here.
+# Collision checks treat a primitive as solid up to this value of G.
 _G = 1.0
 
 
 def proven_anew(shape: ObjectShape, mesh: Mesh, points_world: NDArray[np.floating]) -> Certificate:
-    """Return whether the inflated primitives hold the mesh, the points (N, 3) and the inside, with the recorded margin.
+    """Return whether the inflated primitives contain mesh, points (N, 3) and interior with the recorded margin.
 
     Raises:
         ValueError: the margin is negative or not finite, or the mesh has no surface.

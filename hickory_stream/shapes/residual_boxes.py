@@ -1,8 +1,8 @@
-"""Boxes around the residuals of a fit, the surface outside of all primitives: a plant's leaves, the arms of a chair.
+"""Boxes around the residuals of a fit: surface outside all primitives, such as a plant's leaves or the arms of a chair.
 
-All residual triangles are one group at first. Greedily, the group whose split by a plane saves the most volume is
-split, as long as that pays. Planes and boxes follow the axes of the object or the principal axes of the group,
-whichever takes less volume.
+At first, all residual triangles are one group. Greedily, the group is split by a plane for which this saves the most
+volume, until no split saves enough. Planes and boxes follow the axes of the object or the principal axes of the group,
+whichever gives less volume.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hickory_stream.geometry import portable
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# A split has to save this share of the volume of all boxes.
+# A split must save at least this share of the volume of all boxes.
 _LEAST_GAIN = 0.03
 
 
@@ -33,9 +33,9 @@ class Box:
 
 
 def boxes_around(corners: NDArray[np.float64], axes: NDArray[np.float64], *, margin: float, most: int) -> list[Box]:
-    """Return up to `most` boxes of small total volume, margins included, each (N, 3, 3) triangle whole in one of them.
+    """Return up to `most` boxes that contain (N, 3, 3) triangles, each entirely in one box; their volume is kept small.
 
-    `axes` (3, 3): columns of the frame to try besides the principal axes.
+    Volumes include the margin. `axes` (3, 3) are the columns of a frame that is tried besides the principal axes.
     """
     groups = [_Group.of(np.arange(len(corners)), corners, axes, margin)]
     while len(groups) < most:
@@ -51,7 +51,7 @@ def boxes_around(corners: NDArray[np.float64], axes: NDArray[np.float64], *, mar
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Group:
-    """A group of triangles, the box around it, and its best split: the first side, and the volume of both boxes."""
+    """A group of triangles, its box, and its best split: the triangles of one side, and the volume of both boxes."""
 
     items: NDArray[np.int64]
     box: Box

@@ -1,8 +1,8 @@
-"""The vertical axis of an object whose seen side is round: its unseen side is completed as a solid of revolution.
+"""Detection of solids of revolution with a vertical axis, whose unseen side is completed by rotation.
 
-Seen from above, the front of what is round is an arc as wide as the object: half as deep as wide. The front of a box is
-a line, or a corner. A front that an arc explains better than a line is turned by half a turn, unless the views saw free
-space there.
+In the view from above, the visible front of a round object is a semicircle: half as deep as it is wide. The front of a
+box is a line or a corner. If an arc fits the front better than a line, the front is rotated by 180 degrees to form the
+back, unless the views observed free space there.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RevolutionConfig(Ranged):
-    """How round fronts are told.
+    """The criteria for round fronts.
 
-    The front is measured in `num_bins` across the width. The misfit of the arc, the root of its mean square, may be at
-    most `max_misfit` of the radius and `max_ratio` of the misfit of a line. At most `max_contradiction` of the turned
-    points may lie in space seen free: of a bin, into which one looks, some do.
+    The front is measured in `num_bins` across the width. The RMS misfit of the arc may be at most `max_misfit` of the
+    radius and `max_ratio` of the misfit of a line. At most `max_contradiction` of the rotated points may lie in
+    observed free space; for open objects, such as a bin seen from above, some do.
     """
 
     num_bins: int = number(13, 3, 1000, "bins")
@@ -45,9 +45,9 @@ def half_turn_of(
     tolerance_m: float,
     config: RevolutionConfig,
 ) -> NDArray[np.float64] | None:
-    """Return world_from_turned (4, 4), half a turn about the vertical axis of a round object; None where it is not.
+    """Return world_from_turned (4, 4), the rotation by 180 degrees about an object's axis; None if it is not round.
 
-    `points_world` (N, 3) are seen from `camera_world` (3,); `views` tell free space, `tolerance_m` is their noise.
+    `points_world` (N, 3) were seen from `camera_world` (3,); `views` define free space, `tolerance_m` is their noise.
     """
     forward = points_world[:, :2].mean(axis=0) - camera_world[:2]
     distance = portable.norm(forward)
@@ -70,7 +70,7 @@ def half_turn_of(
 def _axis(
     across: NDArray[np.float64], ahead: NDArray[np.float64], config: RevolutionConfig
 ) -> tuple[float, float] | None:
-    """Return where the axis is, across and ahead, of what is round as seen from above; None where it is not."""
+    """Return the position of the axis in the view from above, across and ahead; None if the front is not round."""
     low, high = np.quantile(across, [0.01, 0.99])
     radius, middle = (high - low) / 2, (high + low) / 2
     if not radius > 0:
@@ -95,6 +95,6 @@ def _axis(
 
 
 def _off_the_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far (N,) values y are off the line through (x, y) by least squares."""
+    """Return the residuals (N,) of y from the least-squares line through (x, y)."""
     x, y = x - x.mean(), y - y.mean()
     return np.asarray(y - portable.dot(x, y) / max(portable.dot(x, x), 1e-300) * x)

@@ -1,8 +1,8 @@
-"""The signed distance of a mesh on a grid, in its true position.
+"""The signed distance field of a mesh on a grid.
 
-The distance is exact within a narrow band of the surface and cut off beyond it. The sign comes from winding numbers:
-the oriented crossings along the six grid directions, averaged, so that an open or torn mesh still has an inside, and
-parts that overlap count as one solid. An inside-out mesh is turned first.
+The distance is exact within a narrow band of the surface and truncated beyond it. The sign comes from winding numbers:
+the oriented crossings along the six grid directions, averaged, so that a mesh with holes still has an inside, and
+overlapping parts count as one solid. A mesh whose faces point inwards is reversed first.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def distance_grid(
     step = longest / cells
     margin = int(np.ceil(band_cells)) + 1
     counts = np.ceil((high - low) / step).astype(np.int64) + 2 * margin
-    # Half a cell off the bounds: the outer faces of a box fall between cells, not on them.
+    # Offset by half a cell, so that the outer faces of a box lie between cells and not on them.
     origin = low + step * (0.5 - margin)
     corners = np.ascontiguousarray((vertices[faces] - origin) / step)
     squared = np.full(tuple(int(n) for n in counts), np.float32(band_cells * band_cells))
@@ -64,10 +64,10 @@ def distance_grid(
 def adapted_cells(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], *, cells: int, min_thickness_cells: float, max_cells: int
 ) -> int:
-    """Return how many cells along the longest side give the thinnest part `min_thickness_cells`.
+    """Return the number of cells along the longest side at which the thinnest part has `min_thickness_cells`.
 
-    At least `cells`, at most `max_cells`, and fewer where the whole grid would exceed a cube of 1.5 `cells`. The
-    thinnest part is the 10th percentile, by area, of how far the solid reaches inwards from its surface.
+    It is at least `cells`, at most `max_cells`, and lower if the whole grid would exceed a cube of 1.5 `cells`. The
+    thickness of the thinnest part is the 10th percentile, by area, of the depth of the solid inwards from its surface.
     """
     low, size = vertices.min(axis=0), np.ptp(vertices, axis=0)
     step = float(size.max()) / cells
@@ -77,7 +77,7 @@ def adapted_cells(
     reach, areas, patches = _inward_reach(corners, inside, 400 * 400 // max(len(faces), 1))
     if not areas.sum() > 0:
         return cells
-    # The mean over patches: on a rough surface single samples look thin everywhere.
+    # Averaged over patches, since on a rough surface single samples appear thin everywhere.
     _, patches = np.unique(patches, return_inverse=True)
     areas_of_patches = np.bincount(patches, areas)
     thickness = np.bincount(patches, areas * reach) / np.maximum(areas_of_patches, 1e-300)
@@ -92,8 +92,8 @@ def adapted_cells(
 def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Return the mean oriented number of surfaces around each cell; `corners` (F, 3, 3) in cell units.
 
-    A closed, outward mesh gives 1 inside and 0 outside; parts that overlap give more. The mesh is turned where its
-    signed volume is negative.
+    A closed mesh with outward faces gives 1 inside and 0 outside; overlapping parts give more. A mesh with negative
+    signed volume is reversed.
     """
     winding = np.zeros(shape, np.float32)
     for axis in range(3):
@@ -106,7 +106,7 @@ def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDA
 
 @numba.njit(cache=True, nogil=True)
 def _signed_volume(corners):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return six times the volume that (F, 3, 3) triangles enclose, positive where they look outwards."""
+    """Return six times the signed volume of (F, 3, 3) triangles, positive for outward faces."""
     total = 0.0
     for f in range(len(corners)):
         a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
@@ -120,7 +120,7 @@ def _signed_volume(corners):  # type: ignore[no-untyped-def] # pragma: no cover
 def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
     """Add to each cell the mean of the oriented crossings ahead and behind along the first axis."""
     nx, ny, nz = out.shape
-    # Off the lattice by an irrational bit, so that a line never runs along an edge of a regular mesh.
+    # A small irrational offset from the lattice, so that no line runs along an edge of a regular mesh.
     dy, dz = 1.2360679e-4, 1.7320508e-4
     ahead = np.zeros(out.shape, np.float32)
     behind = np.zeros(out.shape, np.float32)
@@ -140,7 +140,7 @@ def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
                     continue
                 x = w0 * corners[f, 0, 0] + w1 * corners[f, 1, 0] + w2 * corners[f, 2, 0]
                 last = int(np.floor(x))
-                # An outward face with its normal along +x lies ahead of what it encloses, one along -x behind it.
+                # An outward face with its normal along +x lies ahead of the solid, one along -x behind it.
                 if last >= 0:
                     ahead[min(last, nx - 1), j, k] += sign
                 if last + 1 < nx:
@@ -159,10 +159,10 @@ def _crossings(corners, out):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _inward_reach(corners, inside, samples):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return for samples of the surface how far the solid reaches inwards, in cells, its area and its patch.
+    """Return for samples of the surface the depth of the solid inwards, in cells, the sample's area and its patch.
 
-    Inwards along the grid's axis that is nearest to the normal: the object stands along the axes. A patch is a block of
-    cells with one such direction.
+    The depth is measured along the grid axis nearest to the normal, since the object is aligned with the grid. A patch
+    is a block of cells with one such direction.
     About `samples` points per face on a regular pattern, fewer on small faces; surface within the solid is left out.
     """
     most = 60_000
@@ -213,7 +213,7 @@ def _inward_reach(corners, inside, samples):  # type: ignore[no-untyped-def] # p
 def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pragma: no cover
     """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one.
 
-    Only the surface of the solid counts: where parts overlap, what lies within another part is skipped.
+    Only the surface of the solid counts; surface of one part inside another is skipped.
     """
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     nearest, normal, middle = np.empty(3), np.empty(3), np.empty(3)
@@ -242,8 +242,8 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
-                    # No point of a triangle is nearer than its plane or the ball around it: most cells have a nearer
-                    # one already, but for rounding.
+                    # The distances to the triangle's plane and bounding ball are lower bounds, by which most cells are
+                    # skipped.
                     known = (1.0 - 1e-5) * squared[i, j, k]
                     x, y, z = i - middle[0], j - middle[1], k - middle[2]
                     out = normal[0] * x + normal[1] * y + normal[2] * z
@@ -274,7 +274,7 @@ def _normal(t, normal):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _is_buried(inside, point, normal):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return whether the solid goes on at both sides of a point of a triangle, most of a cell away from it."""
+    """Return whether the solid continues on both sides of a point of a triangle, at most of a cell's distance."""
     for side in (-0.75, 0.75):
         i = int(np.floor(point[0] + side * normal[0] + 0.5))
         j = int(np.floor(point[1] + side * normal[1] + 0.5))
@@ -288,10 +288,10 @@ def _is_buried(inside, point, normal):  # type: ignore[no-untyped-def] # pragma:
 
 @numba.njit(cache=True, nogil=True)
 def _squared_distance(x, y, z, first, ab, ac, products):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the squared distance from a point to a triangle, and the shares v, w of its edges at its nearest point.
+    """Return the squared distance from a point to a triangle, and the coordinates v, w of the triangle's nearest point.
 
-    That point is first + v ab + w ac; `products` are those of the edges: ab ab, ab ac, ac ac.
-    Ericson, Real-Time Collision Detection, 5.1.5.
+    That point is first + v ab + w ac; `products` are ab.ab, ab.ac and ac.ac. From Ericson, Real-Time Collision
+    Detection (2005), 5.1.5.
     """
     abx, aby, abz = ab
     acx, acy, acz = ac

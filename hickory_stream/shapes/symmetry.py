@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 class SymmetryConfig(Ranged):
     """How mirror planes are searched.
 
-    `num_yaws` directions in half a turn and `num_offsets` places along each, from the middle of the seen extent to its
-    ends. A plane is out when more than `max_contradiction` of the mirrored points lie in space seen free. The score is
-    the share that falls on measured surface, less `growth_penalty` for each doubling of the extent, less
-    `contradiction_penalty` times the contradicted share; a second plane must reach `min_second_score`. `max_points` are
-    mirrored.
+    Tried are `num_yaws` directions over 180 degrees and `num_offsets` positions along each, from the middle of the
+    visible extent to its ends. A plane is rejected if more than `max_contradiction` of the mirrored points lie in
+    observed free space. The score is the share of mirrored points on measured surface, minus `growth_penalty` for each
+    doubling of the extent, minus `contradiction_penalty` times the share in free space; a second plane must reach
+    `min_second_score`. At most `max_points` points are mirrored.
     """
 
     num_yaws: int = number(36, 1, 720, "directions")
@@ -50,7 +50,7 @@ def mirror_plane(
     min_score: float,
     config: SymmetryConfig,
 ) -> NDArray[np.float64] | None:
-    """Return world_from_mirrored (4, 4), a reflection about the best vertical plane; None where none is plausible."""
+    """Return world_from_mirrored (4, 4), the reflection about the best vertical plane; None if none is plausible."""
     points = points_world[:: max(len(points_world) // config.max_points, 1)]
     best, best_score = None, min_score
     for yaw in np.pi * np.arange(config.num_yaws) / config.num_yaws:
@@ -79,12 +79,12 @@ def reflection_about(normal: NDArray[np.float64], offset_m: float) -> NDArray[np
 
 
 def _offsets(low: float, high: float, count: int) -> NDArray[np.float64]:
-    """Return places of a plane: at the middle, and on to either end of the extent."""
+    """Return the positions of a plane: at the middle, and from there to either end of the extent."""
     return np.concatenate([np.linspace((low + high) / 2, end, count // 2 + 1)[i:] for i, end in ((0, low), (1, high))])
 
 
 def shares_against(mirrored: NDArray[np.float64], views: list[DepthView], tolerance_m: float) -> tuple[float, float]:
-    """Return the shares of (N, 3) world points that fall on measured surface, and into space seen free, by any view."""
+    """Return the shares of (N, 3) world points on measured surface and in observed free space, by any view."""
     on_surface = np.zeros(len(mirrored), dtype=bool)
     in_free = np.zeros(len(mirrored), dtype=bool)
     for view in views:
@@ -98,7 +98,7 @@ def shares_against(mirrored: NDArray[np.float64], views: list[DepthView], tolera
 
 @numba.njit(cache=True, nogil=True)
 def _against(points, depth, mask, intrinsics, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Compare camera points with a depth image: 1 on the object's surface, 2 in free space, 0 hidden or unknown."""
+    """Compare camera points with a depth image: 1 on the object's surface, 2 in free space, 0 occluded or unknown."""
     fx, fy, cx, cy = intrinsics
     out = np.zeros(len(points), np.uint8)
     for n in range(len(points)):

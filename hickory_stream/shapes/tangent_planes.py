@@ -1,8 +1,8 @@
 """Signed distances to tangent planes of a superquadric, a block of points at a time.
 
-The same distances as `quadric_lm.tangent_distance`, in the order that suits a processor which computes several numbers
-at once: what every point needs first, then what only those inside need, these moved together. A block is one array of
-columns of `BLOCK` numbers each, so that a compiler sees that no two columns overlap.
+The same distances as `quadric_lm.tangent_distance`, in an order that the compiler can vectorise: first the computation
+for all points, then that for points inside only, which are moved together. A block is one array with columns of `BLOCK`
+numbers each, so that the compiler knows that no two columns overlap.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from hickory_stream.geometry.portable_kernels import exp
 from hickory_stream.shapes.quick_math import quick_exp, quick_log
 
 BLOCK = 64
-# The columns: where points are put, and then their local coordinates; distances; the gradient of ln h; the shares.
+# The columns: points, replaced by their local coordinates; distances; the gradient of ln h; the shares.
 X, Y, Z = 0, BLOCK, 2 * BLOCK
 DISTANCE = 3 * BLOCK
 GX, GY, GZ = 4 * BLOCK, 5 * BLOCK, 6 * BLOCK
 SX, SY, SR, SZ = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK, 10 * BLOCK
 _RHO, _LOG_H = 11 * BLOCK, 12 * BLOCK
-# Of those inside, moved together: as above.
+# The same columns for the points inside, moved together.
 _IN_X, _IN_Y, _IN_Z, _IN_BEST = 13 * BLOCK, 14 * BLOCK, 15 * BLOCK, 16 * BLOCK
 _IN_SX, _IN_SY, _IN_SR, _IN_SZ = 17 * BLOCK, 18 * BLOCK, 19 * BLOCK, 20 * BLOCK
 _IN_RHO, _IN_LOG_H = 21 * BLOCK, 22 * BLOCK
@@ -39,7 +39,7 @@ def new_block():  # type: ignore[no-untyped-def] # pragma: no cover
 def fill_distances(block, count, row, depth):  # type: ignore[no-untyped-def] # pragma: no cover
     """Fill distances, local points, gradients and shares of the first `count` points of a block.
 
-    For points that are deeper than `depth` only the distance is right, and it may be a bound that is deeper, too.
+    For points deeper than `depth` only the distance is filled, and it may be any value deeper than `depth`.
     """
     _from_centre(block, row)
     smallest = exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
@@ -48,7 +48,7 @@ def fill_distances(block, count, row, depth):  # type: ignore[no-untyped-def] # 
     for n in range(count):
         if block[_LOG_H + n] >= 0.0:
             continue
-        # The body holds the ellipsoid, or else the octahedron, of its semi-axes; 1 - h is the share of the way out.
+        # The body contains the ellipsoid, or else the octahedron, of its semi-axes; 1 - h is the share of the way out.
         bound = (1.0 - exp(block[_LOG_H + n])) * smallest
         if bound > depth:
             block[DISTANCE + n] = -bound
@@ -75,7 +75,7 @@ def fill_distances(block, count, row, depth):  # type: ignore[no-untyped-def] # 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _from_centre(block, row):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Fill in everything by the planes that the rays from the centre meet."""
+    """Fill in all columns by the tangent planes where the rays from the centre meet the surface."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = row[8], row[9], row[10], row[11], row[12], row[13], row[14], row[15], row[16]
     log_a, log_b, log_c, cx, cy, cz = row[2], row[3], row[4], row[5], row[6], row[7]
     half_1, half_2 = 0.5 * row[0], 0.5 * row[1]

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 def thinned(count: int, most: int) -> NDArray[np.int64]:
     """Return the indices of about `most` of `count` samples; all of them if there are fewer.
 
-    One sample of each interval, at an offset given by the golden ratio: an even stride through the cells of a thin
-    plate could hit the same layer every time.
+    One sample of each interval is taken, at an offset by the golden ratio: a constant stride through the cells of a
+    thin plate could hit the same layer every time.
     """
     if count <= most:
         return np.arange(count)

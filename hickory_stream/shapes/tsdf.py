@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.geometry.depth_sensor import Law
 
-# Behind a surface the evidence fades out over this many voxels: a plate that thin keeps both of its sides.
+# Behind a surface the evidence decreases to 0 over this many voxels, so that a plate of that thickness keeps both
+# sides.
 BAND_BEHIND_VOXELS = 1.5
 BAND_BEFORE_VOXELS = 3.0
 SMOOTHING_VOXELS = 0.6
@@ -132,7 +133,7 @@ def _smooth(depth, mask, law):  # type: ignore[no-untyped-def] # pragma: no cove
 
 @numba.njit(cache=True, nogil=True)
 def _cosine(depth, intrinsics):  # type: ignore[no-untyped-def] # pragma: no cover
-    """The cosine between surface normal and optical axis, in 0.25..1: from distances along the axis to true ones."""
+    """Return the cosine between surface normal and optical axis, in 0.25..1; it converts depths to true distances."""
     height, width = depth.shape
     fx, fy = intrinsics[0], intrinsics[1]
     out = np.ones_like(depth)
@@ -143,7 +144,7 @@ def _cosine(depth, intrinsics):  # type: ignore[no-untyped-def] # pragma: no cov
                 continue
             left, right = depth[row, max(column - 2, 0)], depth[row, min(column + 2, width - 1)]
             above, below = depth[max(row - 2, 0), column], depth[min(row + 2, height - 1), column]
-            # One-sided where the other side is a hole; 0 where both are.
+            # A one-sided difference if the other side is a hole; 0 if both are.
             dx = 0.25 * (right - left)
             if not abs(dx) < 1e9:
                 dx = 0.5 * (right - z) if right > 0.0 else (0.5 * (z - left) if left > 0.0 else 0.0)
@@ -157,7 +158,7 @@ def _cosine(depth, intrinsics):  # type: ignore[no-untyped-def] # pragma: no cov
 
 @numba.njit(cache=True, nogil=True)
 def _carving_depth(depth):  # type: ignore[no-untyped-def] # pragma: no cover
-    """The nearest depth among 3 x 3 pixels: what is safely free, also beside an edge."""
+    """Return the nearest depth among 3 x 3 pixels, up to which space is certainly free, even beside an edge."""
     height, width = depth.shape
     out = np.full_like(depth, np.nan)
     for row in range(height):
@@ -175,7 +176,7 @@ def _carving_depth(depth):  # type: ignore[no-untyped-def] # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def _inner(mask):  # type: ignore[no-untyped-def] # pragma: no cover
-    """The pixels whose four neighbours are in the mask too: the others may hold a depth from behind the object."""
+    """Return the pixels whose four neighbours are in the mask too; others may have a depth from behind the object."""
     height, width = mask.shape
     out = np.zeros_like(mask)
     for row in range(1, height - 1):

@@ -29,7 +29,7 @@ def usable(mesh: Mesh) -> Mesh:
     if len(mesh.faces) == 0:
         raise ValueError("an empty mesh: it has no triangles; a shape needs at least one")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise ValueError(f"the mesh has faces of vertices that it has not ({len(mesh.vertices)}); repair it first")
+        raise ValueError(f"the mesh has faces with vertex indices out of range ({len(mesh.vertices)}); repair it first")
     is_used, faces = used_surface(mesh.vertices, mesh.faces)
     vertices = mesh.vertices[is_used]
     bad = int((~np.isfinite(vertices)).any(axis=1).sum())
@@ -43,7 +43,7 @@ def usable(mesh: Mesh) -> Mesh:
 
 
 def used_surface(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
-    """Return (V,) which vertices belong to triangles that are not one point, and those triangles among these alone."""
+    """Return (V,) which vertices belong to triangles with an extent, and these triangles with their new indices."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     # NaN is not equal to anything: triangles with NaN are kept, and reported by the caller.
     is_point = ((a == b) & (b == c)).all(axis=1)

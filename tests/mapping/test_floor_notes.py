@@ -73,7 +73,7 @@ def test_a_map_without_a_floor_says_so_and_one_that_saw_nothing_says_nothing() -
 
 def test_a_floor_as_small_as_a_table_may_be_one() -> None:
     (note,) = floor_notes(snapshot(space_of(lifted(0.7, half_m=0.5), 0.7)))
-    assert "at z = 0.70 m, is 1.0 m2 in all and may be a table" in note
+    assert "at z = 0.70 m, has an area of 1.0 m2 only and may be a table" in note
 
 
 def test_floors_of_two_storeys_are_told_in_the_world_and_a_step_is_none() -> None:

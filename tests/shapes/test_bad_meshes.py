@@ -160,7 +160,7 @@ def test_three_millimetres_and_three_kilometres_are_as_good_as_a_metre(scale: fl
         (mesh_of([[0, 0, 0], [1, 0, 0], [np.nan, 1, 0]], [[0, 1, 2]]), "1 of 3 vertices are not finite"),
         (mesh_of([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]], [[0, 1, 2]]), "not finite"),
         (mesh_of([[1, 2, 3]] * 3, [[0, 1, 2]]), "one point"),
-        (mesh_of([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 7]]), "vertices that it has not"),
+        (mesh_of([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 7]]), "vertex indices out of range"),
     ],
     ids=["empty", "nan", "infinite", "point", "wrong-index"],
 )
