@@ -356,6 +356,75 @@ class Merged(TypedDict):
     digest: NotRequired[str | None]
 
 
+class FleetSaid(TypedDict):
+    """What happens in a fleet, such as a join, in a sentence; on standard error."""
+
+    event: Literal["said"]
+    text: str
+
+
+class FleetJoined(TypedDict):
+    """Another robot with which an alignment holds; `since_keyframe` is null where only the finished maps are joined."""
+
+    name: str
+    pairs: int
+    sigma_m: float
+    sigma_deg: float
+    since_keyframe: int | None
+
+
+class FleetRobot(TypedDict):
+    """One robot: `frame` is the robot in whose frame it is, itself where it is alone, and `reason` then says why.
+
+    `map`, `digest` and `frame_from_robot` are null where there is none. `notes` say what was lost of its log.
+    """
+
+    name: str
+    map: str | None
+    digest: str | None
+    keyframes: int
+    objects: int
+    finished: bool
+    frame: str
+    frame_from_robot: Matrix | None
+    joined_with: list[FleetJoined]
+    reason: str
+    notes: list[str]
+
+
+class FleetMerged(TypedDict):
+    """The merged map of the robots in one frame; `united` objects are in several robots' maps."""
+
+    map: str
+    robots: list[str]
+    digest: str | None
+    objects: int
+    united: int
+
+
+class FleetJoin(TypedDict):
+    """Two robots that were joined while their maps grew, or are no longer, after so many keyframes."""
+
+    keyframe: int
+    kind: Literal["joined", "withdrawn"]
+    a: str
+    b: str
+    pairs: int
+    sigma_m: float
+
+
+class Fleet(TypedDict):
+    """What `fleet` has made; `joined`: every robot's map is finished, and all are in one; also in OUT/fleet.json."""
+
+    event: Literal["finished"]
+    out: str
+    joined: bool
+    robots: list[FleetRobot]
+    merged: list[FleetMerged]
+    joins: list[FleetJoin]
+    notes: list[str]
+
+
 class Located(TypedDict):
     """Where a log is in a map, as known at a stamp; one line an answer."""
 
@@ -565,6 +634,8 @@ OUTPUTS: dict[str, Any] = {
     "live-status": LiveStatus,
     "live-published": LivePublished,
     "play": Finished,
+    "fleet": Fleet,
+    "fleet-said": FleetSaid,
     "resume-saved": Saved,
     "replay": Replayed,
     "doctor": Diagnosis,

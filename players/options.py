@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path  # noqa: TC003 -- `from_dict` looks the types up
+from typing import Literal
 
 from hickory_stream.ranges import Ranged, number
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 DEFAULT_MAX_POSE_GAP_NS = 500_000_000
 MAX_GAP_NS = 3_600_000_000_000

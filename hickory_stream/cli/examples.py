@@ -11,6 +11,12 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Map a robot while it moves: what arrives is mapped, losses are reported, and ROS need not be installed.",
         "live zenoh://b2.local --out robot.map --for 60",
     ),
+    "fleet": (
+        "Map several robots in one run, a process each: their maps are aligned while they grow, robots that agree "
+        "share one frame from then on, and the finished maps become one. In OUT: NAME.map of each robot, fleet.map, "
+        "fleet.rrd and fleet.json.",
+        "fleet --robot alice=alice.mcap --robot bob=bob.mcap -o out",
+    ),
     "resume": (
         "Go on with a playback that was killed, stopped or broken off, to the map that it would have become.",
         "resume demo.map --source /mnt/logs/demo.mcap",

@@ -94,7 +94,17 @@ def merge_maps(
     for a, b in combinations(range(len(maps)), 2):
         progress(a, b)
         answers[a, b] = align(maps[a], maps[b], config.align)
-    world_from_map, pairs = _laid_out(snapshots, answers)
+    return merge_aligned(snapshots, answers, config)
+
+
+def merge_aligned(
+    snapshots: Sequence[MapSnapshot],
+    answers: Mapping[tuple[int, int], Alignment | NoAlignment],
+    config: MergeMapsConfig | None = None,
+) -> Merged:
+    """Return one map of several that were aligned, as `merge_maps` does; `answers` by the pair (a, b), a < b."""
+    config = MergeMapsConfig() if config is None else config
+    world_from_map, pairs = laid_out(snapshots, answers)
     members, items, first_frames = _gathered(snapshots, world_from_map)
     pairings = [
         Pairing(a=(pair.a, matched.id_a), b=(pair.b, matched.id_b), residual_m=matched.residual_m)
@@ -125,10 +135,10 @@ def merge_maps(
 # ---- where the maps lie ---------------------------------------------------------------------------------------------
 
 
-def _laid_out(
+def laid_out(
     snapshots: Sequence[MapSnapshot], answers: Mapping[tuple[int, int], Alignment | NoAlignment]
 ) -> tuple[tuple[NDArray[np.float64] | None, ...], tuple[PairOutcome, ...]]:
-    """Return where every map lies in the frame of the first, and which alignments are believed.
+    """Return where every map (4, 4) lies in the frame of the first, None where it hangs on no other, and what of pairs.
 
     A map's frame is that of its first submap; the others hang on it by odometry.
     """

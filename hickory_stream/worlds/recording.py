@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import ConfigError
-from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, truth_record
+from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, moved_mesh, truth_record
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.worlds.clutter.families import recipes_of
 from hickory_stream.worlds.clutter.room import clutter_room
@@ -53,6 +53,9 @@ if TYPE_CHECKING:
 _START_NS = 1_752_400_000_000_000_000
 _ODOMETRY_HZ = 30
 _WORLDS = 20
+MAX_ROBOTS = 16
+# Where robots of a fleet start by their own reckoning, and by how much their clocks differ.
+_FRAME_REACH_M, _CLOCK_REACH_NS = 8.0, 3_600_000_000_000
 _LEAST_CLUTTER = 6
 
 
@@ -78,6 +81,11 @@ class RecordingConfig:
     jpeg_quality: int = 80
     layout: str = "zed"
     """One of `worlds.layouts.LAYOUTS`: the container, the topics, the frames and the quirks of a data set."""
+    robots: int = 0
+    """Of how many robots of a fleet this is one, the one on walk `walk_index`; 0: it is alone.
+
+    A robot of a fleet has a frame and a clock of its own, and its truth is in its frame (`worlds.fleet`).
+    """
     camera_offset: bool = False
     """Whether the seed draws the camera's pose on the body of a NUS-CLB robot, 0.4 m and 10 degrees off."""
     drift: DriftConfig | None = None
@@ -102,6 +110,11 @@ class RecordingConfig:
             raise ConfigError(f"seed {self.seed}, walk {self.walk_index}; expected 0 or more")
         if self.scene not in SCENES:
             raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
+        if self.robots and (not self.walk_index < self.robots <= MAX_ROBOTS or self.scene in (CLUTTER, OUTDOOR)):
+            raise ConfigError(
+                f"robot {self.walk_index} of {self.robots} in the scene {self.scene}; expected up to {MAX_ROBOTS} "
+                "robots, of which it is one, in a room, an apartment or on a tabletop"
+            )
         recipes_of(self.family)
         if self.layout not in LAYOUTS:
             raise ConfigError(f"layout {self.layout!r}; expected one of {', '.join(LAYOUTS)}")
@@ -128,8 +141,11 @@ def make_recording(
     progress: Callable[[int, int], None] = lambda done, total: None,
     *,
     caster: CasterName | None = "open3d",
+    seen: SeenSurface | None = None,
 ) -> Truth:
     """Write NAME.mcap (or the layout's files) and NAME.truth/ into a folder, replacing older ones; return the truth.
+
+    `seen` collects what several recordings of one world show.
 
     Both are made in a hidden folder beside their destination and moved when complete, so that a failure leaves the old
     ones. The same `caster` gives the same bytes; None takes the available one (`ray_caster`).
@@ -143,7 +159,7 @@ def make_recording(
         raise ConfigError(f"{truth_folder} is there and has no {TRUTH_FILE}; choose another --name or --out")
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
-        truth = _make(config, Path(unfinished), name, progress, caster)
+        truth = _make(config, Path(unfinished), name, progress, caster, seen)
         if truth_folder.exists():
             shutil.rmtree(truth_folder)
         truth.folder.rename(truth_folder)
@@ -160,14 +176,18 @@ def _make(
     name: str,
     progress: Callable[[int, int], None],
     caster: CasterName | None,
+    seen_by_all: SeenSurface | None,
 ) -> Truth:
     world, trajectory = walkable_world(config)
     renderer = Renderer(world, caster)
     truth_folder = folder / f"{name}.truth"
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)
-    structure = _write_meshes(world, truth_folder)
+    robot_from_world = drawn_frame(config)
+    structure = _write_meshes(world, truth_folder, robot_from_world)
     frames, seen, shown = _record(config, world, renderer, trajectory, (folder, name, truth_folder), progress)
+    if seen_by_all is not None:
+        seen_by_all.include(seen)
     truth = Truth(
         folder=truth_folder,
         camera=config.camera,
@@ -176,7 +196,7 @@ def _make(
                 id=item.id,
                 kind=item.model.kind,
                 mesh=f"meshes/{item.id}.glb",
-                world_from_object=item.world_from_object,
+                world_from_object=_in_frame(robot_from_world, item.world_from_object),
                 seen_fraction=round(seen.fraction(item.id), 4),
                 frames=tuple(shown[item.id]),
             )
@@ -192,7 +212,7 @@ def _make(
 def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
     """Return the first of the seed's worlds that one can walk through, and the walk.
 
-    Both of the first two walks must be possible, so that they share one world.
+    Both of the first two walks, and those of all robots of a fleet, must be possible, so that they share one world.
 
     Raises:
         ConfigError: none of the seed's worlds can be walked.
@@ -204,10 +224,25 @@ def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
     for attempt in range(_WORLDS):
         world = make_world(config.scene, config.seed, attempt)
         trajectory = _walk(world, config, config.walk_index)
-        others = {0, 1} - {config.walk_index} if config.scene == "apartment" else set()
+        others = set(range(config.robots)) | ({0, 1} if config.scene == "apartment" else set())
+        others -= {config.walk_index}
         if not isinstance(trajectory, NoWalk) and not any(isinstance(_walk(world, config, i), NoWalk) for i in others):
             return world, trajectory
     raise _not_walkable(config)
+
+
+def drawn_frame(config: RecordingConfig) -> NDArray[np.float64] | None:
+    """Return robot_from_world (4, 4), level: where a robot of a fleet starts by its own reckoning; None: alone."""
+    if not config.robots:
+        return None
+    rng = np.random.default_rng([config.seed, 8, config.walk_index])
+    shift_m = rng.uniform(-_FRAME_REACH_M, _FRAME_REACH_M, 3) * (1.0, 1.0, 0.1)
+    return from_rotation_translation(yaw_rotation(float(rng.uniform(0.0, 2 * np.pi))), shift_m)
+
+
+def _in_frame(robot_from_world: NDArray[np.float64] | None, world_from_a: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a pose in a robot's frame; where it has none of its own, as it is, to the last bit."""
+    return world_from_a if robot_from_world is None else robot_from_world @ world_from_a
 
 
 def _not_walkable(config: RecordingConfig) -> ConfigError:
@@ -266,13 +301,14 @@ def _person(world: World, config: RecordingConfig) -> Person | None:
     return None if isinstance(track, NoWalk) else Person(track=track, ahead_s=3.0)
 
 
-def _write_meshes(world: World, truth_folder: Path) -> tuple[str, ...]:
-    """Write every mesh and return the paths of the structure's."""
+def _write_meshes(world: World, truth_folder: Path, robot_from_world: NDArray[np.float64] | None) -> tuple[str, ...]:
+    """Write every mesh and return the paths of the structure's, which are in the frame of the poses."""
     for item in world.objects:
         write_glb(model_mesh(item.model), truth_folder / f"meshes/{item.id}.glb")
     paths = [f"meshes/structure_{i}_{model.kind}.glb" for i, model in enumerate(world.structure)]
     for path, model in zip(paths, world.structure, strict=True):
-        write_glb(model_mesh(model), truth_folder / path)
+        mesh = model_mesh(model)
+        write_glb(mesh if robot_from_world is None else moved_mesh(mesh, robot_from_world), truth_folder / path)
     return tuple(paths)
 
 
@@ -299,13 +335,15 @@ def _record(
     if config.drift is not None:
         odometry = drifted(trajectory, config.drift, np.random.default_rng([config.seed, 6, config.walk_index]))
     num_frames = len(range(0, len(stamps_ns), every))
+    robot_from_world = drawn_frame(config)
     mounting = drawn_mounting(config.seed) if config.camera_offset else None
     with open_layout(config.layout, folder, name, camera, config.jpeg_quality, stamps_ns[-1], mounting) as log:
         log.write_static(stamps_ns[0])
         for i, stamp_ns in enumerate(stamps_ns):
             time_s = (stamp_ns - stamps_ns[0]) / 1e9
             world_from_camera = trajectory.pose_at(time_s)
-            log.write_pose(stamp_ns, odometry.pose_at(time_s), _velocity(odometry, time_s))
+            estimated = _in_frame(robot_from_world, odometry.pose_at(time_s))
+            log.write_pose(stamp_ns, estimated, _velocity(odometry, time_s))
             if i % every:
                 continue
             index = i // every
@@ -322,7 +360,7 @@ def _record(
             frame = TruthFrame(
                 index=index,
                 stamp_ns=stamp_ns,
-                world_from_camera=world_from_camera,
+                world_from_camera=_in_frame(robot_from_world, world_from_camera),
                 instances=f"instances/{index:06d}.png",
             )
             (truth_folder / frame.instances).write_bytes(encode_png(rendered.instances))
@@ -356,6 +394,9 @@ def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:
     num_frames = int(np.floor(seconds * config.rate_hz + 1e-9))
     num_grabs = (num_frames - 1) * every + 1
     start_ns = _START_NS + 1_000_003 * config.seed
+    if config.robots:
+        rng = np.random.default_rng([config.seed, 9, config.walk_index])
+        start_ns += int(rng.integers(-_CLOCK_REACH_NS, _CLOCK_REACH_NS))
     return [start_ns + round(i * 1e9 / (config.rate_hz * every)) for i in range(num_grabs)], every
 
 

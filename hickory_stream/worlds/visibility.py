@@ -54,6 +54,12 @@ class SeenSurface:
         agrees = np.abs(rendered.depth_m[y, x] - z[index]) < _AGREEMENT_M
         self._is_seen[index[agrees & (rendered.instances[y, x] == self._ids[index])]] = True
 
+    def include(self, other: SeenSurface) -> None:
+        """Mark what another log of the same world shows; both must have drawn their samples alike."""
+        if not np.array_equal(self._points, other._points):
+            raise ValueError("the samples of two worlds cannot be compared")
+        self._is_seen |= other._is_seen
+
     def fraction(self, object_id: int) -> float:
         """Return the share of the object's samples seen so far."""
         return float(self._is_seen[self._ids == object_id].mean())

@@ -1,0 +1,141 @@
+"""The processes of a fleet: one a robot, no more at a time than asked for, each listened to until it ends.
+
+A robot whose process dies is one robot less; the others go on. The first SIGINT or SIGTERM stops all in order, the
+second ends them at once.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from multiprocessing.connection import wait
+from typing import TYPE_CHECKING
+
+from hickory_stream.fleet import robot_process
+from hickory_stream.fleet.robot_process import Ended
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from multiprocessing.connection import Connection
+    from multiprocessing.context import SpawnProcess
+    from types import FrameType, TracebackType
+
+    from hickory_stream.fleet.robot_process import Message, RobotTask
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def run_crew(tasks: Sequence[RobotTask], processes: int, hear: Callable[[str, Message], None]) -> dict[str, Ended]:
+    """Map all robots, in the order of `tasks` where they are more than `processes`; return how each one ended.
+
+    `hear` is told what a robot sends, and last its `Ended`, by the robot's name; while it works, robots wait.
+
+    Raises:
+        KeyboardInterrupt: it was cancelled by a second signal.
+    """
+    crew = _Crew(tasks, processes, hear)
+    with _Signals(crew):
+        try:
+            return crew.run()
+        finally:
+            crew.kill()
+
+
+class _Crew:
+    def __init__(self, tasks: Sequence[RobotTask], processes: int, hear: Callable[[str, Message], None]) -> None:
+        self._waiting = list(tasks)
+        self._processes = processes
+        self._hear = hear
+        self._running: dict[Connection, tuple[RobotTask, SpawnProcess]] = {}
+        self._ended: dict[str, Ended] = {}
+        self._is_stopping = False
+
+    def run(self) -> dict[str, Ended]:
+        while self._waiting or self._running:
+            while self._waiting and len(self._running) < self._processes:
+                self._begin(self._waiting.pop(0))
+            for connection in wait(list(self._running)):
+                self._listen(connection)  # type: ignore[arg-type]
+        return self._ended
+
+    def stop(self) -> None:
+        """End what runs in order, and begin nothing more."""
+        self._is_stopping = True
+        for _, process in list(self._running.values()):
+            if process.pid is not None and process.is_alive():
+                os.kill(process.pid, signal.SIGINT)
+
+    def kill(self) -> None:
+        """End what still runs, at once."""
+        for connection, (_, process) in self._running.items():
+            process.kill()
+            process.join()
+            connection.close()
+        self._running.clear()
+
+    def _begin(self, task: RobotTask) -> None:
+        if self._is_stopping:
+            self._end(task.robot.name, Ended(is_finished=False, was_stopped=True, reason="stopped before it began"))
+            return
+        # Forking would copy the threads' locks as they are.
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe(duplex=False)
+        process = context.Process(target=robot_process.main, args=(task, theirs), name=f"robot-{task.robot.name}")
+        process.start()
+        theirs.close()  # ours ends when the process does
+        self._running[ours] = (task, process)
+        if self._is_stopping:
+            self.stop()  # the signal came while it was not among those that run
+
+    def _listen(self, connection: Connection) -> None:
+        task, process = self._running[connection]
+        try:
+            message = connection.recv()
+        except (EOFError, OSError):
+            message = None
+        if message is not None and not isinstance(message, Ended):
+            self._hear(task.robot.name, message)
+            return
+        process.join()
+        connection.close()
+        del self._running[connection]
+        self._end(task.robot.name, message or Ended(is_finished=False, reason=_death(process.exitcode)))
+
+    def _end(self, name: str, ended: Ended) -> None:
+        self._ended[name] = ended
+        self._hear(name, ended)
+
+
+def _death(status: int | None) -> str:
+    if status is not None and status < 0:
+        known = {number.value: number.name for number in signal.Signals}
+        return f"its process was killed by {known.get(-status, f'signal {-status}')}"
+    return f"its process ended with status {status} and without a word"
+
+
+class _Signals:
+    """While entered: the first signal stops a crew, the second is a `KeyboardInterrupt`."""
+
+    def __init__(self, crew: _Crew) -> None:
+        self._crew = crew
+        self._count = 0
+        self._before: dict[int, object] = {}
+
+    def __enter__(self) -> None:
+        if threading.current_thread() is threading.main_thread():
+            for number in _SIGNALS:
+                self._before[number] = signal.signal(number, self._handle)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self._count += 1
+        if self._count > 1:
+            raise KeyboardInterrupt
+        self._crew.stop()

@@ -1,0 +1,156 @@
+"""The merged maps of a fleet: the finished maps aligned and merged by the code of `merge`, one map for each frame.
+
+The frame with the most robots gives `fleet.map`; where there are more frames of two and more robots, theirs are
+`fleet-2.map` and so on. A robot that agrees with no other keeps its own map, and is in none of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.object_map import object_map
+from hickory_stream.engine.merged_map import write_merged_map
+from hickory_stream.engine.saved_map import check_unaltered, open_map
+from hickory_stream.errors import MapFolderError
+from hickory_stream.fleet.joins import Frame
+from hickory_stream.fleet.robots import FLEET
+from hickory_stream.merging.groups import groups_of
+from hickory_stream.merging.merge_maps import merge_aligned
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from hickory_stream.alignment.answer import NoAlignment
+    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.merging.groups import Group
+
+    Answers = Mapping[tuple[int, int], Alignment | NoAlignment]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MergedFrame:
+    """The merged map of the robots in one frame; `num_united` of its objects are in the maps of several robots."""
+
+    path: Path
+    names: tuple[str, ...]
+    digest: str | None
+    num_objects: int
+    num_united: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Finished:
+    """What became of the finished maps.
+
+    `maps` by robot; `answers` of each two; all robots with a map are in one of the `frames`, those of two and more are
+    merged, the largest first; `problems` by robot say why a map cannot be read.
+    """
+
+    maps: Mapping[str, SavedMap]
+    answers: Mapping[tuple[str, str], Alignment | NoAlignment]
+    frames: tuple[Frame, ...]
+    merged: tuple[MergedFrame, ...]
+    problems: Mapping[str, str]
+
+
+def merged_path(out: Path, place: int) -> Path:
+    """Return the folder of the merged map of a fleet's frames, `place` from 0."""
+    return out / (f"{FLEET}.map" if place == 0 else f"{FLEET}-{place + 1}.map")
+
+
+def finish(
+    folders: Mapping[str, Path], out: Path, *, overwrite: bool, tell: Callable[[str], None] = lambda text: None
+) -> Finished:
+    """Align and merge the maps of a fleet's robots, in the order of `folders`; `tell` is told what is being done.
+
+    Raises:
+        MapFolderError: a merged map cannot be written.
+    """
+    maps, problems = _opened(folders)
+    names = tuple(maps)
+    objects = [object_map(saved.snapshot, saved.manifest.extractor) for saved in maps.values()]
+    answers = {}
+    for a, b in combinations(range(len(names)), 2):
+        tell(f"aligning {names[a]} and {names[b]}")
+        answers[a, b] = align(objects[a], objects[b])
+    groups = groups_of([saved.snapshot for saved in maps.values()], answers)
+    joined = sorted((group for group in groups if len(group.members) > 1), key=lambda group: -len(group.members))
+    merged = tuple(
+        _merged(group, list(maps.values()), answers, names, merged_path(out, place), overwrite, tell)
+        for place, group in enumerate(joined)
+    )
+    return Finished(
+        maps=maps,
+        answers={(names[a], names[b]): answer for (a, b), answer in answers.items()},
+        frames=tuple(_frame(group, names) for group in groups),
+        merged=merged,
+        problems=problems,
+    )
+
+
+def why_alone(name: str, answers: Mapping[tuple[str, str], Alignment | NoAlignment]) -> str:
+    """Return why a robot is in no other's frame: what was found of it and each of the others."""
+    told = []
+    for (a, b), answer in answers.items():
+        if name in (a, b):
+            other = b if name == a else a
+            told.append(
+                f"the other robots' alignments contradict that with {other}"
+                if isinstance(answer, Alignment)
+                else f"{other}: {answer.refusal.value}, {answer.reason}"
+            )
+    return "; ".join(told) if told else "no other robot has a map"
+
+
+def _opened(folders: Mapping[str, Path]) -> tuple[dict[str, SavedMap], dict[str, str]]:
+    maps, problems = {}, {}
+    for name, folder in folders.items():
+        try:
+            saved = open_map(folder, warns=False)
+            check_unaltered(saved)
+        except MapFolderError as error:
+            problems[name] = str(error)
+        else:
+            maps[name] = saved
+    return maps, problems
+
+
+def _frame(group: Group, names: Sequence[str]) -> Frame:
+    return Frame(
+        names=tuple(names[i] for i in group.members),
+        frame_from_robot=group.group_from_map,
+        pairs=tuple((names[a], names[b]) for a, b in group.pairs),
+    )
+
+
+def _merged(
+    group: Group,
+    maps: Sequence[SavedMap],
+    answers: Answers,
+    names: Sequence[str],
+    path: Path,
+    overwrite: bool,
+    tell: Callable[[str], None],
+) -> MergedFrame:
+    inputs = [maps[i] for i in group.members]
+    own = {(i, j): answers[a, b] for i, a in enumerate(group.members) for j, b in enumerate(group.members) if i < j}
+    merged = merge_aligned([saved.snapshot for saved in inputs], own)
+    manifest = write_merged_map(
+        path,
+        merged,
+        inputs,
+        overwrite=overwrite,
+        progress=lambda done, total: tell(f"shapes made anew: {done} of {total}"),
+    )
+    return MergedFrame(
+        path=path,
+        names=tuple(names[i] for i in group.members),
+        digest=manifest.digest,
+        num_objects=len(merged.objects),
+        num_united=sum(len(members) > 1 for members in merged.provenance.values()),
+    )

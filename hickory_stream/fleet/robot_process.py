@@ -1,0 +1,201 @@
+"""The process that maps one robot: it plays the log into the robot's map folder, and sends what becomes of it.
+
+What is sent are `Opened`, `Moved` and `GrownMap`s, and last `Ended`; a process that ends without the last has died.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+import traceback
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.errors import HickoryError
+from hickory_stream.fleet.growth import GrownMap, GrowthSink
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+    from pathlib import Path
+
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.fleet.robots import Robot
+    from hickory_stream.ports import Sink, Source
+    from hickory_stream.sinks.disk_sink import DiskSinkConfig
+
+_TELL_EVERY_S = 0.2
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RobotTask:
+    """What a process is to do: `every_keyframes` it sends the map; `most_s` and `patience_s` are for live robots."""
+
+    robot: Robot
+    out: Path
+    overwrite: bool
+    mapper: MapperConfig
+    disk: DiskSinkConfig
+    every_keyframes: int
+    most_s: float | None
+    patience_s: float
+    debug: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Opened:
+    """What is played, in a line for each stream."""
+
+    text: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Moved:
+    """How far the robot's run is."""
+
+    progress: Progress
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ended:
+    """How a robot's run ended.
+
+    `reason` says why there is no map, or none to its end, "" where it is finished; `digest` is the map's. `start_ns`
+    and `end_ns` are the stamps of the first and the last frame that was seen. `notes` say what was lost.
+    """
+
+    is_finished: bool
+    was_stopped: bool = False
+    reason: str = ""
+    digest: str | None = None
+    start_ns: int | None = None
+    end_ns: int | None = None
+    notes: tuple[str, ...] = ()
+
+
+Message = Opened | Moved | GrownMap | Ended
+
+
+def main(task: RobotTask, connection: Connection) -> None:
+    """Map a robot, and send what becomes of it."""
+    if hasattr(os, "setpgrp"):
+        os.setpgrp()  # Ctrl-C is for the fleet, which then stops its robots in order
+    name = task.robot.name
+    level = logging.DEBUG if task.debug else logging.WARNING
+    logging.basicConfig(level=level, format=f"{name}: %(levelname)s: %(message)s")
+    link = _Link(connection)
+    try:
+        ended = _mapped(task, link)
+    except HickoryError as error:
+        ended = Ended(is_finished=False, reason=" ".join(str(error).split()))
+    except KeyboardInterrupt:
+        ended = Ended(is_finished=False, was_stopped=True, reason="cancelled")
+    except BrokenPipeError:
+        return  # the fleet is gone
+    except Exception as error:  # noqa: BLE001 -- the process's main function: the fleet says it, and goes on
+        if task.debug:
+            traceback.print_exc()
+        ended = Ended(is_finished=False, reason=f"internal failure, {type(error).__name__}: {error}")
+    link.send(ended)
+    connection.close()
+
+
+class _Link:
+    """The way to the fleet, for the threads of a run."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._lock = threading.Lock()
+
+    def send(self, message: Message) -> None:
+        """Send a message; raises `BrokenPipeError` where nobody listens any more."""
+        with self._lock:
+            self._connection.send(message)
+
+
+def _mapped(task: RobotTask, link: _Link) -> Ended:
+    from hickory_stream.engine.manifest import read_json
+    from hickory_stream.engine.mapper import Mapper
+    from hickory_stream.engine.play import play
+    from hickory_stream.sinks.disk_sink import DiskSink
+    from players.doctor_text import damage_line
+
+    span = _Span()
+    source, note = _opened(task)
+    try:
+        streams = (f"  {role}: {topic}" for role, topic in source.info.streams)
+        link.send(Opened(text=(f"{source.info.kind}: {source.info.uri}", *streams)))
+        mapper = Mapper(task.mapper, out=task.out, overwrite=task.overwrite)
+
+        def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+            growth = GrowthSink(task.every_keyframes, mapper.extractor_name, link.send)
+            return [(DiskSink(folder, task.disk), True), (growth, True), (span, True)]
+
+        played = play(
+            mapper,
+            source,
+            sinks=sinks,
+            progress=_Teller(link),
+            mode="live" if task.robot.is_live else "playback",
+            source_note=note,
+        )
+    finally:
+        source.close()
+    ledger = read_json(task.out, "ledger.json")
+    damage = damage_line(ledger["messages"]) if ledger.get("messages") else ""
+    return Ended(
+        is_finished=played.finished_cleanly,
+        was_stopped=played.was_stopped,
+        reason="" if played.finished_cleanly else "stopped",
+        digest=played.digest,
+        start_ns=span.start_ns,
+        end_ns=span.end_ns,
+        notes=tuple(text for text in (damage, *played.lost_outputs) if text),
+    )
+
+
+def _opened(task: RobotTask) -> tuple[Source, dict[str, Any]]:
+    """Return the robot's source, and the note by which `resume` opens it again."""
+    robot = task.robot
+    if robot.is_live:
+        from players.live import open_live
+
+        source = open_live(robot.uris[0], robot.options, patience_s=task.patience_s, most_s=task.most_s)
+        return source, {"live": robot.uris[0]}
+    from players import note_of, open_noted
+
+    note = note_of(robot.uris, robot.options)
+    return open_noted(note, keyframes=task.mapper.keyframes), note
+
+
+class _Teller:
+    """Sends how far the run is, now and then: for the eye, and for nothing else."""
+
+    def __init__(self, link: _Link) -> None:
+        self._link = link
+        self._told_s = 0.0
+        self._phase = ""
+
+    def __call__(self, progress: Progress) -> None:
+        now_s = time.monotonic()
+        if now_s - self._told_s >= _TELL_EVERY_S or progress.phase != self._phase:
+            self._told_s, self._phase = now_s, progress.phase
+            self._link.send(Moved(progress=progress))
+
+
+class _Span:
+    """A sink that remembers the first and the last stamp."""
+
+    def __init__(self) -> None:
+        self.start_ns: int | None = None
+        self.end_ns: int | None = None
+
+    def show(self, report: Any) -> None:
+        self.start_ns = report.stamp_ns if self.start_ns is None else min(self.start_ns, report.stamp_ns)
+        self.end_ns = report.stamp_ns if self.end_ns is None else max(self.end_ns, report.stamp_ns)
+
+    def close(self) -> None:
+        pass

@@ -1,0 +1,219 @@
+"""A fleet from its robots to its merged map: processes, rounds of grown maps, joins, the recording, the end."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hickory_stream.engine.manifest import is_map_folder
+from hickory_stream.errors import InputError
+from hickory_stream.fleet.crew import run_crew
+from hickory_stream.fleet.finish import finish, merged_path
+from hickory_stream.fleet.growth import GrownMap, Rounds
+from hickory_stream.fleet.joins import Joins
+from hickory_stream.fleet.result import FleetResult, result_of
+from hickory_stream.fleet.robot_process import Ended, Moved, Opened, RobotTask
+from hickory_stream.fleet.robots import FLEET
+from hickory_stream.sinks.rerun_fleet import FleetRecording, ShownRobot
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.fleet.finish import Finished
+    from hickory_stream.fleet.growth import Round
+    from hickory_stream.fleet.joins import Frame, JoinEvent, Joint
+    from hickory_stream.fleet.robot_process import Message
+    from hickory_stream.fleet.robots import FleetConfig, Robot
+    from hickory_stream.records import MapSnapshot
+    from hickory_stream.sinks.disk_sink import DiskSinkConfig
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FleetPlan:
+    """A fleet that is to be run into the folder `out`; `overwrite` replaces the maps that are there."""
+
+    robots: tuple[Robot, ...]
+    config: FleetConfig
+    out: Path
+    overwrite: bool
+    mapper: MapperConfig
+    disk: DiskSinkConfig
+    debug: bool = False
+
+    def map_of(self, name: str) -> Path:
+        """Return the map folder of a robot."""
+        return self.out / f"{name}.map"
+
+    @property
+    def rrd(self) -> Path:
+        """The recording of all robots."""
+        return self.out / f"{FLEET}.rrd"
+
+
+class Watcher(Protocol):
+    """Is told how a fleet's run goes."""
+
+    def opened(self, name: str, lines: Sequence[str]) -> None:
+        """A robot's log was opened: what is played of it."""
+        ...
+
+    def moved(self, name: str, progress: Progress) -> None:
+        """A robot's run has come so far."""
+        ...
+
+    def said(self, text: str) -> None:
+        """Something happened that is told in a line."""
+        ...
+
+
+def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
+    """Map all robots, join them while they grow, and merge what was joined.
+
+    Raises:
+        InputError: a log is not there, something is at `out` already, or no robot gave a map.
+        KeyboardInterrupt: it was cancelled by a second signal.
+    """
+    _check(plan)
+    names = [robot.name for robot in plan.robots]
+    rounds = Rounds(names, waits=not any(robot.is_live for robot in plan.robots))
+    folders = {name: plan.map_of(name) for name in names}
+    processes = plan.config.processes or _processors()
+    # Sums that are split differently differ in their last bits.
+    with threadpool_limits(limits=1, user_api="blas"), FleetRecording(plan.rrd, names) as recording:
+        run = _Run(rounds, recording, watcher)
+        ended = run_crew([_task(plan, robot) for robot in plan.robots], processes, run.hear)
+        ended = {name: ended[name] for name in names}
+        usable = {name: folders[name] for name in names if ended[name].is_finished or ended[name].was_stopped}
+        finished = finish(usable, plan.out, overwrite=plan.overwrite, tell=watcher.said)
+        if not finished.maps and not any(one.was_stopped for one in ended.values()):
+            raise InputError(
+                "no robot gave a map: " + "; ".join(f"{name}: {one.reason}" for name, one in ended.items())
+            )
+        run.show_end(finished)
+    return result_of(ended, folders, run.keyframes, finished, run.events)
+
+
+class _Run:
+    """What is known of a fleet while its robots are mapped."""
+
+    def __init__(self, rounds: Rounds, recording: FleetRecording, watcher: Watcher) -> None:
+        self._rounds = rounds
+        self._recording = recording
+        self._watcher = watcher
+        self._joins = Joins()
+        self._last: Round | None = None
+        self.keyframes: dict[str, int] = {}
+        self.events: list[JoinEvent] = []
+
+    def hear(self, name: str, message: Message) -> None:
+        """Take what a robot sends."""
+        match message:
+            case Opened():
+                self._watcher.opened(name, message.text)
+            case Moved():
+                self._watcher.moved(name, message.progress)
+            case GrownMap():
+                self.keyframes[name] = message.keyframes
+                self._rounds.add(name, message)
+            case Ended():
+                if message.reason:
+                    self._watcher.said(f"{name}: {message.reason}")
+                self._rounds.end(name)
+        for found in self._rounds.complete():
+            self._last = found
+            joint = self._joins.update(found)
+            self._show(found, joint)
+
+    def _show(self, found: Round, joint: Joint) -> None:
+        texts = [event_text(event) for event in joint.events]
+        for text in texts:
+            self._watcher.said(text)
+        self.events += joint.events
+        shown = [
+            _shown(name, grown.snapshot, joint.frames, grown.world_from_camera if name in found.grown else None)
+            for name, grown in found.maps.items()
+        ]
+        self._recording.show(found.keyframe, shown, texts)
+
+    def show_end(self, finished: Finished) -> None:
+        """Show the finished maps where they lie in the end."""
+        if self._last is None:
+            return
+        snapshots = {name: grown.snapshot for name, grown in self._last.maps.items()}
+        snapshots |= {name: saved.snapshot for name, saved in finished.maps.items()}
+        shown = [_shown(name, snapshot, finished.frames, None) for name, snapshot in snapshots.items()]
+        texts = [f"the finished maps of {', '.join(merged.names)} are merged" for merged in finished.merged]
+        self._recording.show(self._last.keyframe + 1, shown, texts or ["no two of the finished maps are joined"])
+
+
+def event_text(event: JoinEvent) -> str:
+    """Return in a line that two robots were joined, or are no longer."""
+    after = f"after {event.keyframe} keyframes"
+    if event.kind == "joined":
+        return f"{after}: {event.a} and {event.b} are joined by {event.num_pairs} pairs, {100 * event.sigma_m:.1f} cm"
+    return f"{after}: {event.a} and {event.b} are no longer joined"
+
+
+def _shown(
+    name: str,
+    snapshot: MapSnapshot,
+    frames: Sequence[Frame],
+    poses: np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None,
+) -> ShownRobot:
+    frame = next((frame for frame in frames if name in frame.names), None)
+    return ShownRobot(
+        name=name,
+        stamp_ns=snapshot.stamp_ns,
+        objects=snapshot.objects,
+        world_from_camera=np.empty((0, 4, 4)) if poses is None else poses,
+        frame=name if frame is None else frame.names[0],
+        frame_from_robot=np.eye(4) if frame is None else frame.frame_from_robot[frame.names.index(name)],
+    )
+
+
+def _task(plan: FleetPlan, robot: Robot) -> RobotTask:
+    return RobotTask(
+        robot=robot,
+        out=plan.map_of(robot.name),
+        overwrite=plan.overwrite,
+        mapper=plan.mapper,
+        disk=plan.disk,
+        every_keyframes=plan.config.every_keyframes,
+        most_s=plan.config.for_s or None,
+        patience_s=plan.config.patience_s,
+        debug=plan.debug,
+    )
+
+
+def _check(plan: FleetPlan) -> None:
+    """Refuse what cannot be before anything is mapped."""
+    for robot in plan.robots:
+        missing = [uri for uri in robot.uris if not robot.is_live and not Path(uri).exists()]
+        if missing:
+            raise InputError(f"robot {robot.name}: there is no {missing[0]}; name its log, or a live URI")
+    if plan.out.exists() and not plan.out.is_dir():
+        raise InputError(f"{plan.out} is a file, expected a folder to make; choose another -o")
+    made = [plan.map_of(robot.name) for robot in plan.robots]
+    made += [merged_path(plan.out, place) for place in range(len(plan.robots) // 2)]
+    taken = [path for path in (*made, plan.rrd) if path.exists()]
+    if taken and not plan.overwrite:
+        raise InputError(f"{taken[0]} is there already; --overwrite replaces it, or choose another -o")
+    foreign = [path for path in made if path.exists() and not is_map_folder(path)]
+    if foreign:
+        raise InputError(f"{foreign[0]} is no map folder and is not replaced; choose another -o")
+    try:
+        plan.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {plan.out}: {error.strerror}") from error
+
+
+def _processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
