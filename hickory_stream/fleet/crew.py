@@ -14,7 +14,7 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING
 
 from hickory_stream.fleet import robot_process
-from hickory_stream.fleet.robot_process import Ended
+from hickory_stream.fleet.messages import Ended
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,20 +22,27 @@ if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
     from types import FrameType, TracebackType
 
-    from hickory_stream.fleet.robot_process import Message, RobotTask
+    from hickory_stream.fleet.messages import Message
+    from hickory_stream.fleet.robot_process import RobotTask
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-def run_crew(tasks: Sequence[RobotTask], processes: int, hear: Callable[[str, Message], None]) -> dict[str, Ended]:
+def run_crew(
+    tasks: Sequence[RobotTask],
+    processes: int,
+    hear: Callable[[str, Message], None],
+    main: Callable[[RobotTask, Connection], None] = robot_process.main,
+) -> dict[str, Ended]:
     """Map all robots, in the order of `tasks` where they are more than `processes`; return how each one ended.
 
-    `hear` is told what a robot sends, and last its `Ended`, by the robot's name; while it works, robots wait.
+    `hear` is told what a robot sends, and last its `Ended`, by the robot's name; while it works, robots wait. `main` is
+    what a process does, a function of a module.
 
     Raises:
         KeyboardInterrupt: it was cancelled by a second signal.
     """
-    crew = _Crew(tasks, processes, hear)
+    crew = _Crew(tasks, processes, hear, main)
     with _Signals(crew):
         try:
             return crew.run()
@@ -44,10 +51,17 @@ def run_crew(tasks: Sequence[RobotTask], processes: int, hear: Callable[[str, Me
 
 
 class _Crew:
-    def __init__(self, tasks: Sequence[RobotTask], processes: int, hear: Callable[[str, Message], None]) -> None:
+    def __init__(
+        self,
+        tasks: Sequence[RobotTask],
+        processes: int,
+        hear: Callable[[str, Message], None],
+        main: Callable[[RobotTask, Connection], None],
+    ) -> None:
         self._waiting = list(tasks)
         self._processes = processes
         self._hear = hear
+        self._main = main
         self._running: dict[Connection, tuple[RobotTask, SpawnProcess]] = {}
         self._ended: dict[str, Ended] = {}
         self._is_stopping = False
@@ -82,7 +96,7 @@ class _Crew:
         # Forking would copy the threads' locks as they are.
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe(duplex=False)
-        process = context.Process(target=robot_process.main, args=(task, theirs), name=f"robot-{task.robot.name}")
+        process = context.Process(target=self._main, args=(task, theirs), name=f"robot-{task.robot.name}")
         process.start()
         theirs.close()  # ours ends when the process does
         self._running[ours] = (task, process)

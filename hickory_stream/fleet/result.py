@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.fleet.finish import Finished, MergedFrame
     from hickory_stream.fleet.joins import JoinEvent
-    from hickory_stream.fleet.robot_process import Ended
+    from hickory_stream.fleet.messages import Ended
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import HickoryError
-from hickory_stream.fleet.growth import GrownMap, GrowthSink
+from hickory_stream.fleet.growth import GrowthSink
+from hickory_stream.fleet.messages import Ended, Moved, Opened
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.fleet.messages import Message
     from hickory_stream.fleet.robots import Robot
     from hickory_stream.ports import Sink, Source
     from hickory_stream.sinks.disk_sink import DiskSinkConfig
@@ -43,40 +45,6 @@ class RobotTask:
     most_s: float | None
     patience_s: float
     debug: bool
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Opened:
-    """What is played, in a line for each stream."""
-
-    text: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Moved:
-    """How far the robot's run is."""
-
-    progress: Progress
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Ended:
-    """How a robot's run ended.
-
-    `reason` says why there is no map, or none to its end, "" where it is finished; `digest` is the map's. `start_ns`
-    and `end_ns` are the stamps of the first and the last frame that was seen. `notes` say what was lost.
-    """
-
-    is_finished: bool
-    was_stopped: bool = False
-    reason: str = ""
-    digest: str | None = None
-    start_ns: int | None = None
-    end_ns: int | None = None
-    notes: tuple[str, ...] = ()
-
-
-Message = Opened | Moved | GrownMap | Ended
 
 
 def main(task: RobotTask, connection: Connection) -> None:

@@ -16,8 +16,9 @@ from hickory_stream.fleet.crew import run_crew
 from hickory_stream.fleet.finish import finish, merged_path
 from hickory_stream.fleet.growth import GrownMap, Rounds
 from hickory_stream.fleet.joins import Joins
+from hickory_stream.fleet.messages import Ended, Moved, Opened
 from hickory_stream.fleet.result import FleetResult, result_of
-from hickory_stream.fleet.robot_process import Ended, Moved, Opened, RobotTask
+from hickory_stream.fleet.robot_process import RobotTask
 from hickory_stream.fleet.robots import FLEET
 from hickory_stream.sinks.rerun_fleet import FleetRecording, ShownRobot
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from hickory_stream.fleet.finish import Finished
     from hickory_stream.fleet.growth import Round
     from hickory_stream.fleet.joins import Frame, JoinEvent, Joint
-    from hickory_stream.fleet.robot_process import Message
+    from hickory_stream.fleet.messages import Message
     from hickory_stream.fleet.robots import FleetConfig, Robot
     from hickory_stream.records import MapSnapshot
     from hickory_stream.sinks.disk_sink import DiskSinkConfig

@@ -14,12 +14,15 @@ from hickory_stream.alignment.answer import Alignment
 from hickory_stream.merging.merge_maps import laid_out
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from hickory_stream.alignment.answer import NoAlignment
     from hickory_stream.records import MapSnapshot
+
+    Pair = tuple[int, int]
+    Answers = Mapping[Pair, Alignment | NoAlignment]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -34,39 +37,51 @@ class Group:
     pairs: tuple[tuple[int, int], ...]
 
 
-def groups_of(
-    snapshots: Sequence[MapSnapshot], answers: Mapping[tuple[int, int], Alignment | NoAlignment]
-) -> tuple[Group, ...]:
+def groups_of(snapshots: Sequence[MapSnapshot], answers: Answers) -> tuple[Group, ...]:
     """Return every map in exactly one group; `answers` by the pair (a, b), a < b, those that are missing join nothing.
 
-    An alignment that the others contradict joins nothing: what hung on it alone is another group.
+    An alignment that the others contradict joins nothing: what hung on it alone is another group. Where it is as likely
+    that one of the others is the wrong one, as in a ring that does not close, none of them joins anything.
     """
-    groups = []
+    known = {pair: answer for pair, answer in answers.items() if isinstance(answer, Alignment)}
+    groups: list[Group] = []
     remaining = list(range(len(snapshots)))
     while remaining:
-        group = _group_of(_connected(remaining, answers), snapshots, answers)
+        members = _connected(remaining, known)
+        group = _group_of(members, snapshots, known)
+        rejected = [pair for pair in known if set(pair) <= set(group.members) and pair not in group.pairs]
+        disputed = [pair for pair in group.pairs if _disputes(pair, group.pairs, rejected)]
+        if disputed:
+            known = {pair: answer for pair, answer in known.items() if pair not in (*rejected, *disputed)}
+            continue
         groups.append(group)
         remaining = [i for i in remaining if i not in group.members]
     return tuple(groups)
 
 
-def _connected(indices: Sequence[int], answers: Mapping[tuple[int, int], Alignment | NoAlignment]) -> list[int]:
+def _disputes(pair: Pair, believed: Sequence[Pair], rejected: Sequence[Pair]) -> bool:
+    """Return whether a believed alignment is all that stands against a rejected one: without it the two agree."""
+    others = [other for other in believed if other != pair]
+    return any(b not in _reached(a, others) for a, b in rejected)
+
+
+def _connected(indices: Sequence[int], pairs: Collection[Pair]) -> list[int]:
     """Return which of the maps hang on the first of them by alignments, in ascending order."""
-    reached, waiting = {indices[0]}, [indices[0]]
-    while waiting:
-        at = waiting.pop()
-        for i in indices:
-            if i not in reached and isinstance(answers.get((min(at, i), max(at, i))), Alignment):
-                reached.add(i)
-                waiting.append(i)
-    return sorted(reached)
+    own = set(indices)
+    return sorted(_reached(indices[0], [pair for pair in pairs if set(pair) <= own]))
 
 
-def _group_of(
-    members: Sequence[int],
-    snapshots: Sequence[MapSnapshot],
-    answers: Mapping[tuple[int, int], Alignment | NoAlignment],
-) -> Group:
+def _reached(start: int, pairs: Collection[Pair]) -> set[int]:
+    """Return the maps that pairs lead to from one of them, itself included."""
+    reached, is_growing = {start}, True
+    while is_growing:
+        new = {i for pair in pairs if reached & set(pair) for i in pair} - reached
+        reached |= new
+        is_growing = bool(new)
+    return reached
+
+
+def _group_of(members: Sequence[int], snapshots: Sequence[MapSnapshot], answers: Answers) -> Group:
     """Return the group of the first of these maps: all of them, less what hangs on alignments that are rejected."""
     if len(members) == 1:
         return Group(members=(members[0],), group_from_map=(np.eye(4),), pairs=())

@@ -99,14 +99,15 @@ class FleetRecording:
             self._stream.reset_time()
             self._stream.set_time(KEYFRAME, sequence=keyframe)
             self._stream.set_time(LOG_TIME, timestamp=np.datetime64(robot.stamp_ns, "ns"))
-            self._log_robot(robot, places[robot.name])
+            is_alone = sum(other.frame == robot.frame for other in robots) == 1
+            self._log_robot(robot, places[robot.name], is_alone=is_alone)
         self._stream.reset_time()
         self._stream.set_time(KEYFRAME, sequence=keyframe)
         for text in texts:
             self._stream.log(TEXTS, rr.TextLog(text, level=rr.TextLogLevel.INFO))
         self._stream.log(FRAMES, rr.Scalars([float(len({robot.frame for robot in robots}))]))
 
-    def _log_robot(self, robot: ShownRobot, scene_from_robot: NDArray[np.float64]) -> None:
+    def _log_robot(self, robot: ShownRobot, scene_from_robot: NDArray[np.float64], *, is_alone: bool) -> None:
         import rerun as rr
 
         color = color_of_robot(self._names.index(robot.name))
@@ -119,7 +120,7 @@ class FleetRecording:
         if path:
             line = rr.LineStrips3D([np.array(path)], colors=color, radii=_PATH_RADIUS)
             self._stream.log(f"{root}/path", line)
-            told = robot.name if robot.frame != robot.name else f"{robot.name} (frame)"
+            told = f"{robot.name}, alone" if is_alone else robot.name
             above = path[-1] + np.array([0.0, 0.0, _LABEL_ABOVE_M])
             self._stream.log(
                 f"{root}/robot", rr.Points3D([above], colors=color, radii=-6.0, labels=[told], show_labels=True)
@@ -182,15 +183,18 @@ def _looks_the_same(a: TrackedObject, b: TrackedObject) -> bool:
 def _places(robots: Sequence[ShownRobot]) -> dict[str, NDArray[np.float64]]:
     """Return where every robot's frame is drawn, scene_from_robot (4, 4): frames stand beside one another along x."""
     places: dict[str, NDArray[np.float64]] = {}
-    next_m = 0.0
+    next_m, middle = 0.0, np.zeros(3)
     for i, frame in enumerate(dict.fromkeys(robot.frame for robot in robots)):
         members = [robot for robot in robots if robot.frame == frame]
         corners = np.concatenate([apply(one.frame_from_robot, _corners_of(one.objects)) for one in members])
-        low, high = (corners[:, 0].min(), corners[:, 0].max()) if len(corners) else (0.0, 0.0)
+        low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (np.zeros(3), np.zeros(3))
         shift = np.zeros(3)
-        if i > 0:
-            shift[0] = np.ceil((next_m - low) / _STEP_M) * _STEP_M
-        next_m = high + shift[0] + _GAP_M
+        if i == 0:
+            middle = (low + high) / 2
+        else:
+            shift = np.round((middle - (low + high) / 2) / _STEP_M) * _STEP_M
+            shift[0] = np.ceil((next_m - low[0]) / _STEP_M) * _STEP_M
+        next_m = high[0] + shift[0] + _GAP_M
         for one in members:
             places[one.name] = from_rotation_translation(np.eye(3), shift) @ one.frame_from_robot
     return places

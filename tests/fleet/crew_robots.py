@@ -1,0 +1,35 @@
+"""What the processes of a crew do in tests, by the robot's name; in a module of its own, which loads quickly."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from typing import TYPE_CHECKING
+
+from hickory_stream.fleet.messages import Ended, Opened
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+    from hickory_stream.fleet.robot_process import RobotTask
+
+
+def main(task: RobotTask, connection: Connection) -> None:
+    """Send what is played; then end well, be killed, leave without a word, or go on until it is stopped."""
+    name = task.robot.name
+    is_stopped = False
+
+    def stop(number: int, frame: object) -> None:
+        nonlocal is_stopped
+        is_stopped = True
+
+    signal.signal(signal.SIGINT, stop)
+    connection.send(Opened(text=(name, str(time.monotonic_ns()))))
+    if name.startswith("killed"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if name.startswith("silent"):
+        os._exit(7)
+    while name.startswith("endless") and not is_stopped:
+        time.sleep(0.01)
+    connection.send(Ended(is_finished=not is_stopped, was_stopped=is_stopped, digest=name))

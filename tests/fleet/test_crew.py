@@ -1,0 +1,112 @@
+"""A crew of processes: each robot ends by itself, whatever becomes of the others."""
+
+from __future__ import annotations
+
+import os
+import signal
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from hickory_stream.config import MapperConfig
+from hickory_stream.fleet.crew import run_crew
+from hickory_stream.fleet.messages import Ended, Opened
+from hickory_stream.fleet.robot_process import RobotTask
+from hickory_stream.fleet.robots import Robot
+from hickory_stream.sinks.disk_sink import DiskSinkConfig
+from players import SourceOptions
+from tests.fleet import crew_robots
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.fleet.messages import Message
+
+
+def task(name: str) -> Any:
+    """Return what the processes of `crew_robots` know of a task; the configuration of one takes a second to load."""
+    return SimpleNamespace(robot=SimpleNamespace(name=name))
+
+
+def test_a_robot_whose_process_dies_is_one_robot_less_and_it_is_said_how() -> None:
+    heard: dict[str, list[Message]] = {}
+    names = ["killed", "good", "silent", "also-good"]
+    ended = run_crew(
+        [task(name) for name in names],
+        2,
+        lambda name, message: heard.setdefault(name, []).append(message),
+        crew_robots.main,
+    )
+    assert set(ended) == set(names)
+    assert ended["killed"] == Ended(is_finished=False, reason="its process was killed by SIGKILL")
+    assert ended["silent"].reason == "its process ended with status 7 and without a word"
+    assert [ended[name].digest for name in ("good", "also-good")] == ["good", "also-good"]
+    assert [type(message) for message in heard["good"]] == [Opened, Ended]
+    assert [type(message) for message in heard["killed"]] == [Opened, Ended]
+
+
+def test_with_one_process_the_robots_are_mapped_in_their_order() -> None:
+    order = []
+    run_crew(
+        [task(name) for name in "ba"],
+        1,
+        lambda name, message: order.append((name, type(message))),
+        crew_robots.main,
+    )
+    assert order == [(name, kind) for name in "ba" for kind in (Opened, Ended)]
+
+
+def test_a_signal_stops_all_robots_in_order_and_begins_no_more() -> None:
+    opened = []
+
+    def hear(name: str, message: Message) -> None:
+        if isinstance(message, Opened):
+            opened.append(name)
+            if len(opened) == 2:
+                os.kill(os.getpid(), signal.SIGINT)
+
+    ended = run_crew([task("endless-1"), task("endless-2"), task("waiting")], 2, hear, crew_robots.main)
+    assert sorted(opened) == ["endless-1", "endless-2"]
+    assert all(one.was_stopped and not one.is_finished for one in ended.values())
+    assert ended["endless-1"].digest == "endless-1"
+    assert ended["waiting"].reason == "stopped before it began"
+
+
+def test_a_second_signal_ends_them_at_once() -> None:
+    def hear(name: str, message: Message) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_crew([task("endless")], 1, hear, crew_robots.main)
+
+
+def test_a_failure_of_whoever_listens_leaves_no_process_behind() -> None:
+    def hear(name: str, message: Message) -> None:
+        raise ValueError("no")
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(ValueError, match="no"):
+        run_crew([task("endless")], 1, hear, crew_robots.main)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_log_that_cannot_be_read_is_said_by_the_robots_own_process(tmp_path: Path) -> None:
+    (tmp_path / "broken.mcap").write_bytes(b"no log at all" * 100)
+    broken = RobotTask(
+        robot=Robot(name="broken", uris=(str(tmp_path / "broken.mcap"),), options=SourceOptions()),
+        out=tmp_path / "broken.map",
+        overwrite=False,
+        mapper=MapperConfig(),
+        disk=DiskSinkConfig(),
+        every_keyframes=10,
+        most_s=None,
+        patience_s=1.0,
+        debug=False,
+    )
+    ended = run_crew([broken], 1, lambda name, message: None)
+    assert not ended["broken"].is_finished
+    assert "broken.mcap" in ended["broken"].reason
+    assert "internal failure" not in ended["broken"].reason
+    assert not (tmp_path / "broken.map").exists()

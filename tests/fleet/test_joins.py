@@ -1,0 +1,91 @@
+"""Robots are joined when two answers in a row agree, and not when a place is another one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.fleet.growth import GrownMap, Round
+from hickory_stream.fleet.joins import JoinEvent, Joins, Joint, joined_since
+from hickory_stream.geometry.rigid import invert
+from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+
+if TYPE_CHECKING:
+    from hickory_stream.records import MapSnapshot
+
+ITEMS = furniture(16, 7)
+FRAMES = {"a": np.eye(4), "b": frame(70, 2, -1), "c": frame(-130, 0.5, 3), "far": frame(20, 1, 1)}
+OTHER_PLACE = furniture(12, 60)
+
+
+def seen(name: str, first: int, last: int) -> MapSnapshot:
+    items = OTHER_PLACE if name == "far" else ITEMS
+    return snapshot_of(items[first:last], FRAMES[name], ord(name[0]))
+
+
+def rounds(joins: Joins, *steps: dict[str, tuple[int, int]]) -> list[Joint]:
+    """Return what holds after each step, in which robots have seen a range of the objects."""
+    maps: dict[str, GrownMap] = {}
+    found = []
+    for i, step in enumerate(steps, start=1):
+        for name, span in step.items():
+            poses = np.empty((0, 4, 4))
+            maps[name] = GrownMap(keyframes=i, snapshot=seen(name, *span), extractor="", world_from_camera=poses)
+        ordered = {name: maps[name] for name in FRAMES if name in maps}
+        found.append(joins.update(Round(keyframe=i, maps=ordered, grown=tuple(step))))
+    return found
+
+
+def names(joint: Joint) -> list[tuple[str, ...]]:
+    return [frame.names for frame in joint.frames]
+
+
+@pytest.fixture(scope="module")
+def grown() -> list[Joint]:
+    """Three robots of which a and b see the same from the first round on, c from the second, and one elsewhere."""
+    everybody = {"a": (0, 12), "b": (3, 15), "c": (12, 14), "far": (0, 12)}
+    return rounds(Joins(), everybody, everybody | {"c": (2, 14)}, everybody | {"c": (2, 16)})
+
+
+def test_two_answers_in_a_row_join_two_robots(grown: list[Joint]) -> None:
+    assert names(grown[0]) == [("a",), ("b",), ("c",), ("far",)]
+    assert names(grown[1]) == [("a", "b"), ("c",), ("far",)]
+    assert names(grown[2]) == [("a", "b", "c"), ("far",)]
+    told = [(event.keyframe, event.kind, event.a, event.b) for joint in grown for event in joint.events]
+    assert told == [(2, "joined", "a", "b"), (3, "joined", "a", "c"), (3, "joined", "b", "c")]
+    assert all(event.num_pairs >= 8 and 0 < event.sigma_m < 0.1 for joint in grown for event in joint.events)
+
+
+def test_joined_robots_lie_in_one_frame_where_they_truly_are(grown: list[Joint]) -> None:
+    joined = grown[2].frames[0]
+    for name, pose in zip(joined.names, joined.frame_from_robot, strict=True):
+        assert np.allclose(pose, invert(FRAMES[name]), atol=0.02)
+    alone = grown[2].frames[1]
+    assert np.array_equal(alone.frame_from_robot[0], np.eye(4))
+    assert alone.pairs == ()
+
+
+def test_a_join_is_withdrawn_when_a_later_answer_is_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    joins = Joins()
+    both = {"a": (0, 12), "b": (0, 12)}
+    assert names(rounds(joins, both, both)[-1]) == [("a", "b")]
+    # b was carried away: the same objects stand elsewhere in its frame.
+    monkeypatch.setitem(FRAMES, "b", frame(-20, 9, 4))
+    moved = rounds(joins, both, both)
+    assert names(moved[0]) == [("a",), ("b",)]
+    assert [event.kind for event in moved[0].events] == ["withdrawn"]
+    assert names(moved[1]) == [("a", "b")]
+    assert np.allclose(moved[1].frames[0].frame_from_robot[1], invert(FRAMES["b"]), atol=0.02)
+
+
+def test_a_join_counts_from_when_it_holds_for_good() -> None:
+    def event(keyframe: int, kind: str) -> JoinEvent:
+        return JoinEvent(keyframe=keyframe, kind=kind, a="a", b="b", num_pairs=5, sigma_m=0.01)  # type: ignore[arg-type]
+
+    first, gone, again = event(3, "joined"), event(6, "withdrawn"), event(9, "joined")
+    assert joined_since((first,), "b", "a") == 3
+    assert joined_since((first, gone), "a", "b") is None
+    assert joined_since((first, gone, again), "a", "b") == 9
+    assert joined_since((first,), "a", "c") is None

@@ -1,0 +1,152 @@
+"""`hickory-stream fleet` on a made set of robots, each a process of its own."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from hickory_stream.engine.saved_map import open_map
+from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.worlds.fleet import make_fleet
+from hickory_stream.worlds.recording import RecordingConfig
+from tests.conftest import COARSE_SHAPES
+from tests.test_cli import EAGER, Ended, look
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.timeout(300)
+
+SMALL = RecordingConfig(seed=7, seconds=5.0, rate_hz=2.0, width=240, height=136)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    out: Path
+    ended: Ended
+
+    @property
+    def told(self) -> Any:
+        """Return what it printed."""
+        return self.ended.json()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Logs of two robots in one room, and one that is no log at all."""
+    folder = tmp_path_factory.mktemp("robots")
+    make_fleet(SMALL, folder, "f", 2, caster=None)
+    (folder / "broken.mcap").write_bytes(b"no log at all" * 100)
+    (folder / "coarse.toml").write_text(COARSE_SHAPES.replace("shape_cache = false", "shape_cache = true"))
+    return folder
+
+
+def fleet(made: Path, out: Path, *arguments: object) -> Run:
+    options = ("--config", made / "coarse.toml", *EAGER, "--every", "2", "--workers", "1", "--json")
+    return Run(out=out, ended=look("fleet", *arguments, "-o", out, *options))
+
+
+@pytest.fixture(scope="module")
+def by_two(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """The fleet of FLEET.toml and a robot whose log is broken, by two processes."""
+    text = (made / "f.toml").read_text() + '[[robot]]\nname = "broken"\nlog = "broken.mcap"\n'
+    (made / "three.toml").write_text(text)
+    return fleet(made, tmp_path_factory.mktemp("out") / "two", made / "three.toml", "--processes", "2")
+
+
+def test_two_robots_are_joined_and_the_third_whose_log_is_broken_is_named(by_two: Run) -> None:
+    assert by_two.ended.status == 3
+    told = by_two.told
+    assert told["joined"] is False
+    first, second, broken = told["robots"]
+    assert [one["name"] for one in told["robots"]] == ["robot-1", "robot-2", "broken"]
+    assert [one["name"] for one in first["joined_with"]] == ["robot-2"]
+    assert [one["finished"] for one in (first, second, broken)] == [True, True, False]
+    assert (first["frame"], second["frame"]) == ("robot-1", "robot-1")
+    assert "broken.mcap" in broken["reason"]
+    assert broken["map"] is None
+    assert f"broken: {broken['reason']}" in by_two.ended.stderr
+    assert [one["robots"] for one in told["merged"]] == [["robot-1", "robot-2"]]
+    assert any("clocks of robot-1 and robot-2 do not overlap" in note for note in told["notes"])
+    assert json.loads((by_two.out / "fleet.json").read_text()) == told
+
+
+def test_robots_lie_where_they_truly_are(made: Path, by_two: Run) -> None:
+    one, other = ({item.id: item for item in load_truth(made / f"f-{i}.truth").objects} for i in (1, 2))
+    first_from_second = one[1].world_from_object @ invert(other[1].world_from_object)
+    found = np.array(by_two.told["robots"][1]["frame_from_robot"])
+    assert np.abs(invert(first_from_second) @ found - np.eye(4)).max() < 0.06
+
+
+def test_one_process_after_another_gives_the_same_maps(made: Path, by_two: Run, tmp_path: Path) -> None:
+    robots = [f"--robot=robot-{i}={made / f'f-{i}.mcap'}" for i in (1, 2)]
+    by_one = fleet(made, tmp_path / "one", *robots, "--processes", "1")
+    assert by_one.ended.status == 0
+    assert by_one.told["joined"] is True
+    for i in (0, 1):
+        assert by_one.told["robots"][i]["digest"] == by_two.told["robots"][i]["digest"]
+    assert by_one.told["merged"][0]["digest"] == by_two.told["merged"][0]["digest"]
+    assert by_one.told["joins"] == by_two.told["joins"]
+
+
+def test_the_merged_map_is_the_one_that_merge_makes(by_two: Run, tmp_path: Path) -> None:
+    maps = [by_two.out / f"robot-{i}.map" for i in (1, 2)]
+    assert look("merge", *maps, "-o", tmp_path / "m", "--json").json()["digest"] == by_two.told["merged"][0]["digest"]
+    saved = open_map(by_two.out / "fleet.map")
+    assert saved.manifest.finished_cleanly
+    assert any(len(members) > 1 for members in saved.manifest.source["provenance"].values())
+
+
+def test_the_recording_has_every_robot_and_moves_it_when_it_is_joined(by_two: Run) -> None:
+    import rerun.dataframe as rrd
+
+    recording = rrd.load_recording(by_two.out / "fleet.rrd")
+    paths = {column.entity_path for column in recording.schema().component_columns()}
+    for name in ("/world/robot-1", "/world/robot-2"):
+        assert name in paths
+        assert any(path.startswith(f"{name}/objects/") for path in paths)
+        assert f"{name}/path" in paths
+    assert not any(path.startswith("/world/broken") for path in paths)
+    view = recording.view(index="keyframe", contents="/world/robot-2")
+    column = next(one for one in view.schema().component_columns() if "translation" in str(one).lower())
+    moved = view.select("keyframe", column).read_all().to_pydict()
+    places = [tuple(np.round(np.ravel(place), 3)) for place in next(reversed(moved.values())) if place]
+    assert len(set(places)) > 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--robot", "a=MADE/f-1.mcap", "--robot", "a=MADE/f-2.mcap"), "two robots are called a"),
+        (("--robot", "a=MADE/f-1.mcap", "--robot", "b=MADE/none.mcap"), "robot b: there is no"),
+        (("--robot", "a=MADE/f-1.mcap"), "found 1 robots"),
+        ((), "expected either FLEET.toml, or --robot"),
+        (("MADE/f.toml", "--robot", "a=b"), "expected either FLEET.toml, or --robot"),
+        (("MADE/f.toml", "--every", "0"), "every_keyframes"),
+        (("MADE/f.toml", "--processes", "-1"), "processes"),
+        (("--robot", "a=MADE/broken.mcap", "--robot", "b=MADE/broken.mcap"), "no robot gave a map: a: "),
+    ],
+)
+def test_what_is_no_fleet_is_refused_in_one_line(
+    made: Path, tmp_path: Path, arguments: tuple[str, ...], said: str
+) -> None:
+    ended = look("fleet", *(one.replace("MADE", str(made)) for one in arguments), "-o", tmp_path / "out")
+    assert ended.status == 2
+    *_, last = ended.stderr.splitlines()
+    assert last.startswith("hickory-stream: ")
+    assert said in last
+
+
+def test_what_is_there_is_not_replaced_unless_asked(made: Path, by_two: Run, tmp_path: Path) -> None:
+    ended = look("fleet", made / "f.toml", "-o", by_two.out)
+    assert ended.status == 2
+    assert "robot-1.map is there already; --overwrite" in ended.stderr
+    (tmp_path / "robot-1.map").mkdir()
+    (tmp_path / "robot-1.map" / "photos").touch()
+    assert look("fleet", made / "f.toml", "-o", tmp_path, "--overwrite").status == 2
+    assert (tmp_path / "robot-1.map" / "photos").exists()
