@@ -311,6 +311,17 @@ class Hypothesis(TypedDict):
     log10_chance: float
 
 
+class Rival(TypedDict):
+    """A significant transform: of a refusal one that may be right, of an alignment one that is ruled out."""
+
+    a_from_b: Matrix
+    covariance: Matrix
+    center_a: list[float]
+    num_pairs: int
+    log10_chance: float
+    margin: float
+
+
 class Aligned(TypedDict):
     """Where map b lies in map a, or why that cannot be told."""
 
@@ -320,6 +331,7 @@ class Aligned(TypedDict):
     missing: int
     missing_in_b: list[int]
     missing_in_a: list[int]
+    rivals: list[Rival]
     a_from_b: NotRequired[Matrix]
     covariance: NotRequired[Matrix]
     center_a: NotRequired[list[float]]

@@ -69,6 +69,27 @@ def log_expected_sets(
     return np.where(3 * k >= parameters + 5, expected, np.inf)
 
 
+def log_expected_coincidences(
+    chance: Chance,
+    counts: tuple[int, int],
+    log_ranks: NDArray[np.float64],
+    square_sums_m2: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return (K,) ln of the expected number of sets as good as the first 1, 2, ... K pairs, the transform being known.
+
+    Args:
+        chance: the two maps.
+        counts: of objects in each map that are free to pair.
+        log_ranks: (K,) of each pair.
+        square_sums_m2: (K,) sums of squared residuals of the first k pairs.
+    """
+    k = np.arange(1, len(log_ranks) + 1, dtype=np.float64)
+    sets = _log_falling(counts[0], k) + _log_falling(counts[1], k) - gammaln(k + 1)
+    looks = _log_upper_gamma(k, -np.cumsum(log_ranks))
+    stands = np.minimum(_log_ball(3 * k, k, square_sums_m2) - k * np.log(chance.volume_m3), 0.0)
+    return np.asarray(sets + looks + stands + np.log(len(k)))
+
+
 def effective_volume_m3(centroids: NDArray[np.float64]) -> float:
     """Return the effective volume for coincidences of (N, 3) objects: 1 / the integral of their squared density.
 
@@ -120,7 +141,13 @@ def _log_geometry(
         leverage = np.log(2 * np.pi) + tilts + 0.5 * np.log(determinant)
         freedom = 3 * k - _TILTED_PARAMETERS
     freedom = np.maximum(freedom, 0)
-    radius_m = np.sqrt(np.maximum(square_sums_m2, k * _MIN_RESIDUAL_M**2))
-    ball = freedom / 2 * np.log(np.pi) - gammaln(freedom / 2 + 1) + freedom * np.log(radius_m)
-    logs = leverage + 1.5 * np.log(k) + ball - (k - 1) * np.log(chance.volume_m3)
+    logs = leverage + 1.5 * np.log(k) + _log_ball(freedom, k, square_sums_m2) - (k - 1) * np.log(chance.volume_m3)
     return np.asarray(np.minimum(logs, 0.0))
+
+
+def _log_ball(
+    freedom: NDArray[np.float64], k: NDArray[np.float64], square_sums_m2: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return ln of the volume of the ball of `freedom` dimensions whose radius is the residual of k pairs."""
+    radius_m = np.sqrt(np.maximum(square_sums_m2, k * _MIN_RESIDUAL_M**2))
+    return np.asarray(freedom / 2 * np.log(np.pi) - gammaln(freedom / 2 + 1) + freedom * np.log(radius_m))

@@ -114,6 +114,23 @@ def fused_log_ranks(scores: Sequence[NDArray[np.float64] | None], shape: tuple[i
     return known[0] if len(known) == 1 else _log_ranks(-np.sum(known, axis=0))
 
 
+def distinctive_log_ranks(log_ranks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, M) log ranks among the pairs of either object alone where those are better than among all pairs.
+
+    Where most objects are of one kind, two of another kind that look alike rank no better than any of those; among the
+    pairs of either of the two they do.
+    """
+    by_a, by_b = _row_log_ranks(log_ranks), _row_log_ranks(np.ascontiguousarray(log_ranks.T)).T
+    return np.asarray(np.minimum(log_ranks, np.maximum(by_a, by_b)))
+
+
+def _row_log_ranks(log_ranks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the logarithm of the share of pairs of its row that rank as well as each."""
+    ascending = np.sort(log_ranks, axis=1)
+    counts = [np.searchsorted(row, own + 1e-12, side="right") for row, own in zip(ascending, log_ranks, strict=True)]
+    return np.log(np.array(counts).reshape(log_ranks.shape) / max(log_ranks.shape[1], 1))
+
+
 def _log_ranks(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the logarithm of the share of known scores that are at least as high; 0 for the lowest score."""
     is_known = np.isfinite(scores)

@@ -9,6 +9,7 @@ import numpy as np
 
 from hickory_stream.alignment.acceptance import Chance, effective_volume_m3
 from hickory_stream.alignment.affinity import (
+    distinctive_log_ranks,
     fused_log_ranks,
     semantic_scores,
     why_no_semantics,
@@ -20,7 +21,7 @@ from hickory_stream.alignment.judgement import (
     Judged,
     centroid_covariance,
     confronted,
-    margin_of,
+    rival_of,
     why_refused,
 )
 from hickory_stream.alignment.refinement import refined
@@ -67,7 +68,7 @@ def align(
     if refusal is not None:
         return refusal
     evidence, scores = evidence_of(map_a, map_b, config, shape_scores)
-    judged = confronted(map_a, map_b, hypotheses_of(evidence, config), config)
+    judged = confronted(map_a, map_b, evidence, hypotheses_of(evidence, config), config)
     refusal = why_refused(map_a, judged, evidence, scores.notes, config)
     return _answered(map_a, map_b, scores, evidence, judged, config) if refusal is None else refusal
 
@@ -101,13 +102,14 @@ def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None
 
 
 def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: AlignConfig) -> Evidence:
-    ranks = scores.log_ranks
+    ranks = distinctive_log_ranks(scores.log_ranks)
     share = min(max(int(config.affinity.candidate_share * ranks.size), 1), ranks.size) - 1
     volume_m3 = np.sqrt(effective_volume_m3(map_a.centroids) * effective_volume_m3(map_b.centroids))
     return Evidence(
         centroids_a=map_a.centroids,
         centroids_b=map_b.centroids,
-        log_ranks=ranks,
+        log_ranks=scores.log_ranks,
+        search_log_ranks=ranks,
         plausible=np.argwhere(ranks <= np.partition(ranks, share, axis=None)[share]),
         sigma_m=float(np.sqrt(2.0) * config.affinity.centroid_m),
         gate=config.affinity.gate + 0.5,
@@ -118,6 +120,7 @@ def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: Al
             max_tilt_rad=float(np.radians(config.acceptance.max_tilt_deg)),
             tilt_price=10.0**config.acceptance.tilt_price,
         ),
+        looks=tuple(score for score in (scores.semantic, scores.geometric) if score is not None),
     )
 
 
@@ -146,12 +149,13 @@ def _answered(
         covariance=centroid_covariance(points, evidence, best, config) if finer is None else finer.covariance,
         center_a=points.mean(axis=0),
         log10_chance=judged[0].log10_chance,
-        margin=margin_of(judged),
+        margin=judged[0].margin,
         rival=judged[1].hypothesis if len(judged) > 1 else None,
         contradictions=judged[0].contradictions,
         is_level=best.is_level,
         is_refined=finer is not None,
         notes=scores.notes,
+        rivals=tuple(rival_of(map_a, one, evidence, config) for one in judged[1 : 1 + len(judged[0].margins)]),
     )
 
 

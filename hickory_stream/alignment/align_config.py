@@ -18,14 +18,15 @@ class AcceptanceConfig(Ranged):
     Attributes:
         max_log10_chance: maximum log10 of the expected number of false alarms: of sets of pairs as good as these
             between two unrelated maps.
-        min_margin: minimum log10 ratio of the expected numbers of false alarms of the best distinct rival and the best.
+        min_margin: by how many decades the evidence that separates the best from any rival must be significant.
         min_pairs: minimum number of pairs.
         min_spread_m: minimum standard deviation of the pairs across their main horizontal direction.
         max_turn_deg: maximum standard deviation of the rotation.
         tilt_price: a tilt between the maps adds this to the log10 of false alarms: robots measure gravity.
         max_tilt_deg: maximum angle between the verticals of two maps.
         distinct_m, distinct_deg: transforms closer than this are the same.
-        num_rivals: maximum number of distinct transforms to search for.
+        num_rivals: maximum number of distinct transforms to search for ...
+        num_insignificant: ... of which so many may be no better than chance.
     """
 
     max_log10_chance: float = number(-2.5, -1000, 1000, "log10")
@@ -37,7 +38,8 @@ class AcceptanceConfig(Ranged):
     max_tilt_deg: float = number(25.0, 0, 180, "deg")
     distinct_m: float = number(0.5, 0, 1000, "m")
     distinct_deg: float = number(5.0, 0, 180, "deg")
-    num_rivals: int = number(5, 1, 1000, "transforms")
+    num_rivals: int = number(12, 1, 1000, "transforms")
+    num_insignificant: int = number(4, 1, 1000, "transforms")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -58,13 +58,36 @@ class Contradictions:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Rival:
+    """One of several significant ways to lay map b over map a, for a pose graph that can decide between them later.
+
+    `a_from_b`, `covariance` and `center_a` are as those of an `Alignment`, of the objects' centroids alone;
+    `log10_chance` is its own; `margin`: by how many decades the evidence for it is more significant than that for its
+    closest rival: negative where another is better.
+    """
+
+    a_from_b: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    center_a: NDArray[np.float64]
+    num_pairs: int
+    log10_chance: float
+    margin: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "a_from_b", np.float64, (4, 4))
+        freeze(self, "covariance", np.float64, (6, 6))
+        freeze(self, "center_a", np.float64, (3,))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Alignment:
     """Where map b lies in map a.
 
     `a_from_b` (4, 4); `covariance` (6, 6) of a small turn (radians) about the pairs' centroid `center_a` (3,), then a
     shift (metres), both in frame a; `log10_chance`: the logarithm of the number of sets of pairs as good as this one
-    that two unrelated maps would have; `margin`: by how much more (in the same logarithm) than the best distinct
-    `rival`; `notes` say what was missing or done differently.
+    that two unrelated maps would have; `margin`: how significant the evidence is (in the same logarithm) that
+    separates it from its closest `rival`; `rivals` are the other significant transforms, all of them ruled out; `notes`
+    say what was missing or done differently.
     """
 
     a_from_b: NDArray[np.float64]
@@ -78,6 +101,7 @@ class Alignment:
     is_level: bool = True
     is_refined: bool = False
     notes: tuple[str, ...] = ()
+    rivals: tuple[Rival, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "a_from_b", np.float64, (4, 4))
@@ -97,10 +121,14 @@ class Alignment:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class NoAlignment:
-    """A refusal: its reason, in a word and in a sentence, and the best hypotheses, the likeliest first."""
+    """A refusal: its reason, in a word and in a sentence, and the best hypotheses, the likeliest first.
+
+    Where it is `Refusal.RIVAL`, `rivals` are the transforms of which one may be right, the likeliest first.
+    """
 
     refusal: Refusal
     reason: str
     hypotheses: tuple[Hypothesis, ...] = ()
     contradictions: Contradictions = field(default_factory=Contradictions)
     notes: tuple[str, ...] = ()
+    rivals: tuple[Rival, ...] = ()

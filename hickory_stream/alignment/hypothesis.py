@@ -50,17 +50,20 @@ class Hypothesis:
 class Evidence:
     """What hypotheses are judged by: the centroids of both maps, the ranks (N, M) of all pairs, and chance.
 
-    `plausible` (P, 2) are the pairs that look alike enough to be matched; `sigma_m` is the standard deviation of a
-    residual on each axis, `gate` how many of them a residual may be.
+    `search_log_ranks` (N, M) are those by which candidates are chosen and weighed; `plausible` (P, 2) are the pairs
+    that look alike enough to be matched; `sigma_m` is the standard deviation of a residual on each axis, `gate` how
+    many of them a residual may be. `looks` are the scores (N, M) behind the ranks, NaN where unknown.
     """
 
     centroids_a: NDArray[np.float64]
     centroids_b: NDArray[np.float64]
     log_ranks: NDArray[np.float64]
+    search_log_ranks: NDArray[np.float64]
     plausible: NDArray[np.int64]
     sigma_m: float
     gate: float
     chance: Chance
+    looks: tuple[NDArray[np.float64], ...] = ()
 
 
 def grown(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hypothesis | None:

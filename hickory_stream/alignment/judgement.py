@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.alignment.answer import Contradictions, NoAlignment, Refusal
+from hickory_stream.alignment.answer import Contradictions, NoAlignment, Refusal, Rival
 from hickory_stream.alignment.contradiction import contradictions
+from hickory_stream.alignment.hypothesis import grown
 from hickory_stream.alignment.registration import information
-from hickory_stream.alignment.search import searched
+from hickory_stream.alignment.rivalry import alike, separation
+from hickory_stream.alignment.search import NOTABLE, distinct, searched
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,25 +28,73 @@ _SURE = 4.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Judged:
-    """A hypothesis, the evidence against it, and log10 of its expected number of false alarms with that included."""
+    """A hypothesis, the evidence against it, and log10 of its expected number of false alarms with that included.
+
+    `margins` are by how many decades it is separated from each of the others, in their order; `margin` is the least of
+    them, or how significant it is alone where no other is significant at all.
+    """
 
     hypothesis: Hypothesis
     contradictions: Contradictions
     log10_chance: float
+    margins: tuple[float, ...] = ()
+
+    @property
+    def margin(self) -> float:
+        """By how many decades it is separated from its closest rival."""
+        return min((-self.log10_chance, *self.margins))
 
 
-def confronted(map_a: ObjectMap, map_b: ObjectMap, found: list[Hypothesis], config: AlignConfig) -> tuple[Judged, ...]:
-    """Return the hypotheses with missing objects counted against them, fewest expected false alarms first."""
+def confronted(
+    map_a: ObjectMap, map_b: ObjectMap, evidence: Evidence, found: list[Hypothesis], config: AlignConfig
+) -> tuple[Judged, ...]:
+    """Return the hypotheses with missing objects counted against them: the best first, then by their false alarms.
+
+    The best is the one that is separated from all others; without one, that of the fewest expected false alarms.
+    """
     judged = []
+    if sum(one.log10_chance <= NOTABLE for one in found) > 1:
+        found = with_look_alikes(evidence, found, config)
     for hypothesis in found:
         against = Contradictions()
-        if hypothesis.log10_chance <= config.acceptance.max_log10_chance:
+        if hypothesis.log10_chance <= NOTABLE:
             against = contradictions(map_a, map_b, hypothesis.a_from_b, config.contradiction)
         price = config.contradiction.price * against.num_missing
         judged.append(
             Judged(hypothesis=hypothesis, contradictions=against, log10_chance=hypothesis.log10_chance + price)
         )
-    return tuple(sorted(judged, key=lambda one: one.log10_chance))
+    return _compared(evidence, sorted(judged, key=lambda one: one.log10_chance))
+
+
+def with_look_alikes(evidence: Evidence, found: list[Hypothesis], config: AlignConfig) -> list[Hypothesis]:
+    """Return the hypotheses grown again by pairs that look as much alike as those of the best do, however they rank.
+
+    Where many objects look the same a rank is noise, and without this each hypothesis would have its own few of them.
+    """
+    is_plausible = alike(evidence, found[0])
+    is_plausible[evidence.plausible[:, 0], evidence.plausible[:, 1]] = True
+    wider = replace(evidence, plausible=np.argwhere(is_plausible))
+    grew = [grown(wider, one.pairs, is_level=one.is_level) or one for one in found]
+    return distinct(grew, evidence, config)
+
+
+def _compared(evidence: Evidence, judged: list[Judged]) -> tuple[Judged, ...]:
+    """Return the hypotheses, each with its margins to the significant others after it in the result."""
+    notable = [one for one in judged if one.log10_chance <= NOTABLE]
+    if len(notable) < 2:
+        return tuple(judged)
+    margins = np.zeros((len(notable), len(notable)))
+    for i, j in combinations(range(len(notable)), 2):
+        others = [one.hypothesis for k, one in enumerate(notable) if k not in (i, j)]
+        one, other = ((notable[k].hypothesis, notable[k].contradictions) for k in (i, j))
+        margins[i, j] = separation(evidence, one, other, others)
+        margins[j, i] = -margins[i, j]
+    np.fill_diagonal(margins, np.inf)
+    worst = margins.min(axis=1)
+    best = int(np.argmax(worst)) if worst.max() > 0 else 0
+    order = [best, *(i for i in range(len(notable)) if i != best)]
+    ranked = [replace(notable[i], margins=tuple(float(margins[i, j]) for j in order if j != i)) for i in order]
+    return (*ranked, *judged[len(notable) :])
 
 
 def why_refused(
@@ -56,13 +107,14 @@ def why_refused(
     """Return why the best hypothesis is refused; None if it is accepted."""
     acceptance = config.acceptance
 
-    def refusal(kind: Refusal, reason: str) -> NoAlignment:
+    def refusal(kind: Refusal, reason: str, rivals: tuple[Rival, ...] = ()) -> NoAlignment:
         return NoAlignment(
             refusal=kind,
             reason=reason,
             hypotheses=tuple(one.hypothesis for one in judged),
             contradictions=judged[0].contradictions if judged else Contradictions(),
             notes=notes,
+            rivals=rivals,
         )
 
     most = len(judged[0].hypothesis.pairs) if judged else 0
@@ -96,18 +148,37 @@ def why_refused(
     if _is_mirrored(best, evidence, config):
         reason = f"the mirror image of one map fits the other better than its {len(best.pairs)} pairs do"
         return refusal(Refusal.MIRRORED, reason)
-    if margin_of(judged) < acceptance.min_margin:
+    if judged[0].margin < acceptance.min_margin:
         reason = (
-            f"a different alignment is nearly as good: only 10^{margin_of(judged):.1f} times the expected false alarms"
+            f"a different alignment cannot be told from it: what separates the two is worth {judged[0].margin:.1f} "
+            f"decades, {acceptance.min_margin:.1f} are needed"
         )
-        return refusal(Refusal.RIVAL, reason)
+        return refusal(
+            Refusal.RIVAL, reason, tuple(rival_of(map_a, one, evidence, config) for one in open_ones(judged, config))
+        )
     return None
 
 
-def margin_of(judged: tuple[Judged, ...]) -> float:
-    """Return log10 of the ratio of the expected false alarms of the best rival (1 without one) and of the best."""
-    rival = min(judged[1].log10_chance, 0.0) if len(judged) > 1 else 0.0
-    return rival - judged[0].log10_chance
+def open_ones(judged: tuple[Judged, ...], config: AlignConfig) -> tuple[Judged, ...]:
+    """Return the best hypothesis and those that it is not separated from: one of them may be right."""
+    best = judged[0]
+    others = [
+        one for one, margin in zip(judged[1:], best.margins, strict=False) if margin < config.acceptance.min_margin
+    ]
+    return (best, *others)
+
+
+def rival_of(map_a: ObjectMap, one: Judged, evidence: Evidence, config: AlignConfig) -> Rival:
+    """Return a hypothesis for others: its transform, and how sure that is if it is the right one."""
+    points = map_a.centroids[one.hypothesis.pairs[:, 0]]
+    return Rival(
+        a_from_b=one.hypothesis.a_from_b,
+        covariance=centroid_covariance(points, evidence, one.hypothesis, config),
+        center_a=points.mean(axis=0),
+        num_pairs=len(points),
+        log10_chance=one.log10_chance,
+        margin=one.margin,
+    )
 
 
 def _is_mirrored(best: Hypothesis, evidence: Evidence, config: AlignConfig) -> bool:

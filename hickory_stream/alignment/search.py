@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Some searches are spared where the evidence is so many times what is asked for, in decades.
 _CLEAR = 3.0
+# A hypothesis as good as this, or worse, is found in unrelated maps: what it explains is neither rival nor repetition.
+NOTABLE = -1.0
 
 
 def hypotheses_of(evidence: Evidence, config: AlignConfig) -> list[Hypothesis]:
@@ -27,18 +29,20 @@ def hypotheses_of(evidence: Evidence, config: AlignConfig) -> list[Hypothesis]:
     found = searched(evidence, config, is_level=True)
     if found and _shows_gravity(evidence, found[0], config):
         return found
-    return _ordered(found + searched(evidence, config, is_level=False), evidence, config)
+    return distinct(found + searched(evidence, config, is_level=False), evidence, config)
 
 
 def searched(evidence: Evidence, config: AlignConfig, *, is_level: bool) -> list[Hypothesis]:
     """Return the distinct hypotheses, those with the fewest expected false alarms first."""
     affinity = build_affinity(
-        evidence.centroids_a, evidence.centroids_b, evidence.log_ranks, config.affinity, is_level=is_level
+        evidence.centroids_a, evidence.centroids_b, evidence.search_log_ranks, config.affinity, is_level=is_level
     )
     alive = np.ones(len(affinity), dtype=bool)
     found: list[Hypothesis] = []
     for _ in range(config.acceptance.num_rivals):
         if len(found) > 1 and _is_clear(found, config):
+            break
+        if sum(one.log10_chance > NOTABLE for one in found) >= config.acceptance.num_insignificant:
             break
         clique = densest_clique(affinity, alive, config.consensus)
         if len(clique) < 3:
@@ -48,7 +52,7 @@ def searched(evidence: Evidence, config: AlignConfig, *, is_level: bool) -> list
         if hypothesis is not None:
             found.append(hypothesis)
             alive &= ~_explained(affinity, hypothesis, evidence)
-        found = _ordered(found, evidence, config)
+        found = distinct(found, evidence, config)
     return found
 
 
@@ -64,10 +68,9 @@ def _better(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> 
 
 
 def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
-    """Return whether no further rival can matter: the next clique is lighter than those that were found."""
-    acceptance = config.acceptance
+    """Return whether no further rival can matter: the next clique is lighter than one that is no better than chance."""
     best, second = found[0].log10_chance, found[1].log10_chance
-    return best < _CLEAR * acceptance.max_log10_chance and second - best > _CLEAR * acceptance.min_margin
+    return best < _CLEAR * config.acceptance.max_log10_chance and second > NOTABLE
 
 
 def _shows_gravity(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> bool:
@@ -87,10 +90,10 @@ def _explained(affinity: Affinity, hypothesis: Hypothesis, evidence: Evidence) -
     return np.asarray((offsets**2).sum(axis=1) < (evidence.gate * evidence.sigma_m) ** 2)
 
 
-def _ordered(found: list[Hypothesis], evidence: Evidence, config: AlignConfig) -> list[Hypothesis]:
+def distinct(found: list[Hypothesis], evidence: Evidence, config: AlignConfig) -> list[Hypothesis]:
     """Return the hypotheses that differ from every better one."""
     acceptance = config.acceptance
-    distinct: list[Hypothesis] = []
+    kept: list[Hypothesis] = []
     for hypothesis in sorted(found, key=lambda h: h.log10_chance):
         center_b = evidence.centroids_b[hypothesis.pairs[:, 1]].mean(axis=0)
         if all(
@@ -101,7 +104,7 @@ def _ordered(found: list[Hypothesis], evidence: Evidence, config: AlignConfig) -
                 distance_m=acceptance.distinct_m,
                 angle_rad=np.radians(acceptance.distinct_deg),
             )
-            for better in distinct
+            for better in kept
         ):
-            distinct.append(hypothesis)
-    return distinct
+            kept.append(hypothesis)
+    return kept

@@ -13,7 +13,10 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.alignment.answer import Alignment, NoAlignment
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.answer import Alignment, NoAlignment, Rival
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.saved_map import SavedMap
@@ -76,6 +79,17 @@ def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
         "missing": against.num_missing,
         "missing_in_b": list(against.ids_a),
         "missing_in_a": list(against.ids_b),
+        "rivals": [
+            {
+                "a_from_b": rival.a_from_b.tolist(),
+                "covariance": rival.covariance.tolist(),
+                "center_a": rival.center_a.tolist(),
+                "num_pairs": rival.num_pairs,
+                "log10_chance": rival.log10_chance,
+                "margin": rival.margin,
+            }
+            for rival in answer.rivals
+        ],
     }
     if isinstance(answer, Alignment):
         return told | {
@@ -127,20 +141,36 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
             for h in answer.hypotheses[:3]
             if np.isfinite(h.log10_chance)
         ]
+        if answer.rivals:
+            tried = ["  one of these may be right:", *map(_rival_text, answer.rivals)]
         return "\n".join([f"not aligned ({answer.refusal.value}): {answer.reason}", *tried, *notes])
     against = answer.contradictions
-    yaw_deg = np.degrees(np.arctan2(answer.a_from_b[1, 0], answer.a_from_b[0, 0]))
-    x, y, z = answer.a_from_b[:3, 3]
     lines = [
-        f"aligned by {len(answer.pairs)} pairs: b lies at ({x:.3f}, {y:.3f}, {z:.3f}) m in a, turned by "
-        f"{yaw_deg:.2f} deg",
+        f"aligned by {len(answer.pairs)} pairs: {_place_text(answer.a_from_b)}",
         f"  uncertainty {100 * answer.translation_sigma_m:.1f} cm, {np.degrees(answer.rotation_sigma_rad):.2f} deg"
         f"{', refined on surfaces' if answer.is_refined else ''}{'' if answer.is_level else ', maps tilted'}",
-        f"  expected false alarms 10^{answer.log10_chance:.1f}; the best distinct rival has 10^{answer.margin:.1f} "
-        "times as many",
+        f"  expected false alarms 10^{answer.log10_chance:.1f}; {_separation_text(answer)}",
         f"  of {against.num_expected} objects whose place the other map saw, {against.num_missing} are missing",
     ]
     return "\n".join([*lines, *notes])
+
+
+def _place_text(a_from_b: NDArray[np.float64]) -> str:
+    import numpy as np
+
+    yaw_deg = np.degrees(np.arctan2(a_from_b[1, 0], a_from_b[0, 0]))
+    x, y, z = a_from_b[:3, 3]
+    return f"b lies at ({x:.3f}, {y:.3f}, {z:.3f}) m in a, turned by {yaw_deg:.2f} deg"
+
+
+def _rival_text(rival: Rival) -> str:
+    return f"    {_place_text(rival.a_from_b)}: {rival.num_pairs} pairs, chance 10^{rival.log10_chance:.1f}"
+
+
+def _separation_text(answer: Alignment) -> str:
+    if not answer.rivals:
+        return "no other transform is significant"
+    return f"{len(answer.rivals)} others are ruled out, the closest by {answer.margin:.1f} decades"
 
 
 def _draw(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> None:

@@ -130,11 +130,11 @@ def simulate_pair(config: SimulationConfig, seed: int) -> SimulatedPair:
     count = config.num_objects
     num_common = round(count * (1 - config.outliers))
     side_m = np.sqrt(_AREA_PER_OBJECT_M2 * max(count, 1))
-    world = _World(config.difficulty, rng)
+    world = SimulatedWorld(config.difficulty, rng)
     total = 2 * count - num_common
     places = rng.uniform([0, 0, 0], [side_m, side_m, _HEIGHT_M], (total, 3)) - [side_m / 2, side_m / 2, 0]
     objects = [world.new_object(place) for place in places]
-    a_from_world, b_from_world = _random_pose(config.tilt_deg, side_m, rng), _random_pose(0.0, side_m, rng)
+    a_from_world, b_from_world = random_pose(config.tilt_deg, side_m, rng), random_pose(0.0, side_m, rng)
     in_a, in_b = np.arange(count), np.concatenate([np.arange(num_common), np.arange(count, total)])
     order_a, order_b = rng.permutation(in_a), rng.permutation(in_b)
     rank_a, rank_b = np.argsort(order_a), {int(item): i for i, item in enumerate(order_b)}
@@ -155,12 +155,23 @@ def simulate_unrelated(config: SimulationConfig, seed: int) -> SimulatedPair:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Object:
+class SimulatedObject:
+    """A true object: its shape in the world, and what a descriptor of it is without noise."""
+
     shape: Superquadrics
     signal: NDArray[np.float64]
 
+    @property
+    def place(self) -> NDArray[np.float64]:
+        """The centroid (3,)."""
+        return centroid_world(self.shape)
 
-class _World:
+    def moved(self, there_from_here: NDArray[np.float64]) -> SimulatedObject:
+        """Return the same model at another place: `there_from_here` (4, 4)."""
+        return SimulatedObject(shape=moved(self.shape, there_from_here), signal=self.signal)
+
+
+class SimulatedWorld:
     """The classes of a world, and the generator that everything in it is drawn from."""
 
     def __init__(self, difficulty: Difficulty, rng: np.random.Generator) -> None:
@@ -171,7 +182,7 @@ class _World:
         self._classes = [_direction(rng, self._parts.class_dimensions) for _ in range(self._parts.classes)]
         self._class_shapes = rng.integers(len(real_fits()), size=self._parts.classes)
 
-    def new_object(self, place: NDArray[np.float64]) -> _Object:
+    def new_object(self, place: NDArray[np.float64]) -> SimulatedObject:
         """Return a true object whose centroid is at `place`."""
         parts, rng = self._parts, self._rng
         class_index = int(rng.integers(parts.classes))
@@ -188,9 +199,9 @@ class _World:
         else:
             shape = _varied(real_fits()[self._class_shapes[class_index]], _INSTANCE_EXPONENTS, _INSTANCE_AXES, rng)
         turned = moved(shape, from_rotation_translation(yaw_rotation(rng.uniform(0, 2 * np.pi)), np.zeros(3)))
-        return _Object(shape=_centered(turned, place), signal=signal)
+        return SimulatedObject(shape=_centered(turned, place), signal=signal)
 
-    def observe(self, objects: list[_Object], map_from_world: NDArray[np.float64]) -> ObjectMap:
+    def observe(self, objects: list[SimulatedObject], map_from_world: NDArray[np.float64]) -> ObjectMap:
         """Return the map that one robot makes of the objects."""
         shapes = tuple(self._observed_shape(item, map_from_world) for item in objects)
         features = np.array([self._observed_descriptor(item) for item in objects], dtype=np.float32)
@@ -203,7 +214,7 @@ class _World:
             points=(None,) * len(objects),
         )
 
-    def _observed_shape(self, item: _Object, map_from_world: NDArray[np.float64]) -> Superquadrics:
+    def _observed_shape(self, item: SimulatedObject, map_from_world: NDArray[np.float64]) -> Superquadrics:
         rng = self._rng
         varied = _varied(item.shape, _EXPONENT_NOISE, _AXIS_NOISE, rng)
         kept = rng.random(len(varied)) >= _LOST
@@ -212,7 +223,7 @@ class _World:
         seen = sorted_by_volume(taken(varied, np.flatnonzero(kept)))
         return moved(_centered(seen, place), map_from_world)
 
-    def _observed_descriptor(self, item: _Object) -> NDArray[np.float64]:
+    def _observed_descriptor(self, item: SimulatedObject) -> NDArray[np.float64]:
         parts, rng = self._parts, self._rng
         share = min(float(rng.gamma(parts.noise_shape, parts.noise / parts.noise_shape)), 0.9)
         noise = _direction(rng, parts.noise_dimensions)
@@ -271,7 +282,7 @@ def _direction(rng: np.random.Generator, dimensions: int) -> NDArray[np.float64]
     return np.ones(1) if dimensions == 1 else np.asarray(vector / np.linalg.norm(vector))
 
 
-def _random_pose(tilt_deg: float, side_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def random_pose(tilt_deg: float, side_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return `map_from_world` of a robot that starts at a random place of the square, looking anywhere.
 
     Its idea of gravity is off by `tilt_deg` about a random level axis.

@@ -1,0 +1,71 @@
+"""Places that look alike: answered where something tells the alignments apart, and their rivals listed where not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
+from hickory_stream.evaluation.maps.ambiguous import AmbiguousConfig, AmbiguousKind, simulate_ambiguous
+from hickory_stream.evaluation.maps.trial import error_of, overlap_b
+
+pytestmark = pytest.mark.timeout(150)
+
+
+def answered(config: AmbiguousConfig, seeds: range) -> list[tuple[Alignment | NoAlignment, bool]]:
+    """Return the answers, and which of them are right."""
+    told = []
+    for seed in seeds:
+        pair = simulate_ambiguous(config, seed)
+        answer = align(pair.map_a, pair.map_b)
+        is_right = (
+            isinstance(answer, Alignment)
+            and len(pair.common) > 0
+            and error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)).is_success
+        )
+        told.append((answer, is_right))
+    return told
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_a_symmetric_room_is_refused_and_its_rivals_are_listed(order: int) -> None:
+    config = AmbiguousConfig(kind="symmetric", order=order)
+    for seed, (answer, _) in zip(range(4), answered(config, range(4)), strict=True):
+        assert isinstance(answer, NoAlignment)
+        assert answer.refusal is Refusal.RIVAL
+        assert len(answer.rivals) >= 2
+        # The truth is among them, and within what its covariance allows.
+        pair = simulate_ambiguous(config, seed)
+        errors = [error_of(rival.a_from_b, pair.a_from_b, overlap_b(pair)) for rival in answer.rivals]
+        assert any(error.is_success for error in errors)
+        assert all(np.linalg.eigvalsh(rival.covariance)[0] > 0 for rival in answer.rivals)
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_three_objects_that_break_the_symmetry_decide_it(order: int) -> None:
+    told = answered(AmbiguousConfig(kind="symmetric", order=order, breaking=3), range(8))
+    assert sum(is_right for _, is_right in told) >= 7
+    assert not any(isinstance(answer, Alignment) and not is_right for answer, is_right in told)
+
+
+@pytest.mark.parametrize(
+    ("kind", "num_objects", "jitter_m"),
+    [("identical-rooms", 10, 0.0), ("identical-rooms", 20, 0.0)],
+)
+def test_what_is_repeated_is_no_evidence_however_much_of_it_there_is(
+    kind: AmbiguousKind, num_objects: int, jitter_m: float
+) -> None:
+    told = answered(AmbiguousConfig(kind=kind, num_objects=num_objects, jitter_m=jitter_m), range(6))
+    assert sum(isinstance(answer, Alignment) for answer, _ in told) == 0
+
+
+def test_one_room_in_common_is_found_among_different_ones() -> None:
+    told = answered(AmbiguousConfig(kind="different-rooms", num_objects=10, num_rooms=3), range(6))
+    assert all(is_right for _, is_right in told)
+
+
+def test_like_rooms_with_things_of_their_own_are_told_apart() -> None:
+    told = answered(AmbiguousConfig(kind="identical-rooms", num_objects=10, breaking=3), range(8))
+    assert sum(is_right for _, is_right in told) >= 6
+    assert not any(isinstance(answer, Alignment) and not is_right for answer, is_right in told)
