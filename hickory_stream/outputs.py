@@ -215,12 +215,13 @@ class Demonstrated(TypedDict):
 
 
 class Rendered(TypedDict):
-    """A picture of a map, in pixels."""
+    """A picture of a map, in pixels; `graph`: of its pose graph, and of no layers."""
 
     picture: str
     width: int
     height: int
     layers: list[int]
+    graph: bool
 
 
 class Exported(TypedDict):

@@ -6,13 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.values import open_map_at, parse_layers, parse_size
-from hickory_stream.cli.written import add_output, write_picture
+from hickory_stream.cli.written import add_output, write_drawing, write_picture
+from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.commands import Commands
+    from hickory_stream.engine.saved_map import SavedMap
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
@@ -26,19 +28,36 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )
     render.add_argument("--size", default="1600x800", metavar="WxH")
+    render.add_argument(
+        "--graph",
+        action="store_true",
+        help="draw the pose graph instead: the way before and after, loops, residuals; an SVG where the name says so",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.evaluation.render import render_map
-
     layers = parse_layers(options.layers)
     width, height = parse_size(options.size)
     saved = open_map_at(options.map, options.at)
-    picture = render_map(saved, layers, (width, height))
-    write_picture(options.out, picture)
+    if options.graph:
+        _draw_graph(saved, options.out, (width, height))
+    else:
+        from hickory_stream.evaluation.render import render_map
+
+        write_picture(options.out, render_map(saved, layers, (width, height)))
     if options.json:
-        print(
-            output("render", {"picture": str(options.out), "width": width, "height": height, "layers": sorted(layers)})
-        )
+        shown = [] if options.graph else sorted(layers)
+        told = {"picture": str(options.out), "width": width, "height": height, "layers": shown, "graph": options.graph}
+        print(output("render", told))
     return 0
+
+
+def _draw_graph(saved: SavedMap, out: Path, size: tuple[int, int]) -> None:
+    from hickory_stream.evaluation.graph_paths import recorded_ways
+    from hickory_stream.evaluation.render_graph import render_graph
+
+    ways = recorded_ways(saved)
+    if saved.snapshot.graph is None or ways is None:
+        raise InputError(f"{saved.folder} has no pose graph: no loops were searched for when it was made")
+    write_drawing(out, render_graph(saved.snapshot.graph, ways, size))

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from hickory_stream.evaluation.drawing import Drawing
+
 
 def add_output(command: argparse.ArgumentParser, *names: str, **options: Any) -> None:
     """Add an option that names a file to write; with the first one of a command comes its `--overwrite`."""
@@ -63,6 +65,21 @@ def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
 
     with disk_refusals(path, "picture"):
         write_output(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+
+
+def write_drawing(path: Path, drawing: Drawing) -> None:
+    """Write a drawing: as SVG where the name ends so, else as PNG.
+
+    Raises:
+        InputError: the disk refused.
+    """
+    from hickory_stream.engine.atomic import write_output
+
+    if path.suffix.lower() != ".svg":
+        write_picture(path, drawing.image())
+        return
+    with disk_refusals(path, "drawing"):
+        write_output(path, drawing.svg().encode())
 
 
 def written_text(path: Path) -> str:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hickory_stream.config import MapperConfig, as_far_as_known
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.evaluation.graph_summary import GraphSummary, summary_of
+from hickory_stream.evaluation.graph_summary import told as graph_line
 from hickory_stream.evaluation.place import Place, place_of
 from hickory_stream.evaluation.supports import supports_of, told
 from hickory_stream.mapping.floor_notes import floor_notes
@@ -76,6 +78,7 @@ class MapSummary:
     `num_certified` objects have a layer 4 that provably contains them; in `num_fallbacks` of these it is a box.
     `is_altered`: the objects differ from those that were saved, so that none counts as certified. `doubt` says why the
     statements about layer 4 may not hold, "" if they do. `notes` are warnings about the map's floor and gravity.
+    `graph` is the map's pose graph, None where no loops were searched for.
     """
 
     objects: tuple[ObjectSummary, ...]
@@ -93,6 +96,7 @@ class MapSummary:
     is_altered: bool
     doubt: str
     notes: tuple[str, ...]
+    graph: GraphSummary | None = None
 
 
 def summarize(saved: SavedMap) -> MapSummary:
@@ -116,6 +120,7 @@ def summarize(saved: SavedMap) -> MapSummary:
         is_altered=saved.is_altered,
         doubt=saved.doubt,
         notes=floor_notes(saved.snapshot),
+        graph=None if saved.snapshot.graph is None else summary_of(saved.snapshot.graph),
     )
 
 
@@ -172,6 +177,7 @@ def format_table(summary: MapSummary) -> str:
             "",
             _containment_line(summary),
             *summary.notes,
+            *([graph_line(summary.graph)] if summary.graph is not None else []),
             f"digest {summary.digest}",
         ]
     )

@@ -1,0 +1,57 @@
+"""The pose graph of a map in numbers, and in one line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hickory_stream.records import GraphEdge, PoseGraphRecord
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GraphSummary:
+    """A pose graph: how many submaps and loops it has, and the loops themselves.
+
+    `moved_m` is how far the solution moved the submap that it moved most, `sigma_m` the standard deviation of the place
+    that is known least, relative to the first submap.
+    """
+
+    num_submaps: int
+    num_accepted: int
+    num_rejected: int
+    num_withdrawn: int
+    moved_m: float
+    sigma_m: float
+    loops: tuple[GraphEdge, ...]
+
+
+def summary_of(graph: PoseGraphRecord) -> GraphSummary:
+    """Return the numbers of a pose graph."""
+    statuses = [loop.status for loop in graph.loops]
+    moves_m = [float(np.linalg.norm(node.place[:3, 3] - node.uncorrected[:3, 3])) for node in graph.nodes]
+    return GraphSummary(
+        num_submaps=len(graph.nodes),
+        num_accepted=statuses.count("accepted"),
+        num_rejected=statuses.count("rejected"),
+        num_withdrawn=statuses.count("withdrawn"),
+        moved_m=max(moves_m, default=0.0),
+        sigma_m=max((node.sigma_m for node in graph.nodes), default=0.0),
+        loops=graph.loops,
+    )
+
+
+def told(summary: GraphSummary) -> str:
+    """Return a pose graph as a line for people."""
+    counts = {
+        "accepted": summary.num_accepted,
+        "rejected": summary.num_rejected,
+        "withdrawn": summary.num_withdrawn,
+    }
+    said = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
+    return (
+        f"pose graph: {summary.num_submaps} submaps, {len(summary.loops)} loops{f' ({said})' if said else ''}; submaps "
+        f"moved by up to {summary.moved_m:.2f} m, places are known within {summary.sigma_m:.2f} m (1 sigma)"
+    )
