@@ -1,48 +1,16 @@
-"""The way of the camera before and after the pose graph moved the submaps."""
+"""The way of the camera before and after the pose graph moved the submaps, as a map folder has it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.graph.ways import ways_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from hickory_stream.engine.saved_map import SavedMap
-    from hickory_stream.records import PoseGraphRecord
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Ways:
-    """Where the camera was: `before` (N, 3) as odometry has it, `after` (N, 3) as the solution of the graph has it."""
-
-    before: NDArray[np.float64]
-    after: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        freeze(self, "before", np.float64, (None, 3))
-        freeze(self, "after", np.float64, (len(self.before), 3))
-
-
-def ways_of(graph: PoseGraphRecord, stamps_ns: Sequence[int], places_m: NDArray[np.float64]) -> Ways:
-    """Return the ways of the camera from the places (N, 3) that odometry gave it; each moves with its submap.
-
-    A place belongs to the last submap that had been opened by its stamp.
-    """
-    opened = np.array([node.stamp_ns for node in graph.nodes])
-    owners = np.maximum(np.searchsorted(opened, np.asarray(stamps_ns), side="right") - 1, 0)
-    after = np.empty_like(places_m)
-    for i, node in enumerate(graph.nodes):
-        is_own = owners == i
-        after[is_own] = apply(node.place @ invert(node.uncorrected), places_m[is_own])
-    return Ways(before=places_m, after=after)
+    from hickory_stream.graph.ways import Ways
 
 
 def recorded_ways(saved: SavedMap) -> Ways | None:

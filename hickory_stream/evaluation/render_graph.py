@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.drawing import Color
-    from hickory_stream.evaluation.graph_paths import Ways
+    from hickory_stream.graph.ways import Ways
     from hickory_stream.records import PoseGraphRecord
 
 BEFORE, AFTER, LOOP, REFUSED = (232, 150, 60), (40, 110, 200), (30, 150, 80), (150, 150, 150)

@@ -8,6 +8,7 @@ import rerun.blueprint as rrb
 
 from hickory_stream.sinks.rerun_eye import MAIN_ASPECT, SIDE_ASPECT, WHOLE_ASPECT, eye_on
 from hickory_stream.sinks.rerun_frame import CAMERA, TRAJECTORY
+from hickory_stream.sinks.rerun_graph import GRAPH
 from hickory_stream.sinks.rerun_items import KEYFRAME
 from hickory_stream.sinks.rerun_labels import LABELS
 from hickory_stream.sinks.rerun_numbers import DECISIONS, OBJECT_DECISIONS, PLOTS
@@ -57,6 +58,7 @@ def default_blueprint(corners: NDArray[np.float64], *, num_views: int, is_live: 
             _plot("Stage times [s]", "time"),
             _plot("Objects by phase", "objects"),
             _plot("Queues", "queue"),
+            _plot("Pose graph", "graph"),
         ),
     )
     # As wide as the window: a list of candidates is one long line.
@@ -113,7 +115,7 @@ def _map_view(
     extras = [f"+ {FLOOR}/**"]
     if is_main:
         # The images are left out: they would hang in the room at the camera and hide what is behind them.
-        extras += [f"+ {TRAJECTORY}/**", f"+ {CAMERA}", f"+ {LABELS}/**", f"+ {FILLED}/**"]
+        extras += [f"+ {TRAJECTORY}/**", f"+ {GRAPH}/**", f"+ {CAMERA}", f"+ {LABELS}/**", f"+ {FILLED}/**"]
     return rrb.Spatial3DView(
         origin="world",
         name=name,

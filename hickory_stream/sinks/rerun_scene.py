@@ -15,6 +15,7 @@ from hickory_stream.sinks.rerun_frame import (
     mask_items,
     rejected_items,
 )
+from hickory_stream.sinks.rerun_graph import GraphLines
 from hickory_stream.sinks.rerun_items import LogItem, Span
 from hickory_stream.sinks.rerun_labels import ObjectLabels
 from hickory_stream.sinks.rerun_numbers import Plots, decision_items
@@ -45,6 +46,7 @@ class RerunScene:
         self._views = BestViews(config.jpeg_quality)
         self._plots = Plots()
         self._trajectory = Trajectory()
+        self._graph = GraphLines()
         self._class_colors = ClassColors()
         self._feature_colors = FeatureColors()
         self._last_snapshot: MapSnapshot | None = None
@@ -86,6 +88,7 @@ class RerunScene:
             items += self._class_colors.items(report.object_ids) + mask_items(report) + rejected_items(report)
         if report.snapshot is not None:
             self._last_snapshot = report.snapshot
+            items += self._graph.items(report)
             items += self._layers.update(report.snapshot.objects, report.stamp_ns)
             items += self._labels.update(report.snapshot.objects, report.stamp_ns)
             assert report.keyframe_index is not None

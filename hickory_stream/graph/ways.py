@@ -1,0 +1,44 @@
+"""The way of the camera before and after the pose graph moved the submaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import apply, compose, invert
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import PoseGraphRecord
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Ways:
+    """Where the camera was: `before` (N, 3) as odometry has it, `after` (N, 3) as the solution of the graph has it."""
+
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self, "before", np.float64, (None, 3))
+        freeze(self, "after", np.float64, (len(self.before), 3))
+
+
+def ways_of(graph: PoseGraphRecord, stamps_ns: Sequence[int], places_m: NDArray[np.float64]) -> Ways:
+    """Return the ways of the camera from the places (N, 3) that odometry gave it; each moves with its submap.
+
+    A place belongs to the last submap that had been opened by its stamp.
+    """
+    opened = np.array([node.stamp_ns for node in graph.nodes])
+    owners = np.maximum(np.searchsorted(opened, np.asarray(stamps_ns), side="right") - 1, 0)
+    after = np.empty_like(places_m)
+    for i, node in enumerate(graph.nodes):
+        is_own = owners == i
+        after[is_own] = apply(compose(node.place, invert(node.uncorrected)), places_m[is_own])
+    return Ways(before=places_m, after=after)
