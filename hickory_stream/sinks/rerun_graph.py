@@ -80,7 +80,8 @@ def _nodes(graph: PoseGraphRecord) -> rr.Points3D:
 def _loops(graph: PoseGraphRecord, status: EdgeStatus) -> rr.LineStrips3D:
     """Return the loops of a status, with their scores, and why they are not believed."""
     places = {node.submap_id: node.place[:3, 3] for node in graph.nodes}
-    strips, labels = [], []
+    strips: list[NDArray[np.float64]] = []
+    labels: list[str] = []
     for loop in graph.loops:
         if loop.status == status:
             ends = np.array([places[loop.earlier], places[loop.later]])
