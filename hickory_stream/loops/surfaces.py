@@ -1,6 +1,9 @@
 """Registration of two submaps by their surfaces, and what speaks for and against the result.
 
-Generalised ICP (Segal, Haehnel and Thrun, RSS 2009) of the library small_gicp, on one thread, with gates that narrow.
+Iterated closest points, point to plane (Chen and Medioni 1992), with gates that narrow and a robust loss. Points pair
+only where their normals agree, which look at the camera that saw them (Pulli 1999): the two sides of a wall are never
+taken for one another, as a registration by distributions of points alone does it by the wall's thickness.
+
 It answers always; what there is to believe it is measured here: how much surface has met, and how much of it lies where
 the other submap saw free space.
 """
@@ -9,23 +12,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.rigid import apply, compose, invert
+from hickory_stream.geometry.portable_kernels import solve_in_place
+from hickory_stream.geometry.rigid import (
+    apply,
+    compose,
+    from_rotation_translation,
+    invert,
+    rotation_of_vector,
+)
 from hickory_stream.geometry.voxels import contains, keys_of_points
-from hickory_stream.poses.degeneracy import degenerate_directions, surfels_of, without_degenerate
+from hickory_stream.poses.degeneracy import Surfels, degenerate_directions, without_degenerate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_NEIGHBORS = 12
-_ITERATIONS = 30
-_GATES_M = (0.3, 0.15)
-_CORRELATED = 50.0
+_NORMAL_M = 0.4
+"""So many metres apart are points whose normals differ by a radian: opposite sides are further apart than any gate."""
+
+_GATES_M = (0.3, 0.3, 0.2, 0.2, 0.15, 0.15, 0.12, 0.12, 0.12, 0.12)
+_LEAST_GATE_ROUNDS = 4
+_CORRELATED = 30.0
 """So many neighbouring points err alike: the share of the Hessian that counts as independent evidence."""
 
 _FLOOR_RAD, _FLOOR_M = 0.002, 0.01
@@ -34,53 +46,37 @@ _FLOOR_RAD, _FLOOR_M = 0.002, 0.01
 _UNKNOWN_VARIANCE = 100.0
 """That of a direction along which the surfaces say nothing, in m^2 and rad^2."""
 
-_MET_M = 0.1
-"""Surfaces that are nearer than this to each other have met."""
+_MET_M = 0.06
+"""Surfaces that are nearer than this to each other, across, have met."""
 
 _FREE_M = 0.25
 """A point in free space counts against a fit only so far from all surface: at its rim both are seen."""
 
-_TESTED_EVERY, _TESTED_NEIGHBORS = 8, 25
 _STRONG_COSINE, _LEAST_STRONG = 0.7, 40.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """A submap's surface: `points` (N, 3) and the sorted keys of its `free` voxels, in its frame.
+    """A submap's surface: `points` and unit `normals` (N, 3), and the sorted keys of its `free` voxels, in its frame.
 
     `anchor` (4, 4) is the camera's first pose in it, the node of the pose graph. The trees are made when first asked.
     """
 
     points: NDArray[np.float64]
+    normals: NDArray[np.float64]
     free: NDArray[np.int64]
     voxel_m: float
     anchor: NDArray[np.float64]
 
     @cached_property
+    def sides(self) -> cKDTree:
+        """The points with their normals, to be looked up together."""
+        return cKDTree(_with_normals(self.points, self.normals))
+
+    @cached_property
     def places(self) -> cKDTree:
-        """The points, to be looked up."""
+        """The points alone."""
         return cKDTree(self.points)
-
-    @cached_property
-    def target(self) -> tuple[Any, Any]:
-        """The points with the distributions of their neighbours, and their tree, as small_gicp wants them."""
-        return _prepared(self.points)
-
-    @cached_property
-    def source(self) -> Any:
-        """The same in the frame of the anchor, about which a registration turns them."""
-        return _prepared(apply(invert(self.anchor), self.points))[0]
-
-    @cached_property
-    def degenerate(self) -> NDArray[np.float64]:
-        """The directions (K, 6) along which the surface says nothing, rotation first, in the frame of the anchor."""
-        import small_gicp
-
-        points = np.ascontiguousarray(apply(invert(self.anchor), self.points))
-        tree = small_gicp.KdTree(small_gicp.PointCloud(points))
-        neighbors, _ = tree.batch_knn_search(points[::_TESTED_EVERY], _TESTED_NEIGHBORS, 1)
-        surfels = surfels_of(points, neighbors, _TESTED_EVERY)
-        return degenerate_directions(surfels, strong_cosine=_STRONG_COSINE, least_strong=_LEAST_STRONG)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -103,78 +99,124 @@ class SurfaceFit:
         return self.num_met / self.num_known if self.num_known else 0.0
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Paired:
+    """Points of the later surface in the frame of its anchor, the normals between them and theirs, and residuals."""
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    residuals_m: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+
 def registered(earlier: Surface, later: Surface, predicted: NDArray[np.float64], reach_m: float) -> SurfaceFit:
     """Return how a later surface lies in an earlier one.
 
     Args:
-        earlier: the surface that stays, with at least as many points as a distribution needs neighbours.
+        earlier: the surface that stays.
         later: the surface that is moved.
         predicted: (4, 4) earlier_from_later, where to start.
         reach_m: points up to this far apart are paired at first.
     """
-    import small_gicp
-
+    node_from_later = invert(later.anchor)
+    points = apply(node_from_later, later.points)
+    normals = portable.matmul(later.normals, node_from_later[:3, :3].T)
     start = pose = compose(predicted, later.anchor)
-    cloud, tree = earlier.target
-    found: Any = None
-    for gate_m in (*((reach_m,) if reach_m > _GATES_M[0] else ()), *_GATES_M):
-        found = small_gicp.align(
-            cloud,
-            later.source,
-            tree,
-            init_T_target_source=pose,
-            max_correspondence_distance=gate_m,
-            num_threads=1,
-            max_iterations=_ITERATIONS,
-        )
-        pose = found.T_target_source
-    degenerate = later.degenerate
-    pose = without_degenerate(_rigid(pose), start, degenerate)
-    earlier_from_later = compose(pose, invert(later.anchor))
+    paired = _pairs(earlier, points, normals, pose, reach_m)
+    wide = [reach_m] * _LEAST_GATE_ROUNDS if reach_m > _GATES_M[0] else []
+    for gate_m in (*wide, *_GATES_M):
+        paired = _pairs(earlier, points, normals, pose, gate_m)
+        step = _step(paired)
+        if step is None:
+            break
+        pose = compose(pose, from_rotation_translation(rotation_of_vector(step[:3]), step[3:]))
+    degenerate = degenerate_directions(
+        Surfels(points=paired.points, normals=paired.normals, weight=1.0),
+        strong_cosine=_STRONG_COSINE,
+        least_strong=_LEAST_STRONG,
+    )
+    earlier_from_later = compose(without_degenerate(pose, start, degenerate), node_from_later)
+    met, known = _evidence(earlier, later, earlier_from_later)
     return SurfaceFit(
         earlier_from_later=earlier_from_later,
-        covariance=_covariance(found, degenerate),
-        **_evidence(earlier, later, earlier_from_later),
+        covariance=_covariance(paired, degenerate),
+        num_met=met,
+        num_known=known,
     )
 
 
-def _prepared(points: NDArray[np.float64]) -> tuple[Any, Any]:
-    import small_gicp
-
-    cloud = small_gicp.PointCloud(np.ascontiguousarray(points))
-    tree = small_gicp.KdTree(cloud)
-    small_gicp.estimate_normals_covariances(cloud, tree, _NEIGHBORS, 1)
-    return cloud, tree
+def _with_normals(points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([points, _NORMAL_M * normals], axis=1)
 
 
-def _rigid(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a transform with an exact rotation."""
-    return np.vstack(
-        [np.column_stack([portable.nearest_orthogonal(matrix[None, :3, :3])[0], matrix[:3, 3]]), [0, 0, 0, 1]]
+def _pairs(
+    earlier: Surface, points: NDArray[np.float64], normals: NDArray[np.float64], pose: NDArray[np.float64], gate_m: float
+) -> _Paired:
+    """Pair the later points with the nearest earlier ones, of place and normal together, within a gate."""
+    turn = pose[:3, :3]
+    there, facing = apply(pose, points), portable.matmul(normals, turn.T)
+    distance, at = earlier.sides.query(_with_normals(there, facing), distance_upper_bound=gate_m)
+    is_paired = np.isfinite(distance)
+    theirs = at[is_paired]
+    # The plane between the two: symmetric ICP (Rusinkiewicz 2019).
+    across = facing[is_paired] + earlier.normals[theirs]
+    across /= np.sqrt((across * across).sum(axis=1))[:, None]
+    residuals = (across * (earlier.points[theirs] - there[is_paired])).sum(axis=1)
+    scale = gate_m / 3.0
+    ratio = residuals / scale
+    return _Paired(
+        points=points[is_paired],
+        normals=portable.matmul(across, turn),
+        residuals_m=residuals,
+        weights=1.0 / (1.0 + ratio * ratio),
     )
 
 
-def _evidence(earlier: Surface, later: Surface, earlier_from_later: NDArray[np.float64]) -> dict[str, int]:
+def _normal_equations(paired: _Paired) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the Hessian (6, 6) and the right side (6,) of a small turn, then shift, in the frame of the anchor."""
+    lever = np.cross(paired.points, paired.normals)
+    rows = np.concatenate([lever, paired.normals], axis=1)
+    weighted = rows * paired.weights[:, None]
+    return portable.matmul(rows.T, weighted), (weighted * paired.residuals_m[:, None]).sum(axis=0)
+
+
+def _step(paired: _Paired) -> NDArray[np.float64] | None:
+    """Return the small turn, then shift (6,), that brings pairs together best; None where there are too few."""
+    if len(paired.points) < _LEAST_STRONG:
+        return None
+    hessian, right = _normal_equations(paired)
+    # What no pair speaks for stays as it is.
+    hessian = np.ascontiguousarray(hessian + 1e-3 * np.eye(6))
+    solve_in_place(hessian, right)
+    return right
+
+
+def _evidence(earlier: Surface, later: Surface, earlier_from_later: NDArray[np.float64]) -> tuple[int, int]:
     """Return how many points of either surface met the other one, and of how many it knows what is there."""
-    there = apply(earlier_from_later, later.points)
-    back = apply(invert(earlier_from_later), earlier.points)
-    counts = [_met_and_against(earlier, there), _met_and_against(later, back)]
+    back = invert(earlier_from_later)
+    counts = [_met_and_against(earlier, later, earlier_from_later), _met_and_against(later, earlier, back)]
     met, against = (sum(count[i] for count in counts) for i in range(2))
-    return {"num_met": met, "num_known": met + against}
+    return met, met + against
 
 
-def _met_and_against(surface: Surface, points: NDArray[np.float64]) -> tuple[int, int]:
-    """Return how many points lie on a surface, and how many in its free space, away from all surface."""
-    distance, _ = surface.places.query(points, distance_upper_bound=_FREE_M)
-    is_free = contains(surface.free, keys_of_points(points, surface.voxel_m)) & ~np.isfinite(distance)
-    return int((distance < _MET_M).sum()), int(is_free.sum())
+def _met_and_against(surface: Surface, other: Surface, here_from_other: NDArray[np.float64]) -> tuple[int, int]:
+    """Return how many points of another surface lie on one, and how many in its free space, away from all surface."""
+    points = apply(here_from_other, other.points)
+    facing = portable.matmul(other.normals, here_from_other[:3, :3].T)
+    distance, at = surface.sides.query(_with_normals(points, facing), distance_upper_bound=_FREE_M)
+    is_near = np.isfinite(distance)
+    off = (surface.normals[at[is_near]] * (surface.points[at[is_near]] - points[is_near])).sum(axis=1)
+    away, _ = surface.places.query(points, distance_upper_bound=_FREE_M)
+    is_free = contains(surface.free, keys_of_points(points, surface.voxel_m)) & ~np.isfinite(away)
+    return int((np.abs(off) < _MET_M).sum()), int(is_free.sum())
 
 
-def _covariance(found: Any, degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
+def _covariance(paired: _Paired, degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the covariance (6, 6) of a result: its Hessian in units of its residuals, wide where it is degenerate."""
-    variance = max(2.0 * found.error / max(3 * found.num_inliers - 6, 1), 1e-12)
-    information = np.asarray(found.H, dtype=np.float64) / (variance * _CORRELATED)
-    values, vectors = portable.eigh(0.5 * (information + information.T))
+    hessian, _ = _normal_equations(paired)
+    total = float(paired.weights.sum())
+    variance = max(float((paired.weights * paired.residuals_m**2).sum()) / max(total, 1.0), 1e-8)
+    values, vectors = portable.eigh(hessian / (variance * _CORRELATED))
     variances = 1.0 / np.maximum(values, 1.0 / _UNKNOWN_VARIANCE)
     covariance = portable.matmul(vectors * variances, vectors.T)
     covariance += np.diag([_FLOOR_RAD**2] * 3 + [_FLOOR_M**2] * 3)

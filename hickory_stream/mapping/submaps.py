@@ -34,7 +34,7 @@ from hickory_stream.mapping.observed_space import (
     is_another_storey,
     without_floor,
 )
-from hickory_stream.mapping.submap_surface import SubmapSurface, no_surface, points_of, with_points
+from hickory_stream.mapping.submap_surface import SubmapSurface, no_surface, surface_points, with_points
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation, Submap
 
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.events import FrameObserved
+    from hickory_stream.mapping.submap_surface import SurfacePoints
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -147,7 +148,7 @@ def with_keyframe(submaps: Submaps, event: FrameObserved, config: SubmapConfig) 
     submaps = travelled(submaps, event.world_from_camera, event.stamp_ns, config)
     if event.coarse is None:
         return submaps
-    return with_surface(submaps, points_of(event.coarse, event.world_from_camera, config.surface_range_m), config)
+    return with_surface(submaps, surface_points(event.coarse, event.world_from_camera, config.surface_range_m), config)
 
 
 def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config: SubmapConfig) -> Submaps:
@@ -167,10 +168,10 @@ def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config
     return replace(submaps, states=(*submaps.states[:-1], current), last_pose=pose)
 
 
-def with_surface(submaps: Submaps, points: NDArray[np.float32], config: SubmapConfig) -> Submaps:
-    """Return the submaps with a keyframe's points (N, 3), in the odometry's frame, on the open one's surface."""
+def with_surface(submaps: Submaps, seen: SurfacePoints, config: SubmapConfig) -> Submaps:
+    """Return the submaps with a keyframe's surfaces, in the odometry's frame, on the open one's."""
     current = submaps.states[-1]
-    current = replace(current, surface=with_points(current.surface, points, config.surface_m))
+    current = replace(current, surface=with_points(current.surface, seen, config.surface_m))
     return replace(submaps, states=(*submaps.states[:-1], current))
 
 
