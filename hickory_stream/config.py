@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_or
 
 from hickory_stream.errors import ConfigError, RangeError
 from hickory_stream.geometry.depth_sensor import SensorConfig
+from hickory_stream.graph.config import GraphConfig
 from hickory_stream.json_text import toml_string
+from hickory_stream.loops.config import LoopConfig
 from hickory_stream.mapping.keyframes import KeyframeConfig
 from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.perception.perceive import PerceptionConfig
@@ -123,6 +125,8 @@ class MapperConfig:
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
+    loops: LoopConfig = field(default_factory=LoopConfig)
+    graph: GraphConfig = field(default_factory=GraphConfig)
     shapes: ShapeConfig = field(default_factory=ShapeConfig)
     run: RunConfig = field(default_factory=RunConfig)
     journal: JournalConfig = field(default_factory=JournalConfig)

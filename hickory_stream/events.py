@@ -20,12 +20,14 @@ if TYPE_CHECKING:
     from hickory_stream.records import (
         CoarseFrame,
         Decision,
+        Loop,
         MapSnapshot,
         MaskFeature,
         ObjectShape,
         Observation,
         RejectedMask,
         SpaceObservation,
+        SurveyedSubmap,
         View,
     )
 
@@ -132,6 +134,22 @@ class PosesCorrected:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class LoopsSearched:
+    """The answer to `SearchLoops`: what was found, believed or not; `stamp_ns` is when it is committed."""
+
+    submap_id: int
+    stamp_ns: int
+    loops: tuple[Loop, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WayEnded:
+    """The last frame was mapped; the core asks for the loops of the open submap, before the map is finished."""
+
+    stamp_ns: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class SourceEnded:
     """No frame will follow; the core asks for what is still worth building."""
 
@@ -139,7 +157,16 @@ class SourceEnded:
 
 
 Event = (
-    FrameObserved | FeaturesReady | ShapeReady | ShapeFailed | TimeJumped | PoseJumped | PosesCorrected | SourceEnded
+    FrameObserved
+    | FeaturesReady
+    | ShapeReady
+    | ShapeFailed
+    | TimeJumped
+    | PoseJumped
+    | PosesCorrected
+    | LoopsSearched
+    | WayEnded
+    | SourceEnded
 )
 
 # ---- effects --------------------------------------------------------------------------------------------------------
@@ -198,6 +225,21 @@ class CancelShape:
     ticket: int
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SearchLoops:
+    """Search where the submap `submap_id`, which has ended, lies in those before it; answer with `LoopsSearched`.
+
+    `submaps` are it and all before it, `snapshot` the map, both as they are now; `loops` what was found before. The
+    answer is committed at the first keyframe at or after `due_ns` (playback).
+    """
+
+    submap_id: int
+    due_ns: int
+    submaps: tuple[SurveyedSubmap, ...]
+    loops: tuple[Loop, ...]
+    snapshot: MapSnapshot
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Publish:
     """Show the map as it is now, the decisions that led here, and the object that each observation went to.
@@ -211,4 +253,4 @@ class Publish:
     metrics: tuple[tuple[str, float], ...] = ()
 
 
-Effect = ComputeFeatures | KeepView | DropView | RequestShape | CancelShape | Publish
+Effect = ComputeFeatures | KeepView | DropView | RequestShape | CancelShape | SearchLoops | Publish

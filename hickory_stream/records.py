@@ -442,6 +442,35 @@ class Submap:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SurveyedSubmap:
+    """A submap as a search for loops has it, when it was asked for.
+
+    `anchor` (4, 4) is the camera's first pose in its frame, the node of the pose graph; `way_m` and `turn_rad` are how
+    far the camera moved and turned in it, `after_jump` whether the odometry jumped before it. `points` and unit
+    `normals` (N, 3) are its surface, `free` the sorted keys of voxels of `voxel_m` that were seen to be free.
+    """
+
+    id: int
+    world_from_submap: NDArray[np.float64]
+    anchor: NDArray[np.float64]
+    way_m: float
+    turn_rad: float
+    after_jump: bool
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    free: NDArray[np.int64]
+    voxel_m: float
+
+    def __post_init__(self) -> None:
+        whole_number(self.id, "submap")
+        freeze(self, "world_from_submap", np.float64, (4, 4))
+        freeze(self, "anchor", np.float64, (4, 4))
+        freeze(self, "points", np.float32, (None, 3))
+        freeze(self, "normals", np.float32, (len(self.points), 3))
+        freeze(self, "free", np.int64, (None,))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Loop:
     """Where a submap lies in an earlier one, as a search for loops found it, or why the search did not believe it.
 
@@ -573,6 +602,7 @@ DecisionKind = Literal[
     "time_jump",  # of the stamps
     "pose_jump",  # of the odometry
     "pose_correction",  # of submaps
+    "loop",  # was found, or is not believed
     "floor",  # is another one
 ]
 

@@ -133,6 +133,18 @@ VALID: dict[type, dict[str, Any]] = {
         "world_from_submap": _POSE,
         "observed_space": records.ObservedSpace(voxel_m=0.05, free=_KEYS, structure=_KEYS, floor_z_m=None),
     },
+    records.SurveyedSubmap: {
+        "id": 0,
+        "world_from_submap": _POSE,
+        "anchor": _POSE,
+        "way_m": 1.0,
+        "turn_rad": 0.5,
+        "after_jump": False,
+        "points": np.zeros((5, 3), np.float32),
+        "normals": np.ones((5, 3), np.float32),
+        "free": _KEYS,
+        "voxel_m": 0.05,
+    },
     records.Loop: {
         "earlier": 0,
         "later": 3,

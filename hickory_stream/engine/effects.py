@@ -18,6 +18,7 @@ from hickory_stream.events import (
     KeepView,
     Publish,
     RequestShape,
+    SearchLoops,
 )
 from hickory_stream.perception.perceive import features_of
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from hickory_stream.engine.loop_closing import LoopCloser
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.recorder import Recorder
     from hickory_stream.engine.shape_queue import ShapeQueue
@@ -65,6 +67,7 @@ class EffectTargets:
     recorder: Recorder
     steps: StepWriter
     shapes: ShapeQueue
+    loops: LoopCloser
     extractor: FeatureExtractor
     publish: Callable[[MapSnapshot], None]
 
@@ -124,6 +127,8 @@ class EffectRunner:
             case RequestShape():
                 await self._to.recorder.written()
                 await self._to.shapes.request(effect)
+            case SearchLoops():
+                self._to.loops.request(effect)
             case CancelShape():
                 self._to.shapes.cancel(effect.ticket)
                 self._to.steps.end_job(effect.ticket)

@@ -25,6 +25,8 @@ _EVENTS = (
     "SourceEnded",
     "PoseJumped",
     "PosesCorrected",
+    "LoopsSearched",
+    "WayEnded",
 )
 CHANNELS = {name: 16 + i for i, name in enumerate(_EVENTS)}
 EVENT_NAMES = {channel: name for name, channel in CHANNELS.items()}

@@ -37,6 +37,7 @@ from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
 from hickory_stream.engine.frame_reports import final_report, keyframe_report, plain_report
 from hickory_stream.engine.history.rewind import rewound_to
 from hickory_stream.engine.keyframe_images import color_of
+from hickory_stream.engine.loop_closing import LoopCloser
 from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.reading import Position, Read, Reader, sensed
 from hickory_stream.engine.recorder import Recorder
@@ -50,7 +51,7 @@ from hickory_stream.engine.stopping import Stop
 from hickory_stream.engine.threads import on_thread
 from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import RecordingError
-from hickory_stream.events import PoseJumped, SourceEnded
+from hickory_stream.events import PoseJumped, SourceEnded, WayEnded
 from hickory_stream.perception.perceive import Perceived, perceive
 from hickory_stream.ports import interrupt, num_seeks
 
@@ -120,6 +121,7 @@ class Run:
             checkpoint_keyframes=config.journal.checkpoint_keyframes,
         )
         self._announcer = Announcer(parts.sinks, parts.publish, parts.progress, waits=parts.mode == "playback")
+        self._loops = LoopCloser(config.loops, config.graph, extractor=parts.extractor.name, mode=parts.mode)
         # One thread reads ahead, one perceives and decides: what must come in order stays in order.
         self._thinker = ThreadPoolExecutor(1, "think")
         targets = EffectTargets(
@@ -127,6 +129,7 @@ class Run:
             recorder=self._recorder,
             steps=self._steps,
             shapes=self._shapes,
+            loops=self._loops,
             extractor=parts.extractor,
             publish=self._announcer.publish,
         )
@@ -219,6 +222,7 @@ class Run:
                 watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
                 if resumes is not None:
                     self._shapes.resume(resumes.open_jobs, resumes.step.shape_counts)
+                    self._loops.restart(resumes.core.searches)
                 if self._is_source_over:
                     await self._reader.end()
                 else:
@@ -235,6 +239,7 @@ class Run:
             raise
         finally:
             self._reader.close()
+            self._loops.close()
             self._thinker.shutdown(wait=True)
             self._recorder.close()
 
@@ -287,6 +292,16 @@ class Run:
             self._clock.counts["pose_corrections"] += 1
             await self._effects.handle(event)
 
+    async def _close_loops(self, stamp_ns: int, *, all_of_them: bool = False) -> None:
+        """Tell the core of the loops that are due at a stamp, and place the submaps as the graph then has them."""
+        while (event := await self._loops.next_due(None if all_of_them else stamp_ns)) is not None:
+            await self._effects.handle(event)
+            if any(loop.reason is None for loop in event.loops):
+                corrected = await on_thread(self._thinker, self._loops.correction, self._effects.core, stamp_ns)
+                if corrected is not None:
+                    self._clock.counts["loop_corrections"] += 1
+                    await self._effects.handle(corrected)
+
     async def _rewind(self, stamp_ns: int) -> None:
         """Restore the core's state before a stamp; events after it that are not in the journal yet are discarded."""
         self._clock.counts["rewinds"] += 1
@@ -295,6 +310,7 @@ class Run:
         rewound = await on_thread(self._thinker, rewound_to, folder, config, stamp_ns, now)
         self._effects.core = rewound.core
         self._steps.rewind(rewound, self._shapes.rewind(rewound.open_jobs, rewound.answers))
+        self._loops.restart(rewound.core.searches)
         if len(self._corrections):
             # Their submaps may not be there yet.
             logger.warning("%d corrections of poses were for what somebody went back from", len(self._corrections))
@@ -321,6 +337,7 @@ class Run:
         self._clock.num_keyframes += 1
         started = time.perf_counter()
         await self._due.commit(frame.stamp_ns)
+        await self._close_loops(frame.stamp_ns)
         waited = time.perf_counter()
         perceived = await on_thread(self._thinker, self._perceived, frame, prepared)
         if not np.isfinite(frame.depth_m).any():
@@ -371,6 +388,8 @@ class Run:
         kind = StepKind.ENDED if self.is_complete else StepKind.CLOSING
         await self._correct(last.stamp_ns)
         if self.is_complete and not self._is_source_over:
+            await self._effects.handle(WayEnded(stamp_ns=last.stamp_ns))
+            await self._close_loops(last.stamp_ns, all_of_them=True)
             published = (await self._effects.handle(SourceEnded(stamp_ns=last.stamp_ns))).published
             decisions = published.decisions if published is not None else ()
         await self._steps.commit(kind, last.stamp_ns)

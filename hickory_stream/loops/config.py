@@ -12,8 +12,6 @@ class LoopConfig(Ranged):
     """How loops are searched, and when one is believed.
 
     Attributes:
-        enabled: whether they are searched at all.
-        latency_s: what a search found takes effect at the first keyframe so long after the submap's end.
         least_apart: a submap is not searched in those before it that are fewer than this away.
         most_candidates: a submap is registered to so many earlier ones at most, those that it overlaps most.
         least_overlap: the share of a submap's surface that must lie in the other one for them to be a candidate.
@@ -25,8 +23,6 @@ class LoopConfig(Ranged):
             it, is no correction: the map resolves no less.
     """
 
-    enabled: bool = True
-    latency_s: float = number(3.0, 0, 3600, "s")
     least_apart: int = number(2, 1, 1000, "submaps")
     most_candidates: int = number(4, 1, 1000, "submaps")
     least_overlap: float = number(0.15, 0, 1, "share")

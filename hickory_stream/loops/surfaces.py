@@ -150,7 +150,11 @@ def _with_normals(points: NDArray[np.float64], normals: NDArray[np.float64]) -> 
 
 
 def _pairs(
-    earlier: Surface, points: NDArray[np.float64], normals: NDArray[np.float64], pose: NDArray[np.float64], gate_m: float
+    earlier: Surface,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    pose: NDArray[np.float64],
+    gate_m: float,
 ) -> _Paired:
     """Pair the later points with the nearest earlier ones, of place and normal together, within a gate."""
     turn = pose[:3, :3]

@@ -15,24 +15,28 @@ from hickory_stream.events import (
     Event,
     FeaturesReady,
     FrameObserved,
+    LoopsSearched,
     PoseJumped,
     PosesCorrected,
     Publish,
+    SearchLoops,
     ShapeFailed,
     ShapeReady,
     SourceEnded,
     TimeJumped,
+    WayEnded,
 )
-from hickory_stream.geometry import portable
 from hickory_stream.mapping.best_views import drop_unused_views, judge_views, propose_views
 from hickory_stream.mapping.invariants import validate
+from hickory_stream.mapping.jumps import pose_jumped, time_jumped
+from hickory_stream.mapping.keyframe_steps import begin_keyframe, see_space
+from hickory_stream.mapping.loop_searches import ask_for_loops, end_search
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
 from hickory_stream.mapping.moved_submaps import end_elsewhere, place_submaps, recognise
-from hickory_stream.mapping.observed_space import floor_change
 from hickory_stream.mapping.shape_requests import end_shape, request_shapes
 from hickory_stream.mapping.snapshots import Snapshots, metrics_of
-from hickory_stream.mapping.submaps import first_submap, interrupted, torn, with_keyframe, with_seen
-from hickory_stream.mapping.track_ageing import age_tracks, end_tracks, settle
+from hickory_stream.mapping.submaps import first_submap
+from hickory_stream.mapping.track_ageing import age_tracks, end_tracks
 from hickory_stream.mapping.track_splitting import moved_out, split_tracks
 from hickory_stream.mapping.tracker import Tracker
 
@@ -40,8 +44,9 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.submaps import SubmapState
     from hickory_stream.mapping.tracker import Associator
-    from hickory_stream.records import MapPrior, MapSnapshot
+    from hickory_stream.records import Loop, MapPrior, MapSnapshot
 
 logger = logging.getLogger(__name__)
 
@@ -85,11 +90,19 @@ class MapperCore:
                 end_shape(self._state, event)
                 return []
             case TimeJumped():
-                return self._time_jumped(event)
+                time_jumped(self._state, event)
+                return []
             case PoseJumped():
-                return self._pose_jumped(event)
+                open_id = self._state.submaps.open_id
+                pose_jumped(self._state, event, self._config)
+                return [*self._ask_for_loops_before(open_id)]
             case PosesCorrected():
                 return self._poses_corrected(event)
+            case LoopsSearched():
+                end_search(self._state, event)
+                return []
+            case WayEnded():
+                return [*self._ask_for_loops_before()]
             case SourceEnded():
                 return self._source_ended()
             case _:
@@ -99,8 +112,9 @@ class MapperCore:
 
     def _keyframe(self, event: FrameObserved) -> list[Effect]:
         state, config, tracker = self._state, self._config, self._tracker
-        self._begin_keyframe(event)
-        effects = recognise(state, event, config)
+        open_id = state.submaps.open_id
+        begin_keyframe(state, event, config)
+        effects = [*self._ask_for_loops_before(open_id), *recognise(state, event, config)]
         sightings = tracker.track(state, event)
         seen_ids = {sighting.track_id for sighting in sightings}
         promoted = split_tracks(state, event, seen_ids, config)
@@ -108,7 +122,7 @@ class MapperCore:
         changed_ids = {*(sighting.track_id for sighting in sightings), *promoted, *promoted.values()}
         effects += tracker.merge_tracks(state, changed_ids)
         effects += age_tracks(state, event, config, merges=not tracker.is_told)
-        self._see_space(event)
+        see_space(state, event)
         candidates, keeps = propose_views(state, event, sightings, config.views)
         effects += keeps
         state.num_masks += len(event.observations)
@@ -122,25 +136,12 @@ class MapperCore:
             ComputeFeatures(frame_index=event.frame_index, observation_indices=tuple(sorted(candidates))),
         ]
 
-    def _begin_keyframe(self, event: FrameObserved) -> None:
-        state = self._state
-        if state.pending is not None:
-            raise ValueError(
-                f"frame {event.frame_index} came while features of {state.pending.frame_index} are pending"
-            )
-        state.revision += 1
-        state.advance_clock(event.stamp_ns)
-        state.submaps = with_keyframe(state.submaps, event, self._config.submaps)
-        for rejected in event.rejected:
-            state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
-
-    def _see_space(self, event: FrameObserved) -> None:
-        """Add the keyframe's observations of free space, structure and floor to the map."""
-        state = self._state
-        changed = floor_change(state.submaps.space, event.space.floor_z_m)
-        if changed is not None:
-            state.decide("floor", None, changed)
-        state.submaps = with_seen(state.submaps, event.space)
+    def _ask_for_loops_before(self, open_id: int | None = None) -> list[SearchLoops]:
+        """Return the search for loops of the submap that was open, if it has ended (None: of the one that is open)."""
+        now_id = self._state.submaps.open_id
+        if open_id == now_id:
+            return []
+        return ask_for_loops(self._state, now_id if open_id is None else open_id, self.snapshot, self._config.submaps)
 
     def _features_ready(self, event: FeaturesReady) -> list[Effect]:
         state, pending = self._state, self._state.pending
@@ -164,29 +165,6 @@ class MapperCore:
         ]
 
     # ---- other events ------------------------------------------------------------------------------------------------
-
-    def _time_jumped(self, event: TimeJumped) -> list[Effect]:
-        """Handle a jump of the stamps: the core's own clock does not advance across it."""
-        state = self._state
-        state.stamp_ns = None
-        state.submaps = interrupted(state.submaps)
-        state.decide("time_jump", None, f"{event.kind}: stamps jumped from {event.from_ns} to {event.to_ns}")
-        return []
-
-    def _pose_jumped(self, event: PoseJumped) -> list[Effect]:
-        """Close the submap. Later poses are in the same world frame, so that its objects can be re-identified.
-
-        The observed space starts empty again, and an object is not checked against it until it has been seen again:
-        an error of a few centimetres in the jump is enough to see through an object, or to place it inside a wall.
-        """
-        state = self._state
-        distance_m = portable.norm(event.after_from_before[:3, 3])
-        settle(state, self._config)
-        state.submaps = torn(state.submaps)
-        state.split_candidates = {}
-        text = f"the odometry jumped by {distance_m:.2f} m: submap {state.submaps.open_id} begins"
-        state.decide("pose_jump", None, text)
-        return []
 
     def _poses_corrected(self, event: PosesCorrected) -> list[Effect]:
         """Set corrected submap poses. Data stay in the odometry frame; the correction is applied on output."""
@@ -212,6 +190,21 @@ class MapperCore:
         It has the space and the objects seen since the last jump of the odometry, across submap borders.
         """
         return self._snapshots.prior(self._state)
+
+    @property
+    def submaps(self) -> tuple[SubmapState, ...]:
+        """The submaps, the last of which is open."""
+        return self._state.submaps.states
+
+    @property
+    def loops(self) -> tuple[Loop, ...]:
+        """What searches for loops gave, believed or not."""
+        return self._state.loops
+
+    @property
+    def searches(self) -> tuple[SearchLoops, ...]:
+        """The searches for loops that have not been answered yet."""
+        return self._state.searches
 
     def view_names(self) -> set[str]:
         """Return the names of the views that the tracks have, or that a later split could restore."""

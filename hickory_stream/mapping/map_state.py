@@ -19,6 +19,7 @@ from hickory_stream.records import Decision, View
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
+    from hickory_stream.events import SearchLoops
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.split_candidates import SplitCandidates
     from hickory_stream.mapping.submaps import Submaps
@@ -52,7 +53,8 @@ class MapState:
         next_id, next_ticket: the ids of the next track and of the next shape job.
         pending: the keyframe whose features were requested and have not arrived yet.
         kept_views: the names of the views whose pixels are kept.
-        loops: what searches for loops gave, accepted or not, in the order in which they ended.
+        loops: what searches for loops gave, believed or not, in the order in which they ended.
+        searches: the searches for loops that have not ended yet.
         decisions: the decisions since the last publication.
         num_masks, num_features: the number of masks so far, and of those whose features were requested.
     """
@@ -71,6 +73,7 @@ class MapState:
     pending: PendingFeatures | None = None
     kept_views: set[str] = field(default_factory=set)
     loops: tuple[Loop, ...] = ()
+    searches: tuple[SearchLoops, ...] = ()
     decisions: list[Decision] = field(default_factory=list)
     num_masks: int = 0
     num_features: int = 0

@@ -36,7 +36,7 @@ from hickory_stream.mapping.observed_space import (
 )
 from hickory_stream.mapping.submap_surface import SubmapSurface, no_surface, surface_points, with_points
 from hickory_stream.ranges import Ranged, number
-from hickory_stream.records import SpaceObservation, Submap
+from hickory_stream.records import SpaceObservation, Submap, SurveyedSubmap
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -45,6 +45,9 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import FrameObserved
     from hickory_stream.mapping.submap_surface import SurfacePoints
+
+
+_SURE_HITS, _SURE_NORMAL = 2, 0.8
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,6 +60,8 @@ class SubmapConfig(Ranged):
             path, and by a length for each radian that the camera turned.
         surface_m: the voxel size of its surface, in which loops are searched.
         surface_range_m: depth beyond this is no part of its surface.
+        searches_loops: whether a submap that has ended is searched in those before it.
+        loop_latency_s: what a search found takes effect at the first keyframe so long after the submap's end.
     """
 
     travel_m: float = number(15.0, 0.01, 1e6, "m")
@@ -65,6 +70,8 @@ class SubmapConfig(Ranged):
     drift_per_rad_m: float = number(0.005, 0, 10, "m")
     surface_m: float = number(0.08, 0.01, 1, "m")
     surface_range_m: float = number(5.0, 0.5, 100, "m")
+    searches_loops: bool = True
+    loop_latency_s: float = number(3.0, 0, 3600, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -262,6 +269,26 @@ def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float
         for state in submaps.states
     )
     return _judged_by_rigid_ones(replace(submaps, states=states))
+
+
+def surveyed(state: SubmapState) -> SurveyedSubmap:
+    """Return a submap as a search for loops has it: surface that was seen twice, with a normal that is certain."""
+    surface = state.surface
+    length = np.sqrt((surface.normals * surface.normals).sum(axis=1))
+    is_sure = (surface.hits >= _SURE_HITS) & (length > _SURE_NORMAL)
+    assert state.anchor is not None
+    return SurveyedSubmap(
+        id=state.id,
+        world_from_submap=state.world_from_submap,
+        anchor=state.anchor,
+        way_m=state.way_m,
+        turn_rad=state.turn_rad,
+        after_jump=state.after_jump,
+        points=surface.points[is_sure],
+        normals=surface.normals[is_sure] / length[is_sure][:, None],
+        free=state.space.free,
+        voxel_m=state.space.voxel_m,
+    )
 
 
 def record_of(state: SubmapState) -> Submap:

@@ -1,0 +1,155 @@
+"""Loops in a run: searches on frozen snapshots beside the mapping, answers when they are due, and the graph's solution.
+
+In a playback an answer is committed at the first keyframe at or after its due stamp, and the run waits for one that is
+late; in a live run it is committed when it is there. The graph is solved anew whenever a loop comes, from what the core
+has of submaps and loops, which the journal has too: a run that is resumed needs nothing else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.events import LoopsSearched, PosesCorrected
+from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.loops.pose_graph import is_correction, pose_graph, submap_places
+from hickory_stream.loops.search import LoopQuery, Predicted, search_loops
+from hickory_stream.loops.surfaces import Surface
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from hickory_stream.engine.modes import Mode
+    from hickory_stream.events import SearchLoops
+    from hickory_stream.graph.config import GraphConfig
+    from hickory_stream.loops.config import LoopConfig
+    from hickory_stream.mapping.core import MapperCore
+    from hickory_stream.records import Loop, SurveyedSubmap
+
+logger = logging.getLogger(__name__)
+
+
+class LoopCloser:
+    """The searches that are open, by the submap that is searched; one runs at a time."""
+
+    def __init__(self, loops: LoopConfig, graph: GraphConfig, *, extractor: str, mode: Mode) -> None:
+        self._loops = loops
+        self._graph = graph
+        self._extractor = extractor
+        self._mode = mode
+        self._open: dict[int, tuple[SearchLoops, asyncio.Future[tuple[Loop, ...]]]] = {}
+        self._thread = ThreadPoolExecutor(1, "loops")
+        self.seconds = 0.0
+
+    def request(self, search: SearchLoops) -> None:
+        """Begin a search, once those before it have ended."""
+        answer = asyncio.get_running_loop().run_in_executor(self._thread, self._found, search)
+        self._open[search.submap_id] = search, answer
+
+    def restart(self, searches: Iterable[SearchLoops]) -> None:
+        """Search what a core that was restored waits for, and nothing else."""
+        for _, answer in self._open.values():
+            answer.cancel()
+        self._open.clear()
+        for search in searches:
+            self.request(search)
+
+    async def next_due(self, stamp_ns: int | None) -> LoopsSearched | None:
+        """Return the next answer that is to be committed at a stamp (None: any), waiting for it; None if none is."""
+        due = [
+            (search.due_ns, submap_id)
+            for submap_id, (search, answer) in self._open.items()
+            if stamp_ns is None or (answer.done() if self._mode == "live" else search.due_ns <= stamp_ns)
+        ]
+        if not due:
+            return None
+        due_ns, submap_id = min(due)
+        loops = await self._open[submap_id][1]
+        del self._open[submap_id]
+        return LoopsSearched(submap_id=submap_id, stamp_ns=due_ns if stamp_ns is None else stamp_ns, loops=loops)
+
+    def correction(self, core: MapperCore, stamp_ns: int) -> PosesCorrected | None:
+        """Return where the submaps lie by all loops that are known; None where that is where they are."""
+        from hickory_stream.graph.solution import NoSolution
+        from hickory_stream.graph.solve import solve
+
+        submaps = [submap for submap in core.submaps if submap.anchor is not None]
+        if len(submaps) < 2 or not any(loop.reason is None for loop in core.loops):
+            return None
+        began_ns = [submap.began_ns or 0 for submap in submaps]
+        graph = pose_graph(submaps, core.loops, began_ns, self._graph)
+        solution = solve(graph, self._graph)
+        if isinstance(solution, NoSolution):
+            logger.warning("loops are left out: %s", solution.reason)
+            return None
+        places = submap_places(submaps, solution.world_from_node, self._loops)
+        before = [submap.world_from_submap for submap in submaps]
+        if not is_correction(submaps, places, before, self._loops):
+            return None
+        # A submap that was opened and has no keyframe yet goes on from the last one.
+        ids = [submap.id for submap in core.submaps]
+        places += [places[-1]] * (len(ids) - len(places))
+        return PosesCorrected(stamp_ns=stamp_ns, submap_ids=tuple(ids), world_from_submap=np.array(places))
+
+    def close(self) -> None:
+        """Wait for the search that runs, and forget the others."""
+        for _, answer in self._open.values():
+            answer.cancel()
+        self._thread.shutdown(wait=True, cancel_futures=True)
+
+    # ---- on the thread of searches -----------------------------------------------------------------------------------
+
+    def _found(self, search: SearchLoops) -> tuple[Loop, ...]:
+        submaps = search.submaps
+        later_id = submaps[-1].id
+        if later_id < self._loops.least_apart or len(submaps[-1].points) < self._loops.least_points:
+            return ()
+        return search_loops(
+            LoopQuery(
+                later_id=later_id,
+                surfaces={submap.id: _surface(submap) for submap in submaps},
+                predicted=self._predicted(search),
+                snapshot=search.snapshot,
+                extractor=self._extractor,
+            ),
+            self._loops,
+        )
+
+    def _predicted(self, search: SearchLoops) -> dict[int, Predicted]:
+        """Return where the graph has the last submap in each that may be a loop, and how well it knows."""
+        from hickory_stream.graph.solution import NoSolution
+        from hickory_stream.graph.solve import relative_covariances, solve
+
+        submaps, later = search.submaps, search.submaps[-1]
+        graph = pose_graph(submaps, search.loops, [0] * len(submaps), self._graph)
+        solution = solve(graph, self._graph)
+        if isinstance(solution, NoSolution):
+            logger.warning("loops of submap %d are not searched: %s", later.id, solution.reason)
+            return {}
+        earlier_ids = [submap.id for submap in submaps if submap.id + self._loops.least_apart <= later.id]
+        covariances = relative_covariances(graph, solution, [(i, later.id) for i in earlier_ids])
+        world_from = [
+            compose(pose, invert(submap.anchor)) for submap, pose in zip(submaps, solution.world_from_node, strict=True)
+        ]
+        return {
+            i: Predicted(
+                earlier_from_later=compose(invert(world_from[i]), world_from[later.id]),
+                sigma_m=float(np.sqrt(covariance.diagonal()[3:].max())),
+                sigma_yaw_rad=float(np.sqrt(covariance.diagonal()[:3].max())),
+            )
+            for i, covariance in zip(earlier_ids, covariances, strict=True)
+        }
+
+
+def _surface(submap: SurveyedSubmap) -> Surface:
+    return Surface(
+        points=submap.points.astype(np.float64),
+        normals=submap.normals.astype(np.float64),
+        free=submap.free,
+        voxel_m=submap.voxel_m,
+        anchor=submap.anchor,
+    )

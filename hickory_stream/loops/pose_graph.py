@@ -1,0 +1,118 @@
+"""The pose graph of a map: its submaps as nodes, odometry between them, and the loops that searches have found."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
+from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.graph.config import GraphConfig
+    from hickory_stream.loops.config import LoopConfig
+    from hickory_stream.records import Loop
+
+_GRAVITY_SIGMA_RAD = 0.01
+"""How well the odometry knows the vertical: visual-inertial ones do to half a degree."""
+
+
+class Node(Protocol):
+    """What the graph asks of a submap; the nodes are those with an anchor, in the order of their ids."""
+
+    @property
+    def anchor(self) -> NDArray[np.float64] | None:
+        """The camera's first pose (4, 4) in the frame of the odometry."""
+
+    @property
+    def way_m(self) -> float:
+        """How far the camera moved in it."""
+
+    @property
+    def turn_rad(self) -> float:
+        """How far it turned."""
+
+    @property
+    def after_jump(self) -> bool:
+        """Whether the odometry jumped before it."""
+
+
+def pose_graph(
+    submaps: Sequence[Node], loops: Sequence[Loop], stamps_ns: Sequence[int], config: GraphConfig
+) -> PoseGraph:
+    """Return the graph of submaps (at least one) that all have an anchor; loops that a search did not believe stay out.
+
+    `stamps_ns` are those at which the submaps began; a loop has that of its later one.
+    """
+    anchors = np.array([submap.anchor for submap in submaps])
+    odometry = tuple(
+        OdometryEdge(
+            before=i,
+            after=i + 1,
+            before_from_after=compose(invert(anchors[i]), anchors[i + 1]),
+            covariance=odometry_covariance(
+                submaps[i].way_m, submaps[i].turn_rad, config, jumps=int(submaps[i + 1].after_jump)
+            ),
+            is_jump=submaps[i + 1].after_jump,
+        )
+        for i in range(len(submaps) - 1)
+    )
+    edges = tuple(
+        LoopEdge(
+            id=i,
+            earlier=loop.earlier,
+            later=loop.later,
+            earlier_from_later=compose(invert(anchors[loop.earlier]), loop.earlier_from_later, anchors[loop.later]),
+            covariance=loop.covariance,
+            method=loop.method,
+            score=loop.score,
+            stamp_ns=stamps_ns[loop.later],
+        )
+        for i, loop in enumerate(loops)
+        if loop.reason is None and loop.later < len(submaps)
+    )
+    return PoseGraph(world_from_node=anchors, odometry=odometry, loops=edges, gravity_sigma_rad=_GRAVITY_SIGMA_RAD)
+
+
+def submap_places(
+    submaps: Sequence[Node], world_from_node: NDArray[np.float64], config: LoopConfig
+) -> list[NDArray[np.float64]]:
+    """Return world_from_submap (4, 4) of each submap in a solution.
+
+    From the last one back, a submap that the solution moves against the one after it by less than the map resolves has
+    the very pose of that one: what was mapped in a row stays in one piece.
+    """
+    places = [compose(pose, invert(_anchor(submap))) for submap, pose in zip(submaps, world_from_node, strict=True)]
+    for i in range(len(places) - 2, -1, -1):
+        if _is_same(places[i], places[i + 1], _anchor(submaps[i + 1]), config):
+            places[i] = places[i + 1]
+    return places
+
+
+def is_correction(
+    submaps: Sequence[Node],
+    places: Sequence[NDArray[np.float64]],
+    before: Sequence[NDArray[np.float64]],
+    config: LoopConfig,
+) -> bool:
+    """Return whether places of submaps, as the last one has them, differ from those before by what can be seen."""
+    return not all(
+        _is_same(compose(invert(places[-1]), now), compose(invert(before[-1]), then), _anchor(submap), config)
+        for submap, now, then in zip(submaps, places, before, strict=True)
+    )
+
+
+def _is_same(a: NDArray[np.float64], b: NDArray[np.float64], anchor: NDArray[np.float64], config: LoopConfig) -> bool:
+    step = compose(invert(compose(a, anchor)), compose(b, anchor))
+    way_m = float(np.sqrt((step[:3, 3] * step[:3, 3]).sum()))
+    return way_m < config.correct_m and rotation_angle_rad(step[:3, :3]) < np.radians(config.correct_deg)
+
+
+def _anchor(submap: Node) -> NDArray[np.float64]:
+    assert submap.anchor is not None, "a node is where the camera was first"
+    return submap.anchor

@@ -1,0 +1,51 @@
+"""Searches for loops: asked for when a submap has ended, answered later; the answers are kept, believed or not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hickory_stream.events import SearchLoops
+from hickory_stream.mapping.submaps import surveyed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hickory_stream.events import LoopsSearched
+    from hickory_stream.mapping.map_state import MapState
+    from hickory_stream.mapping.submaps import SubmapConfig
+    from hickory_stream.records import MapSnapshot
+
+
+def ask_for_loops(
+    state: MapState, submap_id: int, snapshot: Callable[[], MapSnapshot], config: SubmapConfig
+) -> list[SearchLoops]:
+    """Return the effect that searches a submap in those before it; none where it saw no surface, or none is there."""
+    submaps = state.submaps.states[: submap_id + 1]
+    if not config.searches_loops or submap_id == 0 or len(submaps[-1].surface) == 0:
+        return []
+    search = SearchLoops(
+        submap_id=submap_id,
+        due_ns=(state.stamp_ns or 0) + int(config.loop_latency_s * 1e9),
+        submaps=tuple(surveyed(submap) for submap in submaps),
+        loops=state.loops,
+        snapshot=snapshot(),
+    )
+    state.searches = (*state.searches, search)
+    return [search]
+
+
+def end_search(state: MapState, event: LoopsSearched) -> None:
+    """Keep what a search found.
+
+    Raises:
+        ValueError: it was not asked for.
+    """
+    if event.submap_id not in {search.submap_id for search in state.searches}:
+        raise ValueError(f"loops of submap {event.submap_id} were not asked for")
+    state.searches = tuple(search for search in state.searches if search.submap_id != event.submap_id)
+    state.loops = (*state.loops, *event.loops)
+    for loop in event.loops:
+        way = "their surfaces" if loop.method == "surface" else "their objects"
+        said = "may be a loop" if loop.reason is None else f"is no loop: {loop.reason}"
+        text = f"submap {loop.later} in {loop.earlier}, by {way}, {loop.score:.0%} of the surface agrees: {said}"
+        state.decide("loop", None, text)
