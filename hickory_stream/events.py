@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         MaskFeature,
         ObjectShape,
         Observation,
+        PoseGraphRecord,
         RejectedMask,
         SpaceObservation,
         SurveyedSubmap,
@@ -115,6 +116,8 @@ class PosesCorrected:
     """Somebody, e.g. a pose graph, knows better where submaps lie: `world_from_submap` (N, 4, 4) of `submap_ids`.
 
     Where a submap lies is said anew, not by how much it moves: the identity undoes all corrections. The others stay.
+    `graph` is the pose graph whose solution that is, None of somebody else's; no submap may be named where only the
+    graph has changed.
 
     Raises:
         ValueError: a submap is named twice, or a transform is not rigid.
@@ -123,6 +126,7 @@ class PosesCorrected:
     stamp_ns: int
     submap_ids: tuple[int, ...]
     world_from_submap: NDArray[np.float64]
+    graph: PoseGraphRecord | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_submap", float, (len(self.submap_ids), 4, 4))

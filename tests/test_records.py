@@ -225,6 +225,7 @@ FREE_LENGTH = {
     (records.TrackedObject, "feature"),
     (records.ObservedSpace, "free"),
     (records.ObservedSpace, "structure"),
+    (records.SurveyedSubmap, "free"),
 }
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from hickory_stream.events import LoopsSearched, PosesCorrected
 from hickory_stream.geometry.rigid import compose, invert
-from hickory_stream.loops.pose_graph import is_correction, pose_graph, submap_places
+from hickory_stream.graph.solution import NoSolution
+from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places
 from hickory_stream.loops.search import LoopQuery, Predicted, search_loops
 from hickory_stream.loops.surfaces import Surface
 
@@ -73,27 +74,29 @@ class LoopCloser:
         return LoopsSearched(submap_id=submap_id, stamp_ns=due_ns if stamp_ns is None else stamp_ns, loops=loops)
 
     def correction(self, core: MapperCore, stamp_ns: int) -> PosesCorrected | None:
-        """Return where the submaps lie by all loops that are known; None where that is where they are."""
-        from hickory_stream.graph.solution import NoSolution
+        """Return the pose graph, and where the submaps lie in it if not where they are; None: there is no loop."""
         from hickory_stream.graph.solve import solve
 
         submaps = [submap for submap in core.submaps if submap.anchor is not None]
-        if len(submaps) < 2 or not any(loop.reason is None for loop in core.loops):
+        if len(submaps) < 2 or not core.loops:
             return None
         began_ns = [submap.began_ns or 0 for submap in submaps]
         graph = pose_graph(submaps, core.loops, began_ns, self._graph)
-        solution = solve(graph, self._graph)
+        solution = solve(graph, self._graph, accepted_before=_accepted(core))
         if isinstance(solution, NoSolution):
             logger.warning("loops are left out: %s", solution.reason)
             return None
+        record = graph_record(graph, solution, core.loops, began_ns)
         places = submap_places(submaps, solution.world_from_node, self._loops)
         before = [submap.world_from_submap for submap in submaps]
         if not is_correction(submaps, places, before, self._loops):
-            return None
+            return PosesCorrected(stamp_ns=stamp_ns, submap_ids=(), world_from_submap=np.empty((0, 4, 4)), graph=record)
         # A submap that was opened and has no keyframe yet goes on from the last one.
         ids = [submap.id for submap in core.submaps]
         places += [places[-1]] * (len(ids) - len(places))
-        return PosesCorrected(stamp_ns=stamp_ns, submap_ids=tuple(ids), world_from_submap=np.array(places))
+        return PosesCorrected(
+            stamp_ns=stamp_ns, submap_ids=tuple(ids), world_from_submap=np.array(places), graph=record
+        )
 
     def close(self) -> None:
         """Wait for the search that runs, and forget the others."""
@@ -121,7 +124,6 @@ class LoopCloser:
 
     def _predicted(self, search: SearchLoops) -> dict[int, Predicted]:
         """Return where the graph has the last submap in each that may be a loop, and how well it knows."""
-        from hickory_stream.graph.solution import NoSolution
         from hickory_stream.graph.solve import relative_covariances, solve
 
         submaps, later = search.submaps, search.submaps[-1]
@@ -143,6 +145,13 @@ class LoopCloser:
             )
             for i, covariance in zip(earlier_ids, covariances, strict=True)
         }
+
+
+def _accepted(core: MapperCore) -> list[int]:
+    """Return the numbers of the loops that the last solution believed."""
+    edges = () if core.graph is None else core.graph.loops
+    believed = {(edge.earlier, edge.later) for edge in edges if edge.status == "accepted"}
+    return [i for i, loop in enumerate(core.loops) if (loop.earlier, loop.later) in believed]
 
 
 def _surface(submap: SurveyedSubmap) -> Surface:

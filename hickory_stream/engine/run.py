@@ -296,11 +296,13 @@ class Run:
         """Tell the core of the loops that are due at a stamp, and place the submaps as the graph then has them."""
         while (event := await self._loops.next_due(None if all_of_them else stamp_ns)) is not None:
             await self._effects.handle(event)
-            if any(loop.reason is None for loop in event.loops):
+            self._clock.counts["loops"] += sum(loop.reason is None for loop in event.loops)
+            corrected = None
+            if event.loops:
                 corrected = await on_thread(self._thinker, self._loops.correction, self._effects.core, stamp_ns)
-                if corrected is not None:
-                    self._clock.counts["loop_corrections"] += 1
-                    await self._effects.handle(corrected)
+            if corrected is not None:
+                self._clock.counts["loop_corrections"] += len(corrected.submap_ids) > 0
+                await self._effects.handle(corrected)
 
     async def _rewind(self, stamp_ns: int) -> None:
         """Restore the core's state before a stamp; events after it that are not in the journal yet are discarded."""

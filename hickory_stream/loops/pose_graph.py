@@ -8,6 +8,8 @@ import numpy as np
 
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
+from hickory_stream.graph.record import record_of
+from hickory_stream.records import GraphEdge, PoseGraphRecord
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.graph.config import GraphConfig
+    from hickory_stream.graph.solution import Solution
     from hickory_stream.loops.config import LoopConfig
     from hickory_stream.records import Loop
 
@@ -77,6 +80,29 @@ def pose_graph(
         if loop.reason is None and loop.later < len(submaps)
     )
     return PoseGraph(world_from_node=anchors, odometry=odometry, loops=edges, gravity_sigma_rad=_GRAVITY_SIGMA_RAD)
+
+
+def graph_record(
+    graph: PoseGraph, solution: Solution, loops: Sequence[Loop], stamps_ns: Sequence[int]
+) -> PoseGraphRecord:
+    """Return the public record of a solution; loops that their search did not believe are in it as well."""
+    solved = record_of(graph, solution, range(graph.num_nodes), stamps_ns)
+    unbelieved = tuple(
+        GraphEdge(
+            kind="loop",
+            earlier=loop.earlier,
+            later=loop.later,
+            status="rejected",
+            score=loop.score,
+            reason=loop.reason,
+            residual_m=0.0,
+            residual_rad=0.0,
+            stamp_ns=stamps_ns[loop.later],
+        )
+        for loop in loops
+        if loop.reason is not None and loop.later < graph.num_nodes
+    )
+    return PoseGraphRecord(nodes=solved.nodes, edges=(*solved.edges, *unbelieved))
 
 
 def submap_places(

@@ -49,7 +49,10 @@ _UNKNOWN_VARIANCE = 100.0
 _MET_M = 0.06
 """Surfaces that are nearer than this to each other, across, have met."""
 
-_FREE_M = 0.25
+_SIDE_M = 0.25
+"""Up to so far from a point, of place and normal together, the same side of a surface is looked for."""
+
+_FREE_M = 0.12
 """A point in free space counts against a fit only so far from all surface: at its rim both are seen."""
 
 _STRONG_COSINE, _LEAST_STRONG = 0.7, 40.0
@@ -207,7 +210,7 @@ def _met_and_against(surface: Surface, other: Surface, here_from_other: NDArray[
     """Return how many points of another surface lie on one, and how many in its free space, away from all surface."""
     points = apply(here_from_other, other.points)
     facing = portable.matmul(other.normals, here_from_other[:3, :3].T)
-    distance, at = surface.sides.query(_with_normals(points, facing), distance_upper_bound=_FREE_M)
+    distance, at = surface.sides.query(_with_normals(points, facing), distance_upper_bound=_SIDE_M)
     is_near = np.isfinite(distance)
     off = (surface.normals[at[is_near]] * (surface.points[at[is_near]] - points[is_near])).sum(axis=1)
     away, _ = surface.places.query(points, distance_upper_bound=_FREE_M)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.split_candidates import SplitCandidates
     from hickory_stream.mapping.submaps import Submaps
-    from hickory_stream.records import DecisionKind, DropCause, Loop
+    from hickory_stream.records import DecisionKind, DropCause, Loop, PoseGraphRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,6 +55,7 @@ class MapState:
         kept_views: the names of the views whose pixels are kept.
         loops: what searches for loops gave, believed or not, in the order in which they ended.
         searches: the searches for loops that have not ended yet.
+        graph: the pose graph as it was solved last; None before the first loop.
         decisions: the decisions since the last publication.
         num_masks, num_features: the number of masks so far, and of those whose features were requested.
     """
@@ -74,6 +75,7 @@ class MapState:
     kept_views: set[str] = field(default_factory=set)
     loops: tuple[Loop, ...] = ()
     searches: tuple[SearchLoops, ...] = ()
+    graph: PoseGraphRecord | None = None
     decisions: list[Decision] = field(default_factory=list)
     num_masks: int = 0
     num_features: int = 0

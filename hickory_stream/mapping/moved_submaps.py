@@ -46,8 +46,10 @@ _MIN_SIGHTINGS = 2
 
 def place_submaps(state: MapState, event: PosesCorrected, config: MappingConfig, *, merges: bool) -> list[Effect]:
     """Set corrected poses of submaps; set their tracks apart, and merge what now lies at one place (`merges`)."""
-    places = dict(zip(event.submap_ids, event.world_from_submap, strict=True))
-    state.submaps = placed_at(state.submaps, places)
+    state.graph = state.graph if event.graph is None else event.graph
+    if event.graph is not None and not event.submap_ids:
+        return []
+    state.submaps = placed_at(state.submaps, dict(zip(event.submap_ids, event.world_from_submap, strict=True)))
     text = f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew"
     state.decide("pose_correction", None, text)
     set_apart(state)

@@ -42,6 +42,7 @@ class Snapshots:
             stamp_ns=state.stamp_ns or 0,
             submaps=tuple(self._submap(submap) for submap in state.submaps.states),
             objects=tuple(item for _, _, item in shown.values()),
+            graph=state.graph,
         )
 
     def prior(self, state: MapState) -> MapPrior | None:
