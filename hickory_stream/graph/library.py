@@ -10,11 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.geometry.rigid import (
-    from_rotation_translation,
-    quaternion_from_rotation,
-    rotation_from_quaternion,
-)
+from hickory_stream.geometry import portable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -26,7 +22,9 @@ if TYPE_CHECKING:
 # Node 0 is held this well, in radians and metres: far better than any edge, far from the end of double precision.
 _HELD = 1e-5
 _GNC_STEP = 1.4
-_DIGITS_M, _DIGITS_QUATERNION = 6, 7
+# Weights need no more exact places than two steps give; three take a third longer.
+_GNC_INNER_STEPS = 2
+_DIGITS_M, _DIGITS_ROTATION = 6, 7
 
 
 class Factors:
@@ -40,22 +38,19 @@ class Factors:
         self.values = gtsam.Values()
         self.sure: list[int] = []
 
-    def add_nodes(
-        self, nodes: Sequence[int], start: NDArray[np.float64], upright: NDArray[np.float64], sigma_rad: float
-    ) -> None:
-        """Add nodes with their start (N, 4, 4), the first held at it; the vertical of all others is that of `upright`.
-
-        All arrays are indexed by node.
-        """
+    def add_nodes(self, nodes: Sequence[int], start: NDArray[np.float64]) -> None:
+        """Add nodes by their numbers in `start` (N, 4, 4), the first of them held there."""
         gtsam = self._gtsam
         for node in nodes:
             self.values.insert(node, gtsam.Pose3(start[node]))
-        first = nodes[0]
         held = gtsam.noiseModel.Isotropic.Sigma(6, _HELD)
-        self._add_sure(gtsam.PriorFactorPose3(first, gtsam.Pose3(start[first]), held))
-        up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
-        level = gtsam.noiseModel.Isotropic.Sigma(2, sigma_rad)
-        for node in nodes[1:]:
+        self._add_sure(gtsam.PriorFactorPose3(nodes[0], gtsam.Pose3(start[nodes[0]]), held))
+
+    def add_verticals(self, nodes: Sequence[int], upright: NDArray[np.float64], sigma_rad: float) -> None:
+        """Add that the vertical of nodes is the one that they have in `upright` (N, 4, 4), z up."""
+        gtsam = self._gtsam
+        up, level = gtsam.Unit3(np.array([0.0, 0.0, 1.0])), gtsam.noiseModel.Isotropic.Sigma(2, sigma_rad)
+        for node in nodes:
             self._add_sure(gtsam.AttitudeFactorPose3(node, up, level, gtsam.Unit3(upright[node][2, :3])))
 
     def add_odometry(self, edge: OdometryEdge) -> None:
@@ -73,7 +68,7 @@ class Factors:
     def weights(self, inlier_chi2: float) -> NDArray[np.float64]:
         """Return the weights (F,) that graduated non-convexity gives to factors, 0..1; raises RuntimeError."""
         gtsam = self._gtsam
-        parameters = gtsam.GncLMParams(_parameters())
+        parameters = gtsam.GncLMParams(_parameters(most_steps=_GNC_INNER_STEPS))
         parameters.setLossType(gtsam.GncLossType.TLS)
         # Its faster schedule, and greater steps, accepted wrong loops in simulation.
         parameters.setScheduler(gtsam.GncScheduler.Linear)
@@ -111,21 +106,19 @@ class Factors:
         self.sure.append(self._add(factor))
 
 
-def _parameters() -> Any:
+def _parameters(most_steps: int = 100) -> Any:
     import gtsam
 
     parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(most_steps)
     parameters.setOrderingType("COLAMD")
     parameters.setLinearSolverType("MULTIFRONTAL_CHOLESKY")
     return parameters
 
 
 def settled(values: Any, nodes: Iterable[int]) -> NDArray[np.float64]:
-    """Return the poses (N, 4, 4) of nodes, rounded to a micrometre and a ten-millionth of a quaternion."""
-    return np.array([_rounded(np.asarray(values.atPose3(node).matrix())) for node in nodes])
-
-
-def _rounded(world_from_node: NDArray[np.float64]) -> NDArray[np.float64]:
-    quaternion = np.round(quaternion_from_rotation(world_from_node[:3, :3]), _DIGITS_QUATERNION)
-    rotation = rotation_from_quaternion(*(float(part) for part in quaternion))
-    return from_rotation_translation(rotation, np.round(world_from_node[:3, 3], _DIGITS_M))
+    """Return the poses (N, 4, 4) of nodes, rounded to a micrometre, and rotations to about a ten-millionth."""
+    poses = np.array([values.atPose3(node).matrix() for node in nodes])
+    poses[:, :3, :3] = portable.nearest_orthogonal(np.round(poses[:, :3, :3], _DIGITS_ROTATION))
+    poses[:, :3, 3] = np.round(poses[:, :3, 3], _DIGITS_M)
+    return poses

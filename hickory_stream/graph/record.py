@@ -9,6 +9,7 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.graph.gate import difference
+from hickory_stream.graph.solve import node_covariances
 from hickory_stream.records import GraphEdge, GraphNode, PoseGraphRecord
 
 if TYPE_CHECKING:
@@ -33,8 +34,12 @@ def record_of(
         solution: what `solve` answered for them.
         submap_ids: the submap that each node is, ascending.
         stamps_ns: when each submap was opened; an edge of odometry has the stamp of its later node.
+
+    Raises:
+        GraphError: the solution is not one of this graph.
     """
-    variances = solution.covariance.diagonal(axis1=1, axis2=2)
+    covariances = node_covariances(graph, solution)
+    variances = covariances.diagonal(axis1=1, axis2=2)
     nodes = tuple(
         GraphNode(
             submap_id=submap_id,
@@ -43,7 +48,7 @@ def record_of(
             uncorrected=graph.world_from_node[i],
             sigma_m=_rounded(np.sqrt(variances[i, 3:].sum())),
             sigma_rad=_rounded(np.sqrt(variances[i, :3].sum())),
-            covariance_xy=_in_the_plane(solution.world_from_node[i], solution.covariance[i]),
+            covariance_xy=_in_the_plane(solution.world_from_node[i], covariances[i]),
         )
         for i, (submap_id, stamp_ns) in enumerate(zip(submap_ids, stamps_ns, strict=True))
     )

@@ -26,14 +26,12 @@ class RejectedLoop:
 class Solution:
     """Where the nodes lie, and which loops are believed.
 
-    `world_from_node` (N, 4, 4); `covariance` (N, 6, 6) of each relative to node 0, in its own tangent space (turn, then
-    shift). `loop_weights` (L,) are those of graduated non-convexity in the order of the graph's loops, 0 where a loop
-    was impossible to begin with. `accepted` are ids, ascending. `chi2` with `dof` degrees of freedom says how
-    well all of it fits.
+    `world_from_node` (N, 4, 4). `loop_weights` (L,) are those of graduated non-convexity in the order of the graph's
+    loops, 0 where a loop was impossible to begin with. `accepted` are ids, ascending. `chi2` with `dof` degrees of
+    freedom says how well all of it fits.
     """
 
     world_from_node: NDArray[np.float64]
-    covariance: NDArray[np.float64]
     loop_weights: NDArray[np.float64]
     accepted: tuple[int, ...]
     rejected: tuple[RejectedLoop, ...]
@@ -42,7 +40,6 @@ class Solution:
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_node", np.float64, (None, 4, 4))
-        freeze(self, "covariance", np.float64, (len(self.world_from_node), 6, 6))
         freeze(self, "loop_weights", np.float64, (None,))
 
 

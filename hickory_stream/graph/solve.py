@@ -2,7 +2,7 @@
 
 1. A loop that odometry, as uncertain as it is, cannot explain is impossible (`gate.py`).
 2. The others are judged by graduated non-convexity with truncated least squares (Yang et al., RA-L 2020), as GTSAM has
-   it, on the skeleton of the graph: the nodes at which loops end, and odometry composed between them.
+   it, on the skeleton of the graph: the nodes at which loops end, and odometry with verticals composed between them.
 3. All nodes are placed by least squares over odometry, verticals and the believed loops.
 
 Only loops are ever cut, as in Kimera-RPGO: were edges of odometry cut alike, each wrong loop could be had by cutting
@@ -51,11 +51,21 @@ def solve(
     chain = Chain(graph)
     possible, reasons = _possible(graph, chain, config)
     try:
-        weights = _judged(graph, chain, possible, config)
+        weights = _judged(chain, possible, config)
         return _placed(graph, chain, possible, weights, reasons, config, frozenset(accepted_before))
     except RuntimeError as error:
         # GTSAM's exceptions, e.g. of a system without a unique solution, are RuntimeErrors in Python.
         return NoSolution(reason=f"the pose graph could not be solved: {str(error).strip().splitlines()[0]}")
+
+
+def node_covariances(graph: PoseGraph, solution: Solution) -> NDArray[np.float64]:
+    """Return (N, 6, 6) how uncertain each node is relative to node 0 in a solution, in the node's frame.
+
+    Raises:
+        GraphError: the solution is not one of this graph.
+    """
+    marginals = _marginals(graph, solution)
+    return np.array([symmetric(marginals.marginalCovariance(i)) for i in range(graph.num_nodes)])
 
 
 def relative_covariances(graph: PoseGraph, solution: Solution, pairs: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
@@ -64,12 +74,7 @@ def relative_covariances(graph: PoseGraph, solution: Solution, pairs: Sequence[t
     Raises:
         GraphError: the solution is not one of this graph.
     """
-    believed = [loop for loop in graph.loops if loop.id in set(solution.accepted)]
-    factors, _ = _whole(graph, believed, solution.world_from_node)
-    try:
-        marginals = factors.marginals(factors.values)
-    except RuntimeError as error:
-        raise GraphError(f"the solution does not determine all nodes of the graph: {error}") from error
+    marginals = _marginals(graph, solution)
     return np.array([_relative(marginals, solution.world_from_node, a, b) for a, b in pairs]).reshape(-1, 6, 6)
 
 
@@ -91,14 +96,13 @@ def _possible(graph: PoseGraph, chain: Chain, config: GraphConfig) -> tuple[list
     return possible, reasons
 
 
-def _judged(graph: PoseGraph, chain: Chain, loops: Sequence[LoopEdge], config: GraphConfig) -> list[float]:
+def _judged(chain: Chain, loops: Sequence[LoopEdge], config: GraphConfig) -> list[float]:
     """Return the weight, 0..1, of each loop."""
     if not loops:
         return []
     edges = chain.skeleton({node for loop in loops for node in (loop.earlier, loop.later)})
     factors = Factors()
-    nodes = (0, *(edge.after for edge in edges))
-    factors.add_nodes(nodes, chain.world_from_node, graph.world_from_node, graph.gravity_sigma_rad)
+    factors.add_nodes((0, *(edge.after for edge in edges)), chain.world_from_node)
     for edge in edges:
         factors.add_odometry(edge)
     places = [factors.add_loop(loop) for loop in loops]
@@ -131,13 +135,11 @@ def _placed(
     poses[0] = graph.world_from_node[0]
     if not np.isfinite(poses).all():
         return NoSolution(reason="the pose graph could not be solved: its solution is not finite")
-    marginals = factors.marginals(values)
     accepted = tuple(sorted(loop.id for loop in believed))
     contradicted = {loop.id: "contradicted by odometry and other loops" for loop in possible if loop not in believed}
     weight_of = {loop.id: weight for loop, weight in zip(possible, weights, strict=True)}
     return Solution(
         world_from_node=poses,
-        covariance=np.array([symmetric(marginals.marginalCovariance(i)) for i in range(graph.num_nodes)]),
         loop_weights=np.array([weight_of.get(loop.id, 0.0) for loop in graph.loops]),
         accepted=accepted,
         rejected=tuple(
@@ -152,10 +154,20 @@ def _placed(
 def _whole(graph: PoseGraph, loops: Sequence[LoopEdge], start: NDArray[np.float64]) -> tuple[Factors, list[int]]:
     """Return all factors of a graph with these loops, and the places of the loops."""
     factors = Factors()
-    factors.add_nodes(range(graph.num_nodes), start, graph.world_from_node, graph.gravity_sigma_rad)
+    factors.add_nodes(range(graph.num_nodes), start)
+    factors.add_verticals(range(1, graph.num_nodes), graph.world_from_node, graph.gravity_sigma_rad)
     for edge in graph.odometry:
         factors.add_odometry(edge)
     return factors, [factors.add_loop(loop) for loop in loops]
+
+
+def _marginals(graph: PoseGraph, solution: Solution) -> Any:
+    believed = [loop for loop in graph.loops if loop.id in set(solution.accepted)]
+    factors, _ = _whole(graph, believed, solution.world_from_node)
+    try:
+        return factors.marginals(factors.values)
+    except RuntimeError as error:
+        raise GraphError(f"the solution does not determine all nodes of the graph: {error}") from error
 
 
 def _relative(marginals: Any, world_from_node: NDArray[np.float64], a: int, b: int) -> NDArray[np.float64]:

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hickory_stream.errors import GraphError
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
 from hickory_stream.graph.chain import Chain
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
 from hickory_stream.graph.gate import difference
 from hickory_stream.graph.solution import NoSolution, Solution
-from hickory_stream.graph.solve import relative_covariances, solve
+from hickory_stream.graph.solve import node_covariances, relative_covariances, solve
 from tools.benchmarks.pose_graphs import SimulatedGraph, simulated_graph
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,9 +56,10 @@ def test_no_wrong_loop_is_accepted_with_one_setting_for_little_and_much_drift(dr
 
 
 def test_without_loops_poses_stay_as_they_are_to_the_last_bit(walk: SimulatedGraph) -> None:
-    answer = solved(replace(walk.graph, loops=()))
+    graph = replace(walk.graph, loops=())
+    answer = solved(graph)
     assert np.array_equal(answer.world_from_node, walk.graph.world_from_node)
-    sigmas_m = np.sqrt(answer.covariance[:, 3:, 3:].trace(axis1=1, axis2=2))
+    sigmas_m = np.sqrt(node_covariances(graph, answer)[:, 3:, 3:].trace(axis1=1, axis2=2))
     assert sigmas_m[0] < 1e-4 < sigmas_m[1] < sigmas_m[4] < sigmas_m[16]
 
 
@@ -148,17 +150,36 @@ def test_errors_are_within_the_claimed_uncertainty(walk: SimulatedGraph) -> None
         difference(true, found)[[2, 3, 4]]
         for true, found in zip(walk.true[1:], answer.world_from_node[1:], strict=True)
     ]
-    blocks = answer.covariance[1:][:, [2, 3, 4]][:, :, [2, 3, 4]]
+    blocks = node_covariances(walk.graph, answer)[1:][:, [2, 3, 4]][:, :, [2, 3, 4]]
     nees = [error @ np.linalg.solve(block, error) for error, block in zip(errors, blocks, strict=True)]
     assert np.mean(nees) < 6.0
 
 
 def test_a_graph_beyond_the_reach_of_double_precision_has_no_solution() -> None:
     rigid = OdometryEdge(before=0, after=1, before_from_after=np.eye(4), covariance=1e-30 * np.eye(6))
-    graph = PoseGraph(world_from_node=np.array([np.eye(4)] * 2), odometry=(rigid,), loops=(), gravity_sigma_rad=0.02)
+    loop = LoopEdge(
+        id=0,
+        earlier=0,
+        later=1,
+        earlier_from_later=np.eye(4),
+        covariance=np.eye(6),
+        method="surface",
+        score=1.0,
+        stamp_ns=0,
+    )
+    poses = np.array([np.eye(4)] * 2)
+    graph = PoseGraph(world_from_node=poses, odometry=(rigid,), loops=(loop,), gravity_sigma_rad=0.02)
     answer = solve(graph, CONFIG)
     assert isinstance(answer, NoSolution)
     assert answer.reason.startswith("the pose graph could not be solved: ")
+
+
+def test_uncertainty_beyond_the_reach_of_double_precision_is_an_error() -> None:
+    rigid = OdometryEdge(before=0, after=1, before_from_after=np.eye(4), covariance=1e-30 * np.eye(6))
+    poses = np.array([np.eye(4)] * 2)
+    graph = PoseGraph(world_from_node=poses, odometry=(rigid,), loops=(), gravity_sigma_rad=0.02)
+    with pytest.raises(GraphError, match="does not determine"):
+        node_covariances(graph, solved(graph))
 
 
 def test_one_node_is_a_graph() -> None:
@@ -169,11 +190,11 @@ def test_one_node_is_a_graph() -> None:
 _PROGRAM = """
 import hashlib, numpy as np
 from hickory_stream.graph.config import GraphConfig
-from hickory_stream.graph.solve import solve
+from hickory_stream.graph.solve import node_covariances, solve
 from tools.benchmarks.pose_graphs import simulated_graph
 walk = simulated_graph(np.random.default_rng(3), GraphConfig(), num_nodes=120, num_loops=16, num_wrong=4)
 answer = solve(walk.graph)
-parts = (answer.world_from_node, answer.covariance, answer.loop_weights)
+parts = (answer.world_from_node, node_covariances(walk.graph, answer), answer.loop_weights)
 print(hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest(), answer.accepted)
 """
 
