@@ -80,6 +80,8 @@ class PoseGraph:
     def __post_init__(self) -> None:
         freeze(self, "world_from_node", np.float64, (None, 4, 4))
         num_nodes = self.num_nodes
+        if not np.isfinite(self.world_from_node).all():
+            raise ValueError("a pose of the graph is not finite")
         if sorted(edge.after for edge in self.odometry) != list(range(1, num_nodes)):
             raise ValueError(f"each of nodes 1 to {num_nodes - 1} must hang on an earlier one by one odometry edge")
         if any(loop.later >= num_nodes for loop in self.loops):

@@ -70,6 +70,8 @@ def test_a_graph_whose_nodes_hang_on_nothing_is_refused() -> None:
     poses = np.array([np.eye(4)] * 3)
     with pytest.raises(ValueError, match="one odometry edge"):
         PoseGraph(world_from_node=poses, odometry=(edge(0, 1),), loops=(), gravity_sigma_rad=0.02)
+    with pytest.raises(ValueError, match="not finite"):
+        PoseGraph(world_from_node=np.full((1, 4, 4), np.nan), odometry=(), loops=(), gravity_sigma_rad=0.02)
     loop = LoopEdge(
         id=0,
         earlier=0,
