@@ -174,6 +174,7 @@ def _draw_strip(drawing: Drawing, graph: PoseGraphRecord, top: int, bottom: int)
         drawing.add(Text(place_px=(x, bottom - 6.0), text=f"{share * seconds:.0f} s", color=_INK, anchor=anchor))
     line = np.array([at(node.stamp_ns, node.sigma_m) for node in graph.nodes])
     drawing.add(Line(places_px=line, color=_HALO, width_px=2.0))
-    for loop in graph.loops:
+    # Loops that their search refused were never compared with a solution.
+    for loop in (loop for loop in graph.loops if loop.residual_m > 0):
         color = LOOP if loop.status == "accepted" else REFUSED
         drawing.add(Ellipse(center_px=at(loop.stamp_ns, loop.residual_m), half_axes_px=(4.0, 4.0), color=color))

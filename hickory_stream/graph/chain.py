@@ -12,10 +12,10 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.graph.factors import OdometryEdge, adjoint, symmetric
+from hickory_stream.graph.factors import OdometryEdge
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -46,18 +46,24 @@ class Chain:
             self._is_jump[edge.after] = edge.is_jump
             poses[edge.after] = portable.matmul(poses[edge.before], edge.before_from_after)
             errors[edge.after] = edge.covariance
-        carried = _adjoints(poses)
         # Of the edge to each node, as small motions in the frame of the world.
-        self._errors = portable.matmul(portable.matmul(carried, errors), np.swapaxes(carried, 1, 2))
+        carry = _adjoints(poses[:, :3, :3], poses[:, :3, 3])
+        self._errors = portable.matmul(portable.matmul(carry, errors), np.swapaxes(carry, 1, 2))
+        turned = np.ascontiguousarray(np.swapaxes(poses[:, :3, :3], 1, 2))
+        self._node_from_world = _adjoints(turned, -portable.matmul(turned, poses[:, :3, 3:])[:, :, 0])
         self._upright = graph.world_from_node[:, 2, :3]
         self._gravity_sigma_rad = graph.gravity_sigma_rad
         self.world_from_node = poses
 
-    def predicted(self, earlier: int, later: int) -> Prediction:
-        """Return what odometry and the verticals say of two nodes."""
+    def predictions(self, pairs: Sequence[tuple[int, int]]) -> list[Prediction]:
+        """Return what odometry and the verticals say of pairs of nodes, the earlier first."""
         # The ways from both to the first node, without what they share.
-        way = sorted(set(self._above(earlier)) ^ set(self._above(later)))
-        return Prediction(earlier_from_later=self._between(earlier, later), covariance=self._known(later, way))
+        ways = [sorted(set(self._above(earlier)) ^ set(self._above(later))) for earlier, later in pairs]
+        covariances = self._known([later for _, later in pairs], ways)
+        return [
+            Prediction(earlier_from_later=self._between(earlier, later), covariance=covariance)
+            for (earlier, later), covariance in zip(pairs, covariances, strict=True)
+        ]
 
     def skeleton(self, ends: Iterable[int]) -> tuple[OdometryEdge, ...]:
         """Return what odometry and the verticals say between the nodes that matter, each after the one it hangs on.
@@ -72,20 +78,26 @@ class Chain:
                     kept.add(node)
                     break
                 passed.add(node)
-        return tuple(self._composed(node, kept) for node in sorted(kept - {0}))
-
-    def _composed(self, after: int, kept: set[int]) -> OdometryEdge:
-        way, before = [after], self._before[after]
-        while before not in kept:
-            way.append(before)
-            before = self._before[before]
-        return OdometryEdge(
-            before=before,
-            after=after,
-            before_from_after=self._between(before, after),
-            covariance=self._known(after, way),
-            is_jump=any(self._is_jump[node] for node in way),
+        nodes = sorted(kept - {0})
+        ways = [self._up_to(node, kept) for node in nodes]
+        befores = [self._before[way[-1]] for way in ways]
+        return tuple(
+            OdometryEdge(
+                before=before,
+                after=after,
+                before_from_after=self._between(before, after),
+                covariance=covariance,
+                is_jump=any(self._is_jump[node] for node in way),
+            )
+            for before, after, way, covariance in zip(befores, nodes, ways, self._known(nodes, ways), strict=True)
         )
+
+    def _up_to(self, node: int, kept: set[int]) -> list[int]:
+        """Return a node and those before it, up to the first that hangs on one of `kept`."""
+        way = [node]
+        while self._before[way[-1]] not in kept:
+            way.append(self._before[way[-1]])
+        return way
 
     def _above(self, node: int) -> list[int]:
         """Return a node and those on the way from it to the first."""
@@ -98,45 +110,47 @@ class Chain:
     def _between(self, a: int, b: int) -> NDArray[np.float64]:
         return portable.matmul(invert(self.world_from_node[a]), self.world_from_node[b])
 
-    def _known(self, node: int, way: list[int]) -> NDArray[np.float64]:
-        """Return the covariance (6, 6) of a way to a node, in its frame, when the verticals at both ends are known."""
-        return _with_vertical(self._seen_from(node, way), self._upright[node], self._gravity_sigma_rad)
+    def _known(self, nodes: Sequence[int], ways: Sequence[list[int]]) -> NDArray[np.float64]:
+        """Return (K, 6, 6) the covariance of each way, seen from its node, when the verticals at its ends are known.
 
-    def _seen_from(self, node: int, way: list[int]) -> NDArray[np.float64]:
-        """Return the summed covariance (6, 6) of the edges that lead to the nodes of a way, in the frame of a node."""
-        carry = adjoint(invert(self.world_from_node[node]))
-        return symmetric(portable.matmul(portable.matmul(carry, self._errors[way].sum(axis=0)), carry.T))
+        A way are the nodes to which its edges lead.
+        """
+        if not ways:
+            return np.empty((0, 6, 6))
+        carry = self._node_from_world[nodes]
+        summed = np.array([self._errors[way].sum(axis=0) for way in ways])
+        covariances = portable.matmul(portable.matmul(carry, summed), np.swapaxes(carry, 1, 2))
+        return _with_verticals(covariances, self._upright[nodes], self._gravity_sigma_rad)
 
 
-def _adjoints(world_from_node: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `adjoint` (N, 6, 6) of poses (N, 4, 4)."""
-    rotations, (x, y, z) = world_from_node[:, :3, :3], world_from_node[:, :3, 3].T
+def _adjoints(rotations: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `adjoint` (N, 6, 6) of transforms with these rotations (N, 3, 3) and places (N, 3)."""
+    x, y, z = places.T
     zero = np.zeros_like(x)
     crosses = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
-    stack = np.zeros((len(world_from_node), 6, 6))
+    stack = np.zeros((len(places), 6, 6))
     stack[:, :3, :3] = stack[:, 3:, 3:] = rotations
     stack[:, 3:, :3] = portable.matmul(crosses, rotations)
     return stack
 
 
-def _with_vertical(
-    covariance: NDArray[np.float64], up: NDArray[np.float64], gravity_sigma_rad: float
+def _with_verticals(
+    covariances: NDArray[np.float64], ups: NDArray[np.float64], gravity_sigma_rad: float
 ) -> NDArray[np.float64]:
-    """Return a covariance (6, 6) after the verticals of both nodes were measured; `up` (3,) is that of the frame.
+    """Return covariances (K, 6, 6) after the verticals at both ends were measured; `ups` (K, 3) is up in each frame.
 
     A turn about a level axis is then known: two scalar updates, one for each level axis, as a Kalman filter makes them.
     """
     variance = 2.0 * gravity_sigma_rad * gravity_sigma_rad
-    first = _unit_cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
-    for axis in (first, _unit_cross(up, first)):
-        across = portable.matmul(covariance[:, :3], axis)
-        expected = variance + portable.dot(axis, across[:3])
-        covariance = covariance - across[:, None] * across[None, :] / expected
-    return symmetric(covariance)
+    first = _unit_crosses(ups, np.eye(3)[np.argmin(np.abs(ups), axis=1)])
+    for axes in (first, _unit_crosses(ups, first)):
+        across = (covariances[:, :, :3] * axes[:, None, :]).sum(axis=2)
+        expected = variance + (axes * across[:, :3]).sum(axis=1)
+        covariances = covariances - across[:, :, None] * across[:, None, :] / expected[:, None, None]
+    return 0.5 * (covariances + np.swapaxes(covariances, 1, 2))
 
 
-def _unit_cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    # Of two vectors np.cross takes ten times as long.
-    (x, y, z), (u, v, w) = a, b
-    cross = np.array([y * w - z * v, z * u - x * w, x * v - y * u])
-    return cross / portable.norm(cross)
+def _unit_crosses(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    (x, y, z), (u, v, w) = a.T, b.T
+    crosses = np.column_stack([y * w - z * v, z * u - x * w, x * v - y * u])
+    return crosses / np.sqrt(np.square(crosses).sum(axis=1))[:, None]

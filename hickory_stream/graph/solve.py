@@ -84,8 +84,9 @@ def relative_covariances(graph: PoseGraph, solution: Solution, pairs: Sequence[t
 def _possible(graph: PoseGraph, chain: Chain, config: GraphConfig) -> tuple[list[LoopEdge], dict[int, str]]:
     """Return the loops that odometry allows, and why not of each other one."""
     possible, reasons = [], {}
-    for loop in graph.loops:
-        surprise = surprise_of(loop, chain.predicted(loop.earlier, loop.later))
+    predictions = chain.predictions([(loop.earlier, loop.later) for loop in graph.loops])
+    for loop, prediction in zip(graph.loops, predictions, strict=True):
+        surprise = surprise_of(loop, prediction)
         if surprise.chi2 <= config.gate_chi2:
             possible.append(loop)
         else:

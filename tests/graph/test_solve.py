@@ -139,7 +139,7 @@ def test_the_prediction_of_odometry_is_the_marginal_of_the_graph_without_loops(w
     """With the verticals between the two nodes left out it is a little wider, never narrower."""
     graph = replace(walk.graph, loops=(), gravity_sigma_rad=10.0)
     exact = relative_covariances(graph, solved(graph), [(5, 40)])[0]
-    predicted = Chain(graph).predicted(5, 40)
+    predicted = Chain(graph).predictions([(5, 40)])[0]
     assert np.allclose(predicted.covariance, exact, rtol=0.02, atol=1e-6)
     expected = invert(graph.world_from_node[5]) @ graph.world_from_node[40]
     assert np.abs(difference(expected, predicted.earlier_from_later)).max() < 1e-9

@@ -30,6 +30,7 @@ from players import open_source
 from players.log_source import LogSource
 from players.mounting import estimated_mounting
 from tools.benchmarks.figures import Figure, Options
+from tools.benchmarks.pose_graph_figures import graph_figures
 from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ class _Walked:
 
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method."""
-    figures: list[Figure] = []
+    figures: list[Figure] = graph_figures(options)
     data = Path(os.environ.get("HICKORY_DATA") or ROOT.parent / "shared" / "data")
     if (data / "redkitchen").is_dir():
         kitchen = list(_frames(data / "redkitchen"))
