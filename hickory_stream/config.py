@@ -21,6 +21,7 @@ from hickory_stream.loops.config import LoopConfig
 from hickory_stream.mapping.keyframes import KeyframeConfig
 from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.perception.perceive import PerceptionConfig
+from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.ranges import Ranged, number, ranges_of
 from hickory_stream.shapes.build import ShapeConfig
 
@@ -123,6 +124,7 @@ class MapperConfig:
 
     sensor: SensorConfig = field(default_factory=SensorConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
+    registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     loops: LoopConfig = field(default_factory=LoopConfig)

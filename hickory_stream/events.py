@@ -137,6 +137,47 @@ class PosesCorrected:
                 raise ValueError(f"world_from_submap of submap {submap_id} is no rigid transform: {pose.tolist()}")
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class KeyframeRegistered:
+    """A keyframe was registered to the surface of those before; its `FrameObserved`, at `map_from_camera`, follows.
+
+    `odometry_from_camera` and `map_from_camera` (4, 4) are its pose as the odometry has it, and as it is mapped;
+    `covariance` (6, 6) is that of the latter against the surface, rotation vector, then translation, along the map's
+    axes. `how` says why: it fits the surface; or there is none to compare it with, because it is the `first`, because
+    the ground is new, or because nothing fitted for so long that the surface begins anew. `corrects`: the odometry was
+    contradicted before, else `map_from_camera` is its pose; `num_against` keyframes in a row contradict it. Later ones
+    may be registered to an `is_anchor`, and the depth of this one has the noise `spread_per_m` in inverse depth.
+    `fit` is the share of the points to compare that lie on the surface, None where there are too few.
+    """
+
+    frame_index: int
+    stamp_ns: int
+    how: Literal["first", "fits", "new ground", "begun anew"]
+    odometry_from_camera: NDArray[np.float64]
+    map_from_camera: NDArray[np.float64]
+    map_from_odometry: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    corrects: bool
+    num_against: int
+    is_anchor: bool
+    spread_per_m: float
+    fit: float | None
+
+    def __post_init__(self) -> None:
+        for name in ("odometry_from_camera", "map_from_camera", "map_from_odometry"):
+            freeze(self, name, float, (4, 4))
+        freeze(self, "covariance", float, (6, 6))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class KeyframeKeptOut:
+    """A keyframe does not fit the surface of those before: nothing of it is mapped."""
+
+    frame_index: int
+    stamp_ns: int
+    reason: str
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LoopsSearched:
     """The answer to `SearchLoops`: what was found, believed or not; `stamp_ns` is when it is committed."""
@@ -170,6 +211,8 @@ Event = (
     | PosesCorrected
     | LoopsSearched
     | WayEnded
+    | KeyframeRegistered
+    | KeyframeKeptOut
     | SourceEnded
 )
 

@@ -196,6 +196,20 @@ class Segmenter(Protocol):
         ...
 
 
+@runtime_checkable
+class Moving(Protocol):
+    """An ability of a segmenter: what it has prepared of a frame need not be prepared anew where the pose changes."""
+
+    def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
+        """Return what was prepared of a frame for another pose (4, 4) of it; None where that must be done anew."""
+        ...
+
+
+def prepared_at(segmenter: Segmenter, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
+    """Return what a segmenter has prepared of a frame, for another pose (4, 4) of it; None: `segment` prepares."""
+    return segmenter.moved(prepared, world_from_camera) if isinstance(segmenter, Moving) else None
+
+
 class FeatureExtractor(Protocol):
     """Dense patch features, with DINOv2's interface."""
 

@@ -601,6 +601,7 @@ DecisionKind = Literal[
     "drop",  # a track
     "time_jump",  # of the stamps
     "pose_jump",  # of the odometry
+    "keep_out",  # a keyframe that does not fit
     "pose_correction",  # of submaps
     "loop",  # was found, or is not believed
     "floor",  # is another one

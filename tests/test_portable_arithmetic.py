@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 # Networks round as onnxruntime does: a run with them says so (`engine/processor.py`).
+REGISTRATION = ("keyframe_registration", "registration_config", "surface_alignment", "surface_image")
 PATHS = (
     *sorted((ROOT / "hickory_stream" / "geometry").glob("*.py")),
     *sorted((ROOT / "hickory_stream" / "perception").glob("*.py")),
@@ -24,6 +25,7 @@ PATHS = (
     *sorted((ROOT / "hickory_stream" / "shapes").glob("*.py")),
     *sorted((ROOT / "hickory_stream" / "graph").glob("*.py")),
     *sorted((ROOT / "hickory_stream" / "engine").glob("*.py")),
+    *(ROOT / "hickory_stream" / "poses" / f"{name}.py" for name in REGISTRATION),
     *sorted((ROOT / "players").glob("*.py")),
 )
 # Not on the way from pixels to a digest.

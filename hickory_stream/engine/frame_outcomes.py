@@ -19,13 +19,14 @@ class FrameOutcome(StrEnum):
     """What becomes of a frame; the values are the names of the counts.
 
     `DROPPED`: a keyframe that was left out because mapping could not keep up. `UNDECODABLE`: it was to be one, and its
-    images are torn.
+    images are torn. `KEPT_OUT`: it was to be one, and does not fit the map.
     """
 
     MAPPED = "keyframes"
     BETWEEN = "between_keyframes"
     DROPPED = "keyframes_dropped"
     UNDECODABLE = "frames_undecodable"
+    KEPT_OUT = "keyframes_kept_out"
 
 
 class KeyframeChoice:

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from hickory_stream.records import Decision, Frame, MapSnapshot, RawFrame
 
 
-def plain_report(raw: RawFrame) -> FrameReport:
-    """Return what is told of a frame that is no keyframe."""
+def plain_report(raw: RawFrame, world_from_camera: NDArray[np.float64]) -> FrameReport:
+    """Return what is told of a frame that is no keyframe, at the pose (4, 4) where it would be mapped."""
     return FrameReport(
         index=raw.index,
         stamp_ns=raw.stamp_ns,
         keyframe_index=None,
         camera=raw.camera,
-        world_from_camera=raw.world_from_camera,
+        world_from_camera=world_from_camera,
         color_bytes=raw.color_bytes,
     )
 
@@ -42,7 +42,7 @@ def keyframe_report(
 ) -> FrameReport:
     """Return what is told of a keyframe; `metrics` are those of the engine, before those of the core."""
     return replace(
-        plain_report(raw),
+        plain_report(raw, frame.world_from_camera),
         keyframe_index=keyframe_index,
         frame=frame,
         segmentation=perceived.segmentation,
@@ -58,15 +58,21 @@ def keyframe_report(
 
 
 def final_report(
-    last: FramePose, camera: Camera, snapshot: MapSnapshot, *, keyframe_index: int, decisions: tuple[Decision, ...]
+    last: FramePose,
+    world_from_camera: NDArray[np.float64],
+    camera: Camera,
+    snapshot: MapSnapshot,
+    *,
+    keyframe_index: int,
+    decisions: tuple[Decision, ...],
 ) -> FrameReport:
-    """Return what is told of the finished map: one more keyframe, without images, after the last frame."""
+    """Return what is told of the finished map: one more keyframe, without images, after the last frame, at its pose."""
     return FrameReport(
         index=last.index + 1,
         stamp_ns=last.stamp_ns,
         keyframe_index=keyframe_index,
         camera=camera,
-        world_from_camera=last.world_from_camera,
+        world_from_camera=world_from_camera,
         color_bytes=None,
         decisions=decisions,
         snapshot=snapshot,

@@ -27,6 +27,8 @@ _EVENTS = (
     "PosesCorrected",
     "LoopsSearched",
     "WayEnded",
+    "KeyframeRegistered",
+    "KeyframeKeptOut",
 )
 CHANNELS = {name: 16 + i for i, name in enumerate(_EVENTS)}
 EVENT_NAMES = {channel: name for name, channel in CHANNELS.items()}

@@ -21,8 +21,8 @@ _IMAGES_PER_FRAME = 2
 def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
     """Return the account of a source's messages, {} where it keeps none.
 
-    `frames` are the run's counts: `read`, `keyframes`, `frames_undecodable`. After several rounds of a log the account
-    is that of the last round, in which the images are not told apart.
+    `frames` are the run's counts: `read`, `keyframes`, `keyframes_kept_out`, `frames_undecodable`. After several rounds
+    of a log the account is that of the last round, in which the images are not told apart.
     """
     kept = account_of(source)
     if kept is None:
@@ -33,7 +33,9 @@ def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
     if frames.get("read", 0) != found - dropped + doubled:
         return account
     torn = frames.get("frames_undecodable", 0)
-    skipped = _IMAGES_PER_FRAME * max(0, found - frames.get("keyframes", 0) - torn)
+    # What was kept out of the map was looked at.
+    needed = frames.get("keyframes", 0) + frames.get("keyframes_kept_out", 0)
+    skipped = _IMAGES_PER_FRAME * max(0, found - needed - torn)
     account["not_keyframe"] = skipped
     account["not_needed"] += skipped
     account["unreadable"] += _IMAGES_PER_FRAME * torn

@@ -37,6 +37,7 @@ from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
 from hickory_stream.engine.frame_reports import final_report, keyframe_report, plain_report
 from hickory_stream.engine.history.rewind import rewound_to
 from hickory_stream.engine.keyframe_images import color_of
+from hickory_stream.engine.keyframe_places import KeyframePlaces
 from hickory_stream.engine.loop_closing import LoopCloser
 from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.reading import Position, Read, Reader, sensed
@@ -51,9 +52,9 @@ from hickory_stream.engine.stopping import Stop
 from hickory_stream.engine.threads import on_thread
 from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import RecordingError
-from hickory_stream.events import PoseJumped, SourceEnded, WayEnded
+from hickory_stream.events import KeyframeKeptOut, PoseJumped, SourceEnded, WayEnded
 from hickory_stream.perception.perceive import Perceived, perceive
-from hickory_stream.ports import interrupt, num_seeks
+from hickory_stream.ports import interrupt, num_seeks, prepared_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -110,6 +111,7 @@ class Run:
         self._clock = RunClock(config.run.time_jump_s)
         self._reader = Reader(config, parts.segmenter, self._stop, mode=parts.mode)
         self._choice = KeyframeChoice(parts.mode, config.keyframes)
+        self._places = KeyframePlaces(config.registration)
         cache = ShapeCache(cache_folder("shapes")) if config.run.shape_cache else None
         self._shapes = ShapeQueue(folder, parts.workers, config.shapes, cache)
         self._recorder = Recorder(folder, parts.journal)
@@ -145,9 +147,11 @@ class Run:
         )
         self._corrections = Corrections()
         self._loop_delay = LoopDelay()
+        self._is_keeping_out = False
         self.timings_s: defaultdict[str, float] = defaultdict(float)
         if parts.resumes is not None:
             self._clock.resume(parts.resumes)
+            self._places.restore(parts.resumes.registration)
             self._announcer.snapshot = parts.core.snapshot()
             for name in parts.resumes.mesh_names:
                 folder.keep_shape(name)
@@ -259,7 +263,9 @@ class Run:
                     became = await self._map_keyframe(read) if outcome is FrameOutcome.MAPPED else outcome
                     if became is not FrameOutcome.MAPPED:
                         self._clock.counts[became.value] += 1
-                        await self._announcer.show(plain_report(read.raw))
+                        await self._announcer.show(
+                            plain_report(read.raw, self._places.where(read.raw.world_from_camera))
+                        )
                     self._tell("mapping")
             except OutOfPatienceError:
                 await self._reader.end()
@@ -280,9 +286,11 @@ class Run:
             counts["time_jumps"] += 1
             if self._parts.mode == "playback":
                 await self._due.commit(None)
+            self._places.jumped(is_loop=jump.kind == "loop")
             await self._effects.handle(jump)
         elif raw.after_from_before is not None:
             counts["pose_jumps"] += 1
+            self._places.jumped()
             await self._effects.handle(PoseJumped(stamp_ns=raw.stamp_ns, after_from_before=raw.after_from_before))
         self._steps.add_frame(self._clock.advance(read))
 
@@ -308,9 +316,10 @@ class Run:
         """Restore the core's state before a stamp; events after it that are not in the journal yet are discarded."""
         self._clock.counts["rewinds"] += 1
         await self._recorder.written()
-        folder, config, now = self._parts.folder, self._parts.config.mapping, self._effects.core
+        folder, config, now = self._parts.folder, self._parts.config, self._effects.core
         rewound = await on_thread(self._thinker, rewound_to, folder, config, stamp_ns, now)
         self._effects.core = rewound.core
+        self._places.restore(rewound.registration)
         self._steps.rewind(rewound, self._shapes.rewind(rewound.open_jobs, rewound.answers))
         self._loops.restart(rewound.core.searches)
         if len(self._corrections):
@@ -331,9 +340,43 @@ class Run:
                 logger.warning("frame %d cannot be decoded: %s", read.raw.index, error)
                 return FrameOutcome.UNDECODABLE
             frame = sensed(decoded, read.raw.index, self._parts.config.sensor)
-            prepared = await on_thread(self._thinker, self._parts.segmenter.prepare, frame)
-        await self._keyframe(read, frame, prepared)
+        placed = await self._placed(frame)
+        if placed is None:
+            return FrameOutcome.KEPT_OUT
+        if read.frame is None:
+            prepared = await on_thread(self._thinker, self._parts.segmenter.prepare, placed)
+        elif placed is not frame:
+            prepared = prepared_at(self._parts.segmenter, prepared, placed.world_from_camera)
+        await self._keyframe(read, placed, prepared)
         return FrameOutcome.MAPPED
+
+    async def _placed(self, frame: Frame) -> Frame | None:
+        """Return a keyframe at the pose at which it is mapped, None where it does not fit the map."""
+        started = time.perf_counter()
+        found = await on_thread(self._thinker, self._places.place, frame)
+        self.timings_s["register"] += time.perf_counter() - started
+        if found is None:
+            return frame
+        if isinstance(found, KeyframeKeptOut):
+            if not self._is_keeping_out:
+                logger.warning("frame %d and what follows is kept out of the map: %s", frame.index, found.reason)
+            self._is_keeping_out = True
+            await self._effects.handle(found)
+            return None
+        if found.event.how == "begun anew":
+            logger.warning(
+                "frame %d does not fit the map, nor do those before it: the robot is somewhere else than its odometry "
+                "says, and a new submap begins",
+                frame.index,
+            )
+            self._clock.counts["carried_away"] += 1
+            await self._effects.handle(PoseJumped(stamp_ns=frame.stamp_ns, after_from_before=np.eye(4)))
+        elif self._is_keeping_out:
+            logger.warning("frame %d fits the map again", frame.index)
+        self._is_keeping_out = False
+        self._clock.counts["keyframes_corrected"] += found.event.corrects
+        await self._effects.handle(found.event)
+        return found.frame
 
     async def _keyframe(self, read: Read, frame: Frame, prepared: object) -> None:
         self._clock.num_keyframes += 1
@@ -407,7 +450,14 @@ class Run:
         assert self._clock.camera is not None
         index = self._clock.num_keyframes
         await self._announcer.show(
-            final_report(last, self._clock.camera, snapshot, keyframe_index=index, decisions=decisions)
+            final_report(
+                last,
+                self._places.where(last.world_from_camera),
+                self._clock.camera,
+                snapshot,
+                keyframe_index=index,
+                decisions=decisions,
+            )
         )
 
     # ---- what others are told ----------------------------------------------------------------------------------------

@@ -15,6 +15,8 @@ from hickory_stream.events import (
     Event,
     FeaturesReady,
     FrameObserved,
+    KeyframeKeptOut,
+    KeyframeRegistered,
     LoopsSearched,
     PoseJumped,
     PosesCorrected,
@@ -103,6 +105,11 @@ class MapperCore:
                 return []
             case WayEnded():
                 return [*self._ask_for_loops_before()]
+            case KeyframeRegistered():
+                return []  # its pose comes with what was seen from there
+            case KeyframeKeptOut():
+                self._state.decide("keep_out", None, f"frame {event.frame_index} is kept out: {event.reason}")
+                return []
             case SourceEnded():
                 return self._source_ended()
             case _:

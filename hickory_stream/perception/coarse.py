@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import CoarseFrame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
 
 _CELLS_ACROSS = 160
 _MOST_MM = 65535.0
@@ -23,18 +22,46 @@ _MOST_MM = 65535.0
 
 def coarse_frame(depth_m: NDArray[np.float32], structure: NDArray[np.bool_], camera: Camera) -> CoarseFrame:
     """Return the low-resolution copy of (H, W) depth and structure; depth beyond 65 m is stored as no return."""
-    height, width = depth_m.shape
-    stride = max(1, -(-width // _CELLS_ACROSS))
-    top, left = min(stride // 2, height - 1), min(stride // 2, width - 1)
-    sampled = (slice(top, None, stride), slice(left, None, stride))
-    millimetres = np.nan_to_num(depth_m[sampled] * np.float32(1000.0), nan=0.0, posinf=0.0, neginf=0.0)
-    millimetres = np.where((millimetres < 0) | (millimetres > _MOST_MM), np.float32(0.0), millimetres)
+    stride = stride_of(depth_m.shape[1])
     return CoarseFrame(
         stride_px=stride,
-        depth_mm=np.rint(millimetres).astype(np.uint16),
-        structure=structure[sampled].copy(),
+        depth_mm=coarse_depth(depth_m),
+        structure=structure[_sampled(depth_m.shape, stride)].copy(),
         camera=camera,
     )
+
+
+def coarse_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Return the low-resolution copy of depth (H, W) alone, in millimetres; 0 = no return."""
+    sampled = depth_m[_sampled(depth_m.shape, stride_of(depth_m.shape[1]))]
+    millimetres = np.nan_to_num(sampled * np.float32(1000.0), nan=0.0, posinf=0.0, neginf=0.0)
+    millimetres = np.where((millimetres < 0) | (millimetres > _MOST_MM), np.float32(0.0), millimetres)
+    return np.rint(millimetres).astype(np.uint16)
+
+
+def coarse_camera(camera: Camera) -> Camera:
+    """Return the camera whose pixels are the cells."""
+    stride = stride_of(camera.width)
+    rows, columns = _sampled((camera.height, camera.width), stride)
+    return Camera(
+        width=len(range(camera.width)[columns]),
+        height=len(range(camera.height)[rows]),
+        fx=camera.fx / stride,
+        fy=camera.fy / stride,
+        cx=(camera.cx - columns.start) / stride,
+        cy=(camera.cy - rows.start) / stride,
+    )
+
+
+def stride_of(width_px: int) -> int:
+    """Return the side of the cells of an image of this width, in pixels."""
+    return max(1, -(-width_px // _CELLS_ACROSS))
+
+
+def _sampled(shape: tuple[int, ...], stride: int) -> tuple[slice, slice]:
+    """Return which pixels of an image (H, W) are kept: the middle one of every cell."""
+    top, left = min(stride // 2, shape[0] - 1), min(stride // 2, shape[1] - 1)
+    return slice(top, None, stride), slice(left, None, stride)
 
 
 def cells_of(coarse: CoarseFrame, pixels: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -19,7 +19,7 @@ from hickory_stream.perception.map_prior import fragment_owners
 from hickory_stream.perception.masks import enlarged, enlarged_mask, occluded_shares, why_no_object
 from hickory_stream.perception.room_structure import RoomStructure, room_structure_of
 from hickory_stream.perception.structure import StructureConfig
-from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
+from hickory_stream.perception.surface import Surface, SurfaceConfig, moved_surface, surface_of
 from hickory_stream.perception.trees import Trees, embedded_trees
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask, Segmentation
@@ -82,6 +82,10 @@ class GeometricSegmenter:
     def prepare(self, frame: Frame) -> Surface:
         """Return the surface of a frame: the slowest part of segmentation, which does not depend on the map."""
         return surface_of(frame, self._config.surface)
+
+    def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
+        """Return what was prepared of a frame for another pose (4, 4) of it."""
+        return moved_surface(prepared, world_from_camera) if isinstance(prepared, Surface) else None
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the map so far."""

@@ -10,11 +10,15 @@ from hickory_stream.perception.geometric import GeometricSegmenter
 from hickory_stream.perception.join import join_fragments
 from hickory_stream.perception.map_prior import fragment_owners
 from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
+from hickory_stream.perception.surface import moved_surface
 from hickory_stream.perception.thing_odds import thing_log_odds
 from hickory_stream.perception.trees import embedded_trees
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hickory_stream.perception.geometric import Fragments, GeometricConfig
     from hickory_stream.perception.join import Joined
     from hickory_stream.perception.pixel_network import PixelNetwork, PixelOdds
@@ -66,6 +70,12 @@ class NetworkSegmenter:
         """Return the surface of a frame and the network's odds; raises `ModelError`."""
         surface = self._geometric.prepare(frame)
         return Prepared(surface=surface, odds=self._network.odds(surface, None))
+
+    def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
+        """Return what was prepared of a frame for another pose (4, 4) of it; odds do not depend on the pose."""
+        if not isinstance(prepared, Prepared):
+            return None
+        return replace(prepared, surface=moved_surface(prepared.surface, world_from_camera))
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame; `prior` is the map so far."""

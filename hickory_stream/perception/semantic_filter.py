@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import find_objects
 
 from hickory_stream.errors import ConfigError
+from hickory_stream.ports import Moving
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask, Segmentation
 
@@ -74,6 +75,13 @@ class FilteredSegmenter:
     def prepare(self, frame: Frame) -> tuple[object, SemanticImage]:
         """Return the results that need no map: the segmenter's own, and the classes of the pixels."""
         return self._segmenter.prepare(frame), self._model.classify(np.asarray(frame.rgb))
+
+    def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
+        """Return what was prepared of a frame for another pose (4, 4) of it; None where that must be done anew."""
+        if not isinstance(prepared, tuple) or not isinstance(self._segmenter, Moving):
+            return None
+        inner, semantics = prepared
+        return self._segmenter.moved(inner, world_from_camera), semantics
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the segmenter's instances without those of excluded classes."""

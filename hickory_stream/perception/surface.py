@@ -6,7 +6,7 @@ come from a least-squares plane in inverse depth, twice, the second time over th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -15,7 +15,7 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import Camera, backproject
-from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.perception.cielab import lab_of
 from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 
@@ -93,6 +93,17 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
         lab=lab_of(rgb),
         sigma_m=frame.sensor.sigma_m(depth),
         world_from_camera=frame.world_from_camera,
+    )
+
+
+def moved_surface(surface: Surface, world_from_camera: NDArray[np.float64]) -> Surface:
+    """Return the surface of a frame whose pose turned out to be another one, (4, 4)."""
+    turn = compose(world_from_camera, invert(surface.world_from_camera))[:3, :3]
+    return replace(
+        surface,
+        points_world=apply(world_from_camera, backproject(surface.depth_m, surface.camera)),
+        normals_world=portable.moved(surface.normals_world, turn, np.zeros(3)),
+        world_from_camera=world_from_camera,
     )
 
 

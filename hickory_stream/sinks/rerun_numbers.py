@@ -22,7 +22,7 @@ PLOTS, DECISIONS, OBJECT_DECISIONS = "plots", "decisions", "decisions_of"
 _PER_OBJECT = {"score": "S", "variance": "sigma^2", "area": "R_area", "depth": "R_depth"}
 # What happens in every frame of a healthy run.
 _ROUTINE = ("associate", "view", "reject")
-_JUMPS = ("time_jump", "pose_jump", "floor")
+_JUMPS = ("time_jump", "pose_jump", "keep_out", "floor")
 # The viewer shows one line of a text, cut at the edge of its view: what is longer goes on in a row of its own.
 _LINE_LENGTH = 160
 

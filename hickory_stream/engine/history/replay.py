@@ -15,12 +15,15 @@ from hickory_stream.engine.history.recorded_config import recorded_config
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.report_poses import in_map_frame
 from hickory_stream.engine.step import StepKind
-from hickory_stream.events import FrameObserved
+from hickory_stream.events import FrameObserved, KeyframeRegistered
+from hickory_stream.geometry.rigid import compose
 from hickory_stream.records import FrameReport, Segmentation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from hickory_stream.engine.history.core_replay import Replayed
     from hickory_stream.engine.step import FramePose
@@ -43,19 +46,24 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
             last: FramePose | None = None
             camera: Camera | None = None
             newest: MapSnapshot | None = None
+            map_from_odometry = np.eye(4)
             for replayed in again.steps(len(journal)):
                 step = replayed.entry.step
                 camera = step.camera
                 last = step.frames[-1] if step.frames else last
                 for sink in sinks:
-                    for report in _reports(replayed, journal, num_keyframes):
+                    for report in _reports(replayed, journal, num_keyframes, map_from_odometry):
                         sink.show(in_map_frame(report, report.snapshot or newest))
+                for event in replayed.entry.events:
+                    if isinstance(event, KeyframeRegistered):
+                        map_from_odometry = event.map_from_odometry
                 newest = replayed.published.snapshot if replayed.published is not None else newest
                 num_keyframes = step.num_keyframes
             snapshot = again.snapshot()
             if last is not None and camera is not None:
                 for sink in sinks:
-                    final = final_report(last, camera, snapshot, keyframe_index=num_keyframes, decisions=())
+                    pose = compose(map_from_odometry, last.world_from_camera)
+                    final = final_report(last, pose, camera, snapshot, keyframe_index=num_keyframes, decisions=())
                     sink.show(in_map_frame(final, snapshot))
     finally:
         for sink in sinks:
@@ -63,8 +71,13 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
     return snapshot
 
 
-def _reports(replayed: Replayed, journal: Journal, keyframe_index: int) -> list[FrameReport]:
-    """Return the reports of a step: its frames, the keyframe last with all that is known of it."""
+def _reports(
+    replayed: Replayed, journal: Journal, keyframe_index: int, map_from_odometry: NDArray[np.float64]
+) -> list[FrameReport]:
+    """Return the reports of a step: its frames, the keyframe last with all that is known of it.
+
+    `map_from_odometry` (4, 4) is the correction of the odometry before it.
+    """
     step, published = replayed.entry.step, replayed.published
     observed = next((event for event in replayed.entry.events if isinstance(event, FrameObserved)), None)
     is_keyframe = step.kind is StepKind.KEYFRAME and observed is not None and published is not None
@@ -75,7 +88,7 @@ def _reports(replayed: Replayed, journal: Journal, keyframe_index: int) -> list[
             stamp_ns=frame.stamp_ns,
             keyframe_index=None,
             camera=step.camera,
-            world_from_camera=frame.world_from_camera,
+            world_from_camera=compose(map_from_odometry, frame.world_from_camera),
             color_bytes=None,
         )
         if not is_keyframe or observed is None or published is None or frame.index != observed.frame_index:
@@ -87,7 +100,7 @@ def _reports(replayed: Replayed, journal: Journal, keyframe_index: int) -> list[
                 stamp_ns=frame.stamp_ns,
                 keyframe_index=keyframe_index,
                 camera=step.camera,
-                world_from_camera=frame.world_from_camera,
+                world_from_camera=observed.world_from_camera,
                 color_bytes=journal.color(replayed.index),
                 segmentation=_segmentation(observed, step.camera),
                 observations=observed.observations,

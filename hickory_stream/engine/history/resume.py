@@ -72,7 +72,7 @@ def reopen(
     try:
         with Journal(path) as journal:
             journal.cut_to_resumable()
-            continued = resume_point_of(journal, config.mapping)
+            continued = resume_point_of(journal, config)
             if continued is not None:
                 _check_views(folder, continued)
             return folder, JournalWriter(path, flush_s=config.journal.flush_s, continued=journal), continued
@@ -104,7 +104,7 @@ def save_live(path: Path) -> str:
     try:
         with Journal(path) as journal:
             journal.cut_to_resumable()
-            continued = resume_point_of(journal, config.mapping)
+            continued = resume_point_of(journal, config)
             JournalWriter(path, flush_s=config.journal.flush_s, continued=journal).close()
         if continued is not None:
             for name in continued.mesh_names:

@@ -6,20 +6,25 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hickory_stream.engine.history.core_replay import Replay, mesh_names
+from hickory_stream.engine.history.registration_history import registration_history
 from hickory_stream.engine.reading import Position
 from hickory_stream.engine.step import StepKind
 from hickory_stream.mapping.keyframes import Keyframe
 
 if TYPE_CHECKING:
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.history.registration_history import RegistrationHistory
     from hickory_stream.engine.journal import Journal
     from hickory_stream.engine.step import FramePose, OpenJob, Step
     from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.mapping.mapping_config import MappingConfig
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ResumePoint:
-    """The state of an interrupted run, from its journal: the core, the last step, and the pending shape jobs."""
+    """The state of an interrupted run, from its journal: the core, the last step, and the pending shape jobs.
+
+    `registration` is what the registration of keyframes knew; None where none was registered.
+    """
 
     core: MapperCore
     step: Step
@@ -27,9 +32,10 @@ class ResumePoint:
     open_jobs: tuple[OpenJob, ...]
     mesh_names: tuple[str, ...]
     last_frame: FramePose
+    registration: RegistrationHistory | None = None
 
 
-def resume_point_of(journal: Journal, config: MappingConfig) -> ResumePoint | None:
+def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | None:
     """Return the state from which an interrupted run resumes, None if it had not reached its first keyframe.
 
     Raises:
@@ -38,7 +44,7 @@ def resume_point_of(journal: Journal, config: MappingConfig) -> ResumePoint | No
     if len(journal) == 0:
         return None
     last = len(journal) - 1
-    replay = Replay(journal, config)
+    replay = Replay(journal, config.mapping)
     replay.seek(last)
     step = journal.step(last)
     frames = step.frames
@@ -62,4 +68,5 @@ def resume_point_of(journal: Journal, config: MappingConfig) -> ResumePoint | No
         open_jobs=tuple(replay.open_jobs.values()),
         mesh_names=tuple(sorted(mesh_names(journal))),
         last_frame=frames[-1],
+        registration=registration_history(journal, len(journal), num_recent=config.registration.num_recent),
     )

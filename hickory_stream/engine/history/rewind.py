@@ -10,15 +10,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hickory_stream.engine.history.core_replay import Replay
+from hickory_stream.engine.history.registration_history import registration_history
 from hickory_stream.engine.history.time_travel import step_at
 from hickory_stream.engine.journal import Journal
 from hickory_stream.events import ShapeFailed, ShapeReady
 
 if TYPE_CHECKING:
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.history.registration_history import RegistrationHistory
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.step import OpenJob
     from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.mapping.mapping_config import MappingConfig
 
 Answer = ShapeReady | ShapeFailed
 
@@ -30,6 +32,7 @@ class Rewound:
     `num_steps`: the number of journal steps in its state. `open_jobs`: shape jobs that were pending then; `answers`:
     those of their results that have arrived since, by ticket. `lost_views`: views of that state whose pixels have been
     deleted since, so that the core is without them. `unused_views`: views that only later steps had kept.
+    `registration`: what the registration of keyframes knew then, None where none had been registered.
     """
 
     core: MapperCore
@@ -38,9 +41,10 @@ class Rewound:
     answers: dict[int, Answer]
     lost_views: tuple[str, ...]
     unused_views: tuple[str, ...]
+    registration: RegistrationHistory | None = None
 
 
-def rewound_to(folder: MapFolder, config: MappingConfig, stamp_ns: int, now: MapperCore) -> Rewound:
+def rewound_to(folder: MapFolder, config: MapperConfig, stamp_ns: int, now: MapperCore) -> Rewound:
     """Return the core as it was before a stamp; the next ids that it assigns are those of the core `now`.
 
     Raises:
@@ -48,7 +52,7 @@ def rewound_to(folder: MapFolder, config: MappingConfig, stamp_ns: int, now: Map
     """
     with Journal(folder.path) as journal:
         index = step_at(journal.stamps_ns, stamp_ns - 1)
-        replay = Replay(journal, config)
+        replay = Replay(journal, config.mapping)
         if index is not None:
             replay.seek(index)
         wanted = set(replay.open_jobs)
@@ -59,6 +63,8 @@ def rewound_to(folder: MapFolder, config: MappingConfig, stamp_ns: int, now: Map
                     assert isinstance(event, ShapeReady | ShapeFailed)
                     if event.ticket in wanted:
                         answers[event.ticket] = event
+        recent = config.registration.num_recent
+        registration = registration_history(journal, replay.num_steps, num_recent=recent)
     names = replay.core.view_names()
     lost = folder.keep_views(names)
     return Rewound(
@@ -68,4 +74,5 @@ def rewound_to(folder: MapFolder, config: MappingConfig, stamp_ns: int, now: Map
         answers=answers,
         lost_views=tuple(sorted(lost)),
         unused_views=tuple(sorted(now.view_names() - names)),
+        registration=registration,
     )

@@ -1,0 +1,118 @@
+"""Where keyframes are mapped: their registration to the surface of those before, as a step of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.events import KeyframeKeptOut, KeyframeRegistered
+from hickory_stream.geometry.rigid import compose
+from hickory_stream.perception.coarse import coarse_camera, coarse_depth
+from hickory_stream.poses.keyframe_registration import Belief, KeptOut, KeyframeRegistration, Remembered
+from hickory_stream.poses.surface_image import surface_image
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.history.registration_history import RegistrationHistory
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.poses.registration_config import RegistrationConfig
+    from hickory_stream.poses.surface_image import SurfaceImage
+    from hickory_stream.records import Frame
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PlacedFrame:
+    """A keyframe at the pose at which it is mapped, and the event that says how that was found."""
+
+    frame: Frame
+    event: KeyframeRegistered
+
+
+class KeyframePlaces:
+    """Places keyframes one after the other; a frame between them is where the last one's correction takes it."""
+
+    def __init__(self, config: RegistrationConfig) -> None:
+        self._config = config
+        self._registration = KeyframeRegistration(config)
+
+    @property
+    def map_from_odometry(self) -> NDArray[np.float64]:
+        """Where the odometry's world lies in the map's, (4, 4)."""
+        return self._registration.map_from_odometry
+
+    def where(self, odometry_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where a camera is in the map (4, 4) that the odometry has at `odometry_from_camera`."""
+        if np.array_equal(self.map_from_odometry, np.eye(4)):
+            return odometry_from_camera
+        return compose(self.map_from_odometry, odometry_from_camera)
+
+    def place(self, frame: Frame) -> PlacedFrame | KeyframeKeptOut | None:
+        """Return a keyframe where it is mapped, or why it is not; None: keyframes are mapped where odometry has them.
+
+        So they are where registration is off.
+        """
+        if not self._config.enabled:
+            return None
+        odometry_from_camera = frame.world_from_camera
+        spread_per_m = frame.sensor.spread_per_m
+        image = self._image(coarse_depth(frame.depth_m), frame.camera, spread_per_m)
+        found = self._registration.place(image, odometry_from_camera)
+        if isinstance(found, KeptOut):
+            return KeyframeKeptOut(frame_index=frame.index, stamp_ns=frame.stamp_ns, reason=found.reason)
+        is_moved = not np.array_equal(found.map_from_camera, odometry_from_camera)
+        return PlacedFrame(
+            frame=replace(frame, world_from_camera=found.map_from_camera) if is_moved else frame,
+            event=KeyframeRegistered(
+                frame_index=frame.index,
+                stamp_ns=frame.stamp_ns,
+                how=found.how,
+                odometry_from_camera=odometry_from_camera,
+                map_from_camera=found.map_from_camera,
+                map_from_odometry=found.belief.map_from_odometry,
+                covariance=found.belief.covariance,
+                corrects=found.belief.corrects,
+                num_against=found.belief.num_against,
+                is_anchor=found.is_anchor,
+                spread_per_m=spread_per_m,
+                fit=found.fit,
+            ),
+        )
+
+    def jumped(self, *, is_loop: bool = False) -> None:
+        """Take note of a jump of the odometry or the stamps; `is_loop`: the log begins anew, and so do its poses."""
+        if is_loop:
+            self._registration.began_again()
+        else:
+            self._registration.jumped()
+
+    def restore(self, history: RegistrationHistory | None) -> None:
+        """Go on as after some step of a run; None: as at its beginning."""
+        self._registration = KeyframeRegistration(self._config)
+        if history is None:
+            return
+        last = history.last
+        remembered = [
+            Remembered(
+                image=self._image(np.asarray(each.coarse.depth_mm), each.camera, each.event.spread_per_m),
+                map_from_camera=each.event.map_from_camera,
+                number=each.number,
+                is_anchor=each.event.is_anchor,
+            )
+            for each in history.remembered
+        ]
+        belief = Belief(
+            map_from_odometry=last.map_from_odometry,
+            covariance=last.covariance,
+            corrects=last.corrects,
+            num_against=last.num_against,
+            odometry_from_camera=last.odometry_from_camera,
+        )
+        self._registration.restore(belief, remembered, history.num_placed)
+
+    def _image(self, depth_mm: NDArray[np.uint16], camera: Camera, spread_per_m: float) -> SurfaceImage:
+        return surface_image(
+            depth_mm, coarse_camera(camera), spread_per_m=spread_per_m, max_sigma_m=self._config.max_depth_sigma_m
+        )

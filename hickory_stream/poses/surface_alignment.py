@@ -1,0 +1,280 @@
+"""Alignment of a keyframe's surface with patches of surface from earlier keyframes, under a prior of its pose.
+
+Points of the patches are projected into the keyframe and compared with the surface element there (projective
+association: Blais and Levine 1995; Newcombe et al., KinectFusion, 2011), by the distance along the mean of both normals
+(symmetric point-to-plane: Rusinkiewicz 2019), with Geman and McClure's kernel, whose scale narrows from step to step:
+what moved, and people who pass by, have no say. Gauss-Newton steps; the prior is a Gaussian in the map's axes about the
+camera, so that along what the surface does not determine the pose stays the expected one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.compiled import numba
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import solve_in_place
+from hickory_stream.geometry.rigid import (
+    compose,
+    from_rotation_translation,
+    invert,
+    rotation_of_vector,
+    rotation_vector,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.poses.registration_config import RegistrationConfig
+    from hickory_stream.poses.surface_image import SurfaceImage
+
+_NEAREST_M = 0.2
+_THROUGH_M = 0.1
+"""A point that lies this much nearer than what the keyframe sees there is seen through."""
+_NUM_PROBES = 40
+_LEVEL = 0.9
+"""The cosine to the vertical from which on a normal is that of a level surface."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Patch:
+    """Surface elements of a keyframe: `points`, `normals` (N, 3) in its camera, `sigma_m` (N,), and its pose.
+
+    `probes` (K, 3) are a few of the points, by which is judged who sees them.
+    """
+
+    map_from_camera: NDArray[np.float64]
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
+    probes: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PosePrior:
+    """What is expected of a pose: `map_from_camera` (4, 4), and the information (6, 6) of its error.
+
+    The error is a rotation vector, then a translation, both along the map's axes, the rotation about the camera.
+    `tilt` (2,) is how far the pose is turned about the map's x and y against the odometry's vertical, in rad, which is
+    known with `tilt_information`.
+    """
+
+    map_from_camera: NDArray[np.float64]
+    information: NDArray[np.float64]
+    tilt: NDArray[np.float64]
+    tilt_information: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Aligned:
+    """The most likely pose; `off` (6,) is what it is from the expected one, `information` (6, 6) the surface's alone.
+
+    `num_on` points of patches lie on the keyframe's surface, and `num_through` are seen through; of these
+    `num_upright_on` and `num_upright_through` are of surfaces that are not level.
+    """
+
+    map_from_camera: NDArray[np.float64]
+    off: NDArray[np.float64]
+    information: NDArray[np.float64]
+    num_on: int
+    num_through: int
+    num_upright_on: int
+    num_upright_through: int
+
+    def fit(self, least_points: int) -> float | None:
+        """Return the share of points that are on the surface; None where fewer than `least_points` can be compared.
+
+        Level surfaces say less: wherever a robot is, it is on a floor. Without them the share must be as large.
+        """
+        pairs = ((self.num_on, self.num_through), (self.num_upright_on, self.num_upright_through))
+        shares = [on / (on + through) for on, through in pairs if on + through >= least_points]
+        return min(shares) if self.num_on + self.num_through >= least_points else None
+
+
+def patch_of(image: SurfaceImage, map_from_camera: NDArray[np.float64], *, odd: bool) -> Patch:
+    """Return a quarter of the surface elements of a keyframe, every second row and column; `odd`: the others."""
+    first = int(odd)
+    has = ~np.isnan(image.sigma_m[first::2, first::2])
+    points = image.points[first::2, first::2][has]
+    return Patch(
+        map_from_camera=map_from_camera,
+        points=points,
+        normals=image.normals[first::2, first::2][has],
+        sigma_m=image.sigma_m[first::2, first::2][has],
+        probes=points[:: max(1, len(points) // _NUM_PROBES)],
+    )
+
+
+def share_seen(patch: Patch, camera_from_map: NDArray[np.float64], camera: Camera) -> float:
+    """Return the share of a patch that lies in the field of view of a camera, whatever may hide it."""
+    if not len(patch.probes):
+        return 0.0
+    lens = camera.fx, camera.fy, camera.cx, camera.cy
+    camera_from_patch = compose(camera_from_map, patch.map_from_camera)
+    return float(_num_in_view(patch.probes, camera_from_patch, lens, camera.width, camera.height)) / len(patch.probes)
+
+
+def align(image: SurfaceImage, patches: Sequence[Patch], prior: PosePrior, config: RegistrationConfig) -> Aligned:
+    """Return the most likely pose of a keyframe by its surface, the patches and what is expected."""
+    lens = image.camera.fx, image.camera.fy, image.camera.cx, image.camera.cy
+    pose, off = prior.map_from_camera, np.zeros(6)
+    counts = np.zeros(4, dtype=np.int64)
+    information = np.zeros((6, 6))
+    for step in range(config.num_iterations):
+        hessian, slope = np.zeros((6, 6)), np.zeros(6)
+        counts[:] = 0
+        camera_from_map = invert(pose)
+        for patch in patches:
+            _accumulate(
+                patch.points,
+                patch.normals,
+                patch.sigma_m,
+                compose(camera_from_map, patch.map_from_camera),
+                image.points,
+                image.normals,
+                image.sigma_m,
+                lens,
+                pose[2, :3].copy(),
+                (_scale_m(step, config), config.least_cosine, config.surface_noise_m * config.surface_noise_m),
+                hessian,
+                slope,
+                counts,
+            )
+        # Neighbouring points err alike, and each point of the keyframe was compared with several patches.
+        share = min(1.0, config.num_independent / max(int(counts[0]), 1))
+        turned = _in_map_axes(pose)
+        information = share * portable.matmul(portable.matmul(turned, _mirrored(hessian)), turned.T)
+        slope = share * portable.matmul(turned, slope)
+        total = information + prior.information
+        slope = slope + portable.matmul(prior.information, off)
+        for axis in (0, 1):
+            total[axis, axis] += prior.tilt_information
+            slope[axis] += prior.tilt_information * (prior.tilt[axis] + off[axis])
+        pose = moved_by(pose, solved(total, -slope))
+        off = _off(pose, prior.map_from_camera)
+    return Aligned(
+        map_from_camera=pose,
+        off=off,
+        information=information,
+        num_on=int(counts[0]),
+        num_through=int(counts[1]),
+        num_upright_on=int(counts[2]),
+        num_upright_through=int(counts[3]),
+    )
+
+
+def solved(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return x of matrix x = right (n,)."""
+    out = np.array(right, dtype=np.float64)
+    solve_in_place(np.array(matrix, dtype=np.float64), out)
+    return out
+
+
+def inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inverse of a positive definite matrix (n, n), symmetric."""
+    out = np.stack([solved(matrix, column) for column in np.eye(len(matrix))])
+    return np.asarray(0.5 * (out + out.T))
+
+
+def _scale_m(step: int, config: RegistrationConfig) -> float:
+    """Return the scale of the kernel: halved with every step until it is the last one."""
+    return float(max(config.first_scale_m / (1 << min(step, 30)), config.last_scale_m))
+
+
+def _mirrored(upper: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(upper + np.triu(upper, 1).T)
+
+
+def _in_map_axes(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = pose[:3, :3]
+    return out
+
+
+def moved_by(pose: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a pose (4, 4) turned by a rotation vector about itself, then shifted: both (6,) along the map's axes."""
+    rotation = portable.matmul(rotation_of_vector(step[:3]), pose[:3, :3])
+    return from_rotation_translation(rotation, pose[:3, 3] + step[3:])
+
+
+def _off(pose: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np.float64]:
+    turn = portable.matmul(pose[:3, :3], expected[:3, :3].T)
+    return np.concatenate([rotation_vector(turn), pose[:3, 3] - expected[:3, 3]])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _num_in_view(points, camera_from_patch, lens, width, height):  # type: ignore[no-untyped-def] # pragma: no cover
+    fx, fy, cx, cy = lens
+    m = camera_from_patch
+    count = 0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        if pz < _NEAREST_M:
+            continue
+        u = fx * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / pz + cx
+        v = fy * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / pz + cy
+        count += (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
+    return count
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _accumulate(points, normals, sigma, m, at, facing, at_sigma, lens, up, limits, hessian, slope, counts):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Add what one patch says to the upper half of `hessian` (6, 6), to `slope` (6,), and to the four `counts`.
+
+    `m` is camera_from_patch, `up` (3,) the map's vertical in the camera; `limits` are the scale of the kernel, the least
+    cosine and the variance of surfaces.
+    """
+    height, width = at_sigma.shape
+    fx, fy, cx, cy = lens
+    scale_m, least_cosine, noise2 = limits
+    row = np.empty(6)
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        if pz < _NEAREST_M:
+            continue
+        px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+        py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+        u = np.int64(np.floor(fx * px / pz + cx + 0.5))
+        v = np.int64(np.floor(fy * py / pz + cy + 0.5))
+        if u < 0 or v < 0 or u >= width or v >= height or np.isnan(at_sigma[v, u]):
+            continue
+        x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
+        nx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z
+        ny = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z
+        nz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z
+        if nx * px + ny * py + nz * pz >= 0.0:
+            continue  # its back
+        is_upright = abs(nx * up[0] + ny * up[1] + nz * up[2]) < _LEVEL
+        qx, qy, qz = at[v, u, 0], at[v, u, 1], at[v, u, 2]
+        fnx, fny, fnz = facing[v, u, 0], facing[v, u, 1], facing[v, u, 2]
+        variance = sigma[i] * sigma[i] + at_sigma[v, u] * at_sigma[v, u] + noise2
+        reach_m = 3.0 * np.sqrt(variance)
+        cosine = nx * fnx + ny * fny + nz * fnz
+        nx, ny, nz = nx + fnx, ny + fny, nz + fnz
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        off = (nx * (qx - px) + ny * (qy - py) + nz * (qz - pz)) / length
+        if cosine < least_cosine or abs(off) > 2.5 * scale_m + reach_m:
+            if qz - pz > _THROUGH_M + reach_m:
+                counts[1] += 1
+                counts[3] += is_upright
+            continue
+        counts[0] += 1
+        counts[2] += is_upright
+        nx, ny, nz = nx / length, ny / length, nz / length
+        width2 = scale_m * scale_m + 4.0 * variance
+        weight = width2 / (width2 + off * off)
+        weight = weight * weight / variance
+        row[0], row[1], row[2] = qy * nz - qz * ny, qz * nx - qx * nz, qx * ny - qy * nx
+        row[3], row[4], row[5] = nx, ny, nz
+        for j in range(6):
+            slope[j] += weight * off * row[j]
+            for k in range(j, 6):
+                hessian[j, k] += weight * row[j] * row[k]

@@ -1,0 +1,197 @@
+"""Keyframes are mapped where they fit the map; the odometry's poses, what was kept out, and why, are kept beside it."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.box_scene import scene_pose
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.history.replay import replay
+from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.saved_map import open_map
+from hickory_stream.events import FrameObserved, KeyframeKeptOut, KeyframeRegistered, PoseJumped
+from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
+from tests.engine.registration_sources import NUM_FRAMES, Drifting, Unaware, room
+from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.ports import Sink, Source
+    from hickory_stream.records import FrameReport, MapSnapshot
+
+pytestmark = pytest.mark.timeout(120)
+CONFIG = (*NO_SHAPES, "sensor.noise_per_m=0.0005")
+
+
+class Kept:
+    """A sink that keeps the poses that it was told of, and saves the map."""
+
+    def __init__(self) -> None:
+        self.poses: dict[int, np.ndarray] = {}
+        self.folder: MapFolder | None = None
+        self._newest: MapSnapshot | None = None
+
+    def show(self, report: FrameReport) -> None:
+        self.poses.setdefault(report.index, report.world_from_camera)
+        self._newest = report.snapshot or self._newest
+
+    def close(self) -> None:
+        if self.folder is not None and self._newest is not None:
+            self.folder.save(self._newest)
+
+    def of(self, folder: MapFolder) -> list[tuple[Sink, bool]]:
+        self.folder = folder
+        return [(self, True)]
+
+
+def mapped(
+    tmp_path: Path,
+    source: Source,
+    *overrides: str,
+    sink: Kept | None = None,
+    on_progress: Callable[[Mapper, Progress], None] = lambda _, __: None,
+    num_frames: int = NUM_FRAMES,
+    step_of: Callable[[int], int] = int,
+) -> SceneRun:
+    return map_scene(
+        tmp_path,
+        *CONFIG,
+        *overrides,
+        source=source,
+        segmenter=InstanceSegmenter(room(num_frames, step_of).instances),
+        sinks=None if sink is None else sink.of,
+        on_progress=on_progress,
+    )
+
+
+def events_of(run_path: Path, kind: str) -> list[object]:
+    with Journal(run_path) as journal:
+        return [event for index in range(len(journal)) for event in journal.events(index, kind)]
+
+
+@pytest.fixture(scope="module")
+def drifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[SceneRun, Kept]:
+    sink = Kept()
+    return mapped(tmp_path_factory.mktemp("drifted"), Drifting(room()), sink=sink), sink
+
+
+def test_with_exact_poses_nothing_changes(tmp_path: Path) -> None:
+    on = mapped(tmp_path / "on", room())
+    off = mapped(tmp_path / "off", room(), "registration.enabled=false")
+    assert on.digest == off.digest
+    assert "keyframes_corrected" not in open_map(on.folder.path).ledger["frames"]
+    assert len(events_of(on.folder.path, "KeyframeRegistered")) == NUM_FRAMES
+    assert events_of(off.folder.path, "KeyframeRegistered") == []
+
+
+def test_keyframes_of_a_drifting_odometry_are_mapped_where_they_truly_were(drifted: tuple[SceneRun, Kept]) -> None:
+    run, sink = drifted
+    registered = events_of(run.folder.path, "KeyframeRegistered")
+    observed = events_of(run.folder.path, "FrameObserved")
+    assert len(registered) == len(observed) == NUM_FRAMES
+    for event, seen in zip(registered, observed, strict=True):
+        assert isinstance(event, KeyframeRegistered)
+        assert isinstance(seen, FrameObserved)
+        assert np.array_equal(event.map_from_camera, seen.world_from_camera)
+        assert np.array_equal(sink.poses[seen.frame_index], seen.world_from_camera)
+    # It takes some keyframes to see that the odometry errs; what it erred by until then stays.
+    first, last = registered[4], registered[-1]
+    assert isinstance(first, KeyframeRegistered)
+    assert isinstance(last, KeyframeRegistered)
+    true_way = compose(invert(scene_pose(4)), scene_pose(NUM_FRAMES - 1))
+    raw_way = compose(invert(first.odometry_from_camera), last.odometry_from_camera)
+    way = compose(invert(first.map_from_camera), last.map_from_camera)
+    assert np.linalg.norm(raw_way[:3, 3] - true_way[:3, 3]) > 0.06
+    assert np.linalg.norm(way[:3, 3] - true_way[:3, 3]) < 0.015
+    ledger = open_map(run.folder.path).ledger["frames"]
+    assert ledger["keyframes_corrected"] >= NUM_FRAMES - 4
+    assert ledger["keyframes"] == ledger["read"] == NUM_FRAMES
+
+
+def test_the_odometry_is_kept_beside_the_corrected_poses(drifted: tuple[SceneRun, Kept]) -> None:
+    run, _ = drifted
+    with Journal(run.folder.path) as journal:
+        raw = [frame for index in range(len(journal)) for frame in journal.step(index).frames]
+    given = [frame.world_from_camera for frame in Drifting(room()).frames()]
+    assert [frame.world_from_camera.tobytes() for frame in raw] == [pose.tobytes() for pose in given]
+
+
+def test_the_journal_of_a_corrected_run_gives_the_same_map_and_the_same_poses(drifted: tuple[SceneRun, Kept]) -> None:
+    run, sink = drifted
+    again = Kept()
+    assert map_digest(replay(run.folder.path, [again])) == run.digest
+    assert again.poses.keys() == sink.poses.keys()
+    for index, pose in sink.poses.items():
+        assert np.allclose(again.poses[index], pose, atol=1e-12)
+
+
+@pytest.mark.parametrize("keyframes", [2, 9])
+def test_a_corrected_run_that_was_stopped_goes_on_to_the_same_map(
+    drifted: tuple[SceneRun, Kept], tmp_path: Path, keyframes: int
+) -> None:
+    def stop(mapper: Mapper, progress: Progress) -> None:
+        if progress.keyframes == keyframes:
+            mapper.stop()
+
+    mapped(tmp_path, Drifting(room()), on_progress=stop)
+
+    async def resume() -> str | None:
+        segmenter = InstanceSegmenter(room().instances)
+        async with Mapper.resuming(tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
+            async for _ in mapper.run(Drifting(room())):
+                pass
+            assert mapper.folder is not None
+            return mapper.folder.manifest.digest
+
+    assert asyncio.run(resume()) == drifted[0].digest
+
+
+def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path: Path) -> None:
+    # For three frames the odometry says that the camera went on, and it shows another side of the room.
+    def step_of(i: int) -> int:
+        return i + 20 if 8 <= i < 11 else i
+
+    source = Unaware(room(NUM_FRAMES, step_of), scene_pose)
+    run = mapped(tmp_path, source, step_of=step_of)
+    frames = open_map(run.folder.path).ledger["frames"]
+    assert frames["keyframes_kept_out"] == 3
+    assert frames["keyframes"] == NUM_FRAMES - 3
+    assert sum(count for name, count in frames.items() if name in ("keyframes", "keyframes_kept_out")) == frames["read"]
+    out = events_of(run.folder.path, "KeyframeKeptOut")
+    assert [event.frame_index for event in out if isinstance(event, KeyframeKeptOut)] == [8, 9, 10]
+    with Journal(run.folder.path) as journal:
+        told = [entry.told for entry in journal.entries() if entry.told is not None]
+    decisions = [decision.text for each in told for decision in each.decisions if decision.kind == "keep_out"]
+    assert len(decisions) == 3
+    assert decisions[0].startswith("frame 8 is kept out: ")
+
+
+def test_a_robot_that_was_carried_away_goes_on_in_a_submap_of_its_own(tmp_path: Path) -> None:
+    num_frames, carried_at = 26, 10
+
+    def step_of(i: int) -> int:
+        return i + 18 if i >= carried_at else i
+
+    away = compose(scene_pose(carried_at), invert(scene_pose(carried_at + 18)))
+
+    def told(i: int) -> np.ndarray:
+        return compose(away, scene_pose(step_of(i))) if i >= carried_at else scene_pose(i)
+
+    run = mapped(tmp_path, Unaware(room(num_frames, step_of), told), num_frames=num_frames, step_of=step_of)
+    frames = open_map(run.folder.path).ledger["frames"]
+    assert frames["carried_away"] == 1
+    assert frames["keyframes_kept_out"] == 7
+    assert len(open_map(run.folder.path).snapshot.submaps) == 2
+    jumps = events_of(run.folder.path, "PoseJumped")
+    assert len(jumps) == 1
+    assert isinstance(jumps[0], PoseJumped)

@@ -1,0 +1,213 @@
+"""Keyframes are registered to the surface of those before: drift is taken out, exact poses stay, strangers stay out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from registration_scenes import (
+    CAMERA,
+    EMPTY_WALL,
+    NUM_KEYFRAMES,
+    ROOM,
+    SPREAD_PER_M,
+    drifted,
+    errors_m,
+    image,
+    true_pose,
+    wall_pose,
+)
+
+from hickory_stream.box_scene import SceneBox
+from hickory_stream.errors import RangeError
+from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
+from hickory_stream.poses.keyframe_registration import KeptOut, KeyframeRegistration, Placed, Remembered
+from hickory_stream.poses.registration_config import RegistrationConfig
+from hickory_stream.poses.surface_image import surface_image
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+CONFIG = RegistrationConfig()
+TRUE = [true_pose(i) for i in range(NUM_KEYFRAMES)]
+DRIFTED = drifted(TRUE)
+
+
+def walked(odometry: Sequence[NDArray[np.float64]], config: RegistrationConfig = CONFIG) -> list[Placed | KeptOut]:
+    registration = KeyframeRegistration(config)
+    return [registration.place(image(i), pose) for i, pose in enumerate(odometry)]
+
+
+def poses_of(found: Sequence[Placed | KeptOut]) -> list[NDArray[np.float64]]:
+    return [each.map_from_camera for each in found if isinstance(each, Placed)]
+
+
+@pytest.fixture(scope="module")
+def corrected() -> list[Placed | KeptOut]:
+    return walked(DRIFTED)
+
+
+def test_exact_poses_stay_as_they_are_to_the_last_bit() -> None:
+    found = walked(TRUE)
+    assert all(isinstance(each, Placed) and not each.belief.corrects for each in found)
+    assert [pose.tobytes() for pose in poses_of(found)] == [pose.tobytes() for pose in TRUE]
+
+
+def test_most_of_a_drift_is_taken_out(corrected: list[Placed | KeptOut]) -> None:
+    before, after = errors_m(DRIFTED), errors_m(poses_of(corrected))
+    assert before[-1] > 0.09
+    assert len(after) == NUM_KEYFRAMES
+    assert after.max() < 0.02
+    assert np.sqrt((after**2).mean()) < 0.2 * np.sqrt((before**2).mean())
+
+
+def test_the_correction_grows_and_never_jumps(corrected: list[Placed | KeptOut]) -> None:
+    offsets = np.array([each.belief.map_from_odometry for each in corrected if isinstance(each, Placed)])
+    at_camera = [compose(offset, DRIFTED[-1])[:3, 3] for offset in offsets]
+    assert np.linalg.norm(np.diff(at_camera, axis=0), axis=1).max() < 0.03
+    assert np.linalg.norm(at_camera[-1] - at_camera[0]) > 0.08
+
+
+def test_the_same_keyframes_have_the_same_places_to_the_last_bit(corrected: list[Placed | KeptOut]) -> None:
+    again = poses_of(walked(DRIFTED))
+    assert [pose.tobytes() for pose in again] == [pose.tobytes() for pose in poses_of(corrected)]
+
+
+def test_a_person_who_walks_along_does_not_pull_a_keyframe_along() -> None:
+    registration = KeyframeRegistration(CONFIG)
+    poses = []
+    for i, pose in enumerate(DRIFTED):
+        ahead = TRUE[i][:3, 3] + 1.3 * TRUE[i][:3, 2] + 0.02 * i * TRUE[i][:3, 0]
+        low, high = (ahead[0] - 0.25, ahead[1] - 0.25, 0.0), (ahead[0] + 0.25, ahead[1] + 0.25, 1.7)
+        person = SceneBox(low=low, high=high, rgb=(200, 150, 120))
+        found = registration.place(image(i, (*ROOM, person)), pose)
+        assert isinstance(found, Placed), found
+        poses.append(found.map_from_camera)
+    assert errors_m(poses).max() < 0.03
+
+
+def test_along_a_bare_wall_only_the_odometry_moves_a_keyframe() -> None:
+    odometry = [wall_pose(i) for i in range(12)]
+    for i, pose in enumerate(odometry):
+        pose[0, 3] += 0.01 * i  # along the wall
+        pose[1, 3] += 0.008 * i  # towards it
+    registration = KeyframeRegistration(CONFIG)
+    found = [registration.place(image(i, EMPTY_WALL, along_wall=True), pose) for i, pose in enumerate(odometry)]
+    last = found[-1]
+    assert isinstance(last, Placed)
+    assert last.belief.corrects
+    assert abs(last.map_from_camera[1, 3]) < 0.02
+    assert last.map_from_camera[0, 3] == pytest.approx(odometry[-1][0, 3], abs=0.01)
+    sigma_m = np.sqrt(np.diag(last.belief.covariance)[3:])
+    assert sigma_m[0] > 3 * sigma_m[1]
+
+
+def test_new_ground_is_mapped_where_the_odometry_has_it_and_is_less_sure() -> None:
+    registration = KeyframeRegistration(CONFIG)
+    nothing = surface_image(np.zeros((120, 160), np.uint16), CAMERA, spread_per_m=SPREAD_PER_M, max_sigma_m=0.1)
+    found = [registration.place(image(0) if i == 0 else nothing, pose) for i, pose in enumerate(TRUE[:6])]
+    assert [each.how for each in found if isinstance(each, Placed)] == ["first", *5 * ["new ground"]]
+    assert [pose.tobytes() for pose in poses_of(found)] == [pose.tobytes() for pose in TRUE[:6]]
+    sure = [each.belief.covariance[3, 3] for each in found if isinstance(each, Placed)]
+    assert sure == sorted(sure)
+    assert sure[-1] > 4 * sure[1]
+
+
+def test_a_robot_that_was_carried_away_is_kept_out_and_then_begins_anew() -> None:
+    registration = KeyframeRegistration(CONFIG)
+    for i in range(12):
+        assert isinstance(registration.place(image(i), TRUE[i]), Placed)
+    # Its wheels did not turn: it sees another corner of the room, and the odometry goes on from where it was.
+    carried = compose(TRUE[12], invert(true_pose(20)))
+    odometry = [compose(carried, true_pose(20 + i)) for i in range(CONFIG.lost_keyframes + 4)]
+    away = [registration.place(image(20 + i), pose) for i, pose in enumerate(odometry)]
+    out = [each for each in away if isinstance(each, KeptOut)]
+    assert len(out) == CONFIG.lost_keyframes - 1
+    assert "of what it should show of the map is there" in out[0].reason
+    hows = [each.how for each in away if isinstance(each, Placed)]
+    assert hows[0] == "begun anew"
+    assert set(hows[1:]) == {"fits"}
+
+
+def test_a_slip_of_the_odometry_is_found_again() -> None:
+    slip = from_rotation_translation(yaw_rotation(0.01), np.array([0.06, -0.03, 0.0]))
+    odometry = [*TRUE[:12], *(compose(slip, pose) for pose in TRUE[12:])]
+    found = walked(odometry)
+    num_out = sum(isinstance(each, KeptOut) for each in found)
+    assert 0 < num_out < CONFIG.lost_keyframes
+    assert errors_m(poses_of(found)[-20:], NUM_KEYFRAMES - 20).max() < 0.02
+
+
+def test_who_was_kept_out_does_not_believe_new_ground() -> None:
+    registration = KeyframeRegistration(CONFIG)
+    for i in range(12):
+        registration.place(image(i), TRUE[i])
+    assert isinstance(registration.place(image(20), TRUE[12]), KeptOut)
+    nothing = surface_image(np.zeros((120, 160), np.uint16), CAMERA, spread_per_m=SPREAD_PER_M, max_sigma_m=0.1)
+    found = registration.place(nothing, TRUE[13])
+    assert isinstance(found, KeptOut)
+    assert "too little of the map is in sight" in found.reason
+    assert isinstance(registration.place(image(14), TRUE[14]), Placed)
+
+
+def test_after_a_jump_that_is_known_of_a_keyframe_that_does_not_fit_begins_anew_at_once() -> None:
+    registration = KeyframeRegistration(CONFIG)
+    for i in range(6):
+        registration.place(image(i), TRUE[i])
+    registration.jumped()
+    found = registration.place(image(14), TRUE[6])
+    assert isinstance(found, Placed)
+    assert found.how == "begun anew"
+
+
+def test_a_log_that_begins_again_begins_without_a_correction(corrected: list[Placed | KeptOut]) -> None:
+    registration = KeyframeRegistration(CONFIG)
+    for i, pose in enumerate(DRIFTED):
+        registration.place(image(i), pose)
+    registration.began_again()
+    found = registration.place(image(0, seed=1), DRIFTED[0])
+    assert isinstance(found, Placed)
+    assert found.how == "fits"
+    assert errors_m([found.map_from_camera]).max() < 0.02
+
+
+@pytest.mark.parametrize("until", [5, 20])
+def test_what_was_restored_goes_on_to_the_same_places(corrected: list[Placed | KeptOut], until: int) -> None:
+    placed = [each for each in corrected if isinstance(each, Placed)]
+    remembered = [
+        Remembered(image=image(i), map_from_camera=each.map_from_camera, number=i, is_anchor=each.is_anchor)
+        for i, each in enumerate(placed[:until])
+        if each.is_anchor or i >= until - CONFIG.num_recent
+    ]
+    registration = KeyframeRegistration(CONFIG)
+    registration.restore(placed[until - 1].belief, remembered, until)
+    for i in range(until, until + 8):
+        found = registration.place(image(i), DRIFTED[i])
+        assert isinstance(found, Placed)
+        assert found.map_from_camera.tobytes() == placed[i].map_from_camera.tobytes()
+        assert found.is_anchor == placed[i].is_anchor
+
+
+def test_few_keyframes_are_remembered_where_all_were_seen_before(corrected: list[Placed | KeptOut]) -> None:
+    anchors = [each.is_anchor for each in corrected if isinstance(each, Placed)]
+    assert sum(anchors) < 0.6 * NUM_KEYFRAMES
+    assert not any(anchors[-4:])
+
+
+def test_the_covariance_covers_the_error(corrected: list[Placed | KeptOut]) -> None:
+    sigmas = []
+    for i, each in enumerate(corrected):
+        if isinstance(each, Placed) and each.belief.corrects and i > 10:
+            off = compose(each.map_from_camera, invert(TRUE[i]))[:3, 3]
+            assert np.isfinite(off).all()
+            sigmas.append(np.sqrt(np.diag(each.belief.covariance)[3:]))
+    assert np.array(sigmas).max() < 0.02
+    assert np.array(sigmas).min() > 0.0002
+
+
+def test_a_configuration_out_of_its_ranges_is_refused() -> None:
+    with pytest.raises(RangeError, match="last_scale_m"):
+        RegistrationConfig(first_scale_m=0.01, last_scale_m=0.02)
