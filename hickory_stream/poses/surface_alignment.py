@@ -228,8 +228,8 @@ def _num_in_view(points, camera_from_patch, lens, width, height):  # type: ignor
 def _accumulate(points, normals, sigma, m, at, facing, at_sigma, lens, up, limits, hessian, slope, counts):  # type: ignore[no-untyped-def] # pragma: no cover
     """Add what one patch says to the upper half of `hessian` (6, 6), to `slope` (6,), and to the four `counts`.
 
-    `m` is camera_from_patch, `up` (3,) the map's vertical in the camera; `limits` are the scale of the kernel, the least
-    cosine and the variance of surfaces.
+    `m` is camera_from_patch, `up` (3,) the map's vertical in the camera; `limits` are the scale of the kernel, the
+    least cosine and the variance of surfaces.
     """
     height, width = at_sigma.shape
     fx, fy, cx, cy = lens
