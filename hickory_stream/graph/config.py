@@ -16,8 +16,11 @@ class GraphConfig(Ranged):
 
     Attributes:
         floor_m, floor_rad: no edge is known better than this.
-        per_m, per_root_m, rad_per_m, rad_per_root_m: the two growing parts, of the place and of the angle.
-        rad_per_rad: error of the angle for each radian turned.
+        way_share: of the place, for each metre of the way.
+        way_noise: of the place, for the root of the way.
+        turn_drift_per_m: of the angle, for each metre of the way, in radians.
+        turn_noise: of the angle, for the root of the way.
+        turn_share: of the angle, for each radian turned.
         degenerate_share: error of the place, as a share of the way along which scans did not say where it went.
         jump_m, jump_rad: what is left open where the odometry jumped.
         gate_chi2: a loop is impossible whose squared Mahalanobis distance from what odometry predicts is above this
@@ -27,11 +30,11 @@ class GraphConfig(Ranged):
 
     floor_m: float = number(0.01, 1e-4, 10, "m")
     floor_rad: float = number(0.002, 1e-5, 1, "rad")
-    per_m: float = number(0.003, 0, 1, "m/m")
-    per_root_m: float = number(0.05, 0, 1, "m/sqrt(m)")
-    rad_per_m: float = number(0.0003, 0, 1, "rad/m")
-    rad_per_root_m: float = number(0.0045, 0, 1, "rad/sqrt(m)")
-    rad_per_rad: float = number(0.005, 0, 1, "rad/rad")
+    way_share: float = number(0.003, 0, 1, "share")
+    way_noise: float = number(0.05, 0, 1, "m/sqrt(m)")
+    turn_drift_per_m: float = number(0.0003, 0, 1, "1/m")
+    turn_noise: float = number(0.0045, 0, 1, "rad/sqrt(m)")
+    turn_share: float = number(0.005, 0, 1, "share")
     degenerate_share: float = number(0.3, 0, 1, "share")
     jump_m: float = number(30.0, 0.01, 1e4, "m")
     jump_rad: float = number(3.0, 0.001, 10, "rad")

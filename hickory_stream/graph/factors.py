@@ -109,10 +109,10 @@ def odometry_covariance(
         jumps: how often the odometry jumped on it; one leaves the edge nearly free.
         degenerate: the share (0..1) of the way along which scans did not say where it went.
     """
-    variance_m = _sum_of_squares(config.floor_m, config.per_m * way_m, config.degenerate_share * degenerate * way_m)
-    variance_rad = _sum_of_squares(config.floor_rad, config.rad_per_m * way_m, config.rad_per_rad * turn_rad)
-    variance_m += config.per_root_m * config.per_root_m * way_m + jumps * config.jump_m * config.jump_m
-    variance_rad += config.rad_per_root_m * config.rad_per_root_m * way_m + jumps * config.jump_rad * config.jump_rad
+    variance_m = _sum_of_squares(config.floor_m, config.way_share * way_m, config.degenerate_share * degenerate * way_m)
+    variance_rad = _sum_of_squares(config.floor_rad, config.turn_drift_per_m * way_m, config.turn_share * turn_rad)
+    variance_m += config.way_noise * config.way_noise * way_m + jumps * config.jump_m * config.jump_m
+    variance_rad += config.turn_noise * config.turn_noise * way_m + jumps * config.jump_rad * config.jump_rad
     return np.diag([variance_rad] * 3 + [variance_m] * 3)
 
 
