@@ -422,6 +422,7 @@ class FleetJoin(TypedDict):
     kind: Literal["joined", "withdrawn"]
     a: str
     b: str
+    a_from_b: Matrix
     pairs: int
     sigma_m: float
 

@@ -183,6 +183,7 @@ def result_json(result: FleetResult, out: Path) -> dict[str, Any]:
                 "kind": event.kind,
                 "a": event.a,
                 "b": event.b,
+                "a_from_b": event.a_from_b.tolist(),
                 "pairs": event.num_pairs,
                 "sigma_m": event.sigma_m,
             }

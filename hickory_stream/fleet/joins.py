@@ -17,6 +17,7 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.alignment.registration import differs
+from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.merging.groups import groups_of
 
@@ -42,19 +43,24 @@ class Frame:
     pairs: tuple[tuple[str, str], ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class JoinEvent:
     """Two robots that were joined, or whose join was withdrawn, after so many keyframes.
 
-    `num_pairs` objects were matched by the alignment that joined them, `sigma_m` is its standard deviation.
+    `a_from_b` (4, 4) is the alignment that joined them, `num_pairs` the objects that it matched, `sigma_m` its standard
+    deviation.
     """
 
     keyframe: int
     kind: Literal["joined", "withdrawn"]
     a: str
     b: str
+    a_from_b: NDArray[np.float64]
     num_pairs: int
     sigma_m: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "a_from_b", np.float64, (4, 4))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -133,6 +139,7 @@ def _event(keyframe: int, kind: Literal["joined", "withdrawn"], pair: tuple[str,
         kind=kind,
         a=pair[0],
         b=pair[1],
+        a_from_b=answer.a_from_b,
         num_pairs=len(answer.pairs),
         sigma_m=answer.translation_sigma_m,
     )

@@ -82,7 +82,15 @@ def test_a_join_is_withdrawn_when_a_later_answer_is_another_one(monkeypatch: pyt
 
 def test_a_join_counts_from_when_it_holds_for_good() -> None:
     def event(keyframe: int, kind: str) -> JoinEvent:
-        return JoinEvent(keyframe=keyframe, kind=kind, a="a", b="b", num_pairs=5, sigma_m=0.01)  # type: ignore[arg-type]
+        return JoinEvent(
+            keyframe=keyframe,
+            kind=kind,  # type: ignore[arg-type]
+            a="a",
+            b="b",
+            a_from_b=np.eye(4),
+            num_pairs=5,
+            sigma_m=0.01,
+        )
 
     first, gone, again = event(3, "joined"), event(6, "withdrawn"), event(9, "joined")
     assert joined_since((first,), "b", "a") == 3

@@ -1,4 +1,4 @@
-"""Poses: odometry against truth, corridors that do not tell how far one has come, and where a camera sits.
+"""Poses: odometry against truth, corridors that do not tell how far one has come, where a camera sits, and fleets.
 
 Real data is read from `../shared/data` beside the checkout, or `$HICKORY_DATA`; what is not there has no figure.
 """
@@ -30,6 +30,7 @@ from players import open_source
 from players.log_source import LogSource
 from players.mounting import estimated_mounting
 from tools.benchmarks.figures import Figure, Options
+from tools.benchmarks.fleet_figures import fleet_figures
 from tools.benchmarks.pose_graph_figures import graph_figures
 from tools.benchmarks.processes import ROOT
 
@@ -64,7 +65,12 @@ class _Walked:
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method."""
+    """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method.
+
+    `--only fleet` measures fleets alone.
+    """
+    if options.only == ("fleet",):
+        return fleet_figures(options)
     figures: list[Figure] = graph_figures(options)
     data = Path(os.environ.get("HICKORY_DATA") or ROOT.parent / "shared" / "data")
     if (data / "redkitchen").is_dir():
@@ -90,6 +96,7 @@ def measure(options: Options) -> list[Figure]:
     figures += _corridors(rooms, quick=options.quick)
     if (data / "kitti_lidar").is_dir():
         figures += _street(data / "kitti_lidar")
+    figures += fleet_figures(options)
     return figures if options.quick else [*figures, *_mountings((7, 8, 9))]
 
 
