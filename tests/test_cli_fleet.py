@@ -48,7 +48,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def fleet(made: Path, out: Path, *arguments: object) -> Run:
-    options = ("--config", made / "coarse.toml", *EAGER, "--every", "2", "--workers", "1", "--json")
+    options = ("--config", made / "coarse.toml", *EAGER, "--every", "2", "--workers", "1", "--viewer", "none", "--json")
     return Run(out=out, ended=look("fleet", *arguments, "-o", out, *options))
 
 
@@ -145,6 +145,7 @@ def test_what_is_no_fleet_is_refused_in_one_line(
     assert ended.status == 2
     *_, last = ended.stderr.splitlines()
     assert last.startswith("hickory-stream: ")
+    assert not list((tmp_path / "out").glob("*")), "nothing is left that a second try would stumble over"
     assert said in last
 
 

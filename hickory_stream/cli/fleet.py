@@ -41,6 +41,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     fleet.add_argument("--every", type=int, metavar="N", help="align the maps every N keyframes (10)")
     fleet.add_argument("--processes", type=int, metavar="N", help="robots at a time (as many as processors)")
     fleet.add_argument("--for", type=float, dest="most_s", metavar="S", help="map live robots for so many seconds")
+    fleet.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     fleet.add_argument("--workers", metavar="N", help="child processes of each robot that build shapes")
 
 
@@ -52,6 +53,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.fleet.robots import FleetConfig, read_fleet, robots_of
     from hickory_stream.fleet.run import FleetPlan, run_fleet
     from hickory_stream.progress import ProgressPrinter
+    from hickory_stream.sinks.rerun_viewer import parse_viewer
 
     if (options.fleet is None) == (options.robot is None):
         raise InputError("expected either FLEET.toml, or --robot NAME=LOG for each robot")
@@ -69,6 +71,8 @@ def run(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
         mapper=settings.mapper,
         disk=settings.disk,
+        rerun=settings.rerun,
+        viewer=parse_viewer(options.viewer),
         debug=options.debug,
     )
     printer = ProgressPrinter(make_style(options), part=f"{len(robots)} robots")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -20,7 +20,9 @@ from hickory_stream.fleet.messages import Ended, Moved, Opened
 from hickory_stream.fleet.result import FleetResult, result_of
 from hickory_stream.fleet.robot_process import RobotTask
 from hickory_stream.fleet.robots import FLEET
+from hickory_stream.sinks.rerun_config import RerunConfig
 from hickory_stream.sinks.rerun_fleet import FleetRecording, ShownRobot
+from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind, check_viewer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +40,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FleetPlan:
-    """A fleet that is to be run into the folder `out`; `overwrite` replaces the maps that are there."""
+    """A fleet that is to be run into the folder `out`; `overwrite` replaces the maps that are there.
+
+    `viewer` shows it while it runs.
+    """
 
     robots: tuple[Robot, ...]
     config: FleetConfig
@@ -46,6 +51,8 @@ class FleetPlan:
     overwrite: bool
     mapper: MapperConfig
     disk: DiskSinkConfig
+    rerun: RerunConfig = field(default_factory=RerunConfig)
+    viewer: ViewerChoice = field(default_factory=lambda: ViewerChoice(kind=ViewerKind.NONE))
     debug: bool = False
 
     def map_of(self, name: str) -> Path:
@@ -87,7 +94,7 @@ def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
     folders = {name: plan.map_of(name) for name in names}
     processes = plan.config.processes or _processors()
     # Sums that are split differently differ in their last bits.
-    with threadpool_limits(limits=1, user_api="blas"), FleetRecording(plan.rrd, names) as recording:
+    with threadpool_limits(limits=1, user_api="blas"), _recording(plan, watcher) as recording:
         run = _Run(rounds, recording, watcher)
         ended = run_crew([_task(plan, robot) for robot in plan.robots], processes, run.hear)
         ended = {name: ended[name] for name in names}
@@ -162,6 +169,13 @@ def event_text(event: JoinEvent) -> str:
     return f"{after}: {event.a} and {event.b} are no longer joined"
 
 
+def _recording(plan: FleetPlan, watcher: Watcher) -> FleetRecording:
+    recording = FleetRecording(plan.rrd, [robot.name for robot in plan.robots], plan.rerun, plan.viewer)
+    if recording.web_url:
+        watcher.said(f"viewer: {recording.web_url}")
+    return recording
+
+
 def _shown(
     name: str,
     snapshot: MapSnapshot,
@@ -195,6 +209,7 @@ def _task(plan: FleetPlan, robot: Robot) -> RobotTask:
 
 def _check(plan: FleetPlan) -> None:
     """Refuse what cannot be before anything is mapped."""
+    check_viewer(plan.viewer)
     for robot in plan.robots:
         missing = [uri for uri in robot.uris if not robot.is_live and not Path(uri).exists()]
         if missing:

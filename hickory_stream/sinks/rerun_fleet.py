@@ -7,26 +7,30 @@ not agree; `log_time` has the stamps.
 
 from __future__ import annotations
 
-from contextlib import ExitStack, contextmanager
+import uuid
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from hickory_stream.errors import OutputError
 from hickory_stream.geometry.palette import shaded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, quaternion_from_rotation
-from hickory_stream.sinks.piped_file import recorded_to
-from hickory_stream.sinks.rerun_items import KEYFRAME, LOG_TIME, new_stream
+from hickory_stream.sinks.rerun_file import RrdFile
+from hickory_stream.sinks.rerun_items import KEYFRAME, LogItem, Moment, Span, Weight
+from hickory_stream.sinks.rerun_viewer import start_viewer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
+    from types import TracebackType
 
     from numpy.typing import NDArray
 
     from hickory_stream.records import TrackedObject
+    from hickory_stream.sinks.rerun_config import RerunConfig
+    from hickory_stream.sinks.rerun_viewer import ViewerChoice
 
+_CLOSE_TIMEOUT_S = 2.0
 _COLORS = ((58, 140, 226), (238, 138, 48), (72, 186, 106), (222, 84, 120), (160, 120, 226), (214, 196, 64),
            (64, 192, 196), (196, 140, 104))  # fmt: skip
 _SHADES = (1.0, 0.78, 1.35)
@@ -54,41 +58,66 @@ class ShownRobot:
 
 
 class FleetRecording:
-    """Writes the recording of a fleet; entered with `with`, it is there when that is left.
+    """Writes the recording of a fleet, and shows it in a viewer; entered with `with`, and whole when that is left.
 
     Raises:
+        ViewerError: the file cannot be written, or the viewer that was asked for cannot be had.
         OutputError: the disk refused.
     """
 
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
+    def __init__(self, path: Path, names: Sequence[str], config: RerunConfig, viewer: ViewerChoice) -> None:
         self._names = tuple(names)
-        self._stream = new_stream(f"fleet-{path.parent.name}")
-        self._stack = ExitStack()
         self._path = path
+        recording_id = str(uuid.uuid4())
+        self._viewer = start_viewer(viewer, bind=config.bind, server_memory_limit=config.server_memory_limit)
+        self._file = RrdFile(path, recording_id=recording_id, cap_mb=config.rrd_cap_mb)
+        self._feed: Any = None
+        if self._viewer is not None:
+            from hickory_stream.sinks.rerun_live import LiveFeed
+
+            self._feed = LiveFeed(
+                url=self._viewer.url,
+                recording_id=recording_id,
+                capacity=config.live_queue_length,
+                blueprint=_blueprint(np.empty((0, 3)), np.empty((0, 3))),
+            )
         self._paths: dict[str, list[NDArray[np.float64]]] = {name: [] for name in names}
         self._shown: dict[str, dict[int, TrackedObject]] = {name: {} for name in names}
+        self._last: Moment | None = None
         self._corners = np.empty((0, 3))
         self._ever = np.empty((0, 3))
 
-    def __enter__(self) -> FleetRecording:
-        import rerun as rr
+    @property
+    def web_url(self) -> str | None:
+        """The page that shows the fleet in a browser, where there is one."""
+        return None if self._viewer is None else self._viewer.web_url
 
-        self._stack.enter_context(_refusals(self._path))
-        self._stack.enter_context(recorded_to(self._path, self._stream))
-        self._stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for place, name in enumerate(self._names):
-            line = rr.SeriesLines(colors=color_of_robot(place), names=name)
-            self._stream.log(f"{OBJECTS}/{name}", line, static=True)
+    def __enter__(self) -> Self:
+        """Return the recording."""
         return self
 
-    def __exit__(self, *error: Any) -> None:
-        self._stream.send_blueprint(_blueprint(self._corners, self._ever), make_active=True, make_default=True)
-        self._stack.__exit__(*error)
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Finish the file, which is removed where the fleet has failed, and give the viewer a moment."""
+        try:
+            self._file.send_blueprint(_blueprint(self._corners, self._ever))
+            self._file.close()
+        finally:
+            if error is not None and self._path.is_file():
+                self._path.unlink(missing_ok=True)
+            if self._feed is not None:
+                self._feed.close(_CLOSE_TIMEOUT_S)
+            if self._viewer is not None and self._viewer.process is not None and not self._viewer.outlives_us:
+                self._viewer.process.kill()
+                self._viewer.process.wait(_CLOSE_TIMEOUT_S)
 
     def show(self, keyframe: int, robots: Sequence[ShownRobot], texts: Sequence[str]) -> None:
         """Log the robots after so many keyframes, and what happened: robots that were joined."""
         import rerun as rr
 
+        if self._last is None and robots:
+            self._log(Moment(stamp_ns=robots[0].stamp_ns, frame=keyframe, keyframe=keyframe), self._first_items())
         places = _places(robots)
         self._corners = np.concatenate(
             [np.empty((0, 3)), *(apply(places[robot.name], _corners_of(robot.objects)) for robot in robots)]
@@ -96,59 +125,80 @@ class FleetRecording:
         ends = [self._corners.min(axis=0), self._corners.max(axis=0)] if len(self._corners) else []
         self._ever = np.concatenate([self._ever, *(end[None] for end in ends)])
         for robot in robots:
-            self._stream.reset_time()
-            self._stream.set_time(KEYFRAME, sequence=keyframe)
-            self._stream.set_time(LOG_TIME, timestamp=np.datetime64(robot.stamp_ns, "ns"))
             is_alone = sum(other.frame == robot.frame for other in robots) == 1
-            self._log_robot(robot, places[robot.name], is_alone=is_alone)
-        self._stream.reset_time()
-        self._stream.set_time(KEYFRAME, sequence=keyframe)
-        for text in texts:
-            self._stream.log(TEXTS, rr.TextLog(text, level=rr.TextLogLevel.INFO))
-        self._stream.log(FRAMES, rr.Scalars([float(len({robot.frame for robot in robots}))]))
+            items = self._robot_items(robot, places[robot.name], is_alone=is_alone)
+            self._log(Moment(stamp_ns=robot.stamp_ns, frame=keyframe, keyframe=keyframe), items)
+        if self._last is not None:
+            said = [LogItem(path=TEXTS, archetypes=(rr.TextLog(text, level=rr.TextLogLevel.INFO),)) for text in texts]
+            frames = rr.Scalars([float(len({robot.frame for robot in robots}))])
+            self._log(self._last, [*said, LogItem(path=FRAMES, archetypes=(frames,))])
 
-    def _log_robot(self, robot: ShownRobot, scene_from_robot: NDArray[np.float64], *, is_alone: bool) -> None:
+    def _log(self, moment: Moment, items: list[LogItem]) -> None:
+        self._last = moment
+        self._file.write(moment, items)
+        if self._feed is not None:
+            self._feed.put(moment, items)
+
+    def _first_items(self) -> list[LogItem]:
+        import rerun as rr
+
+        lines = [
+            LogItem(
+                path=f"{OBJECTS}/{name}",
+                archetypes=(rr.SeriesLines(colors=color_of_robot(place), names=name),),
+                span=Span.STATIC,
+            )
+            for place, name in enumerate(self._names)
+        ]
+        return [LogItem(path="world", archetypes=(rr.ViewCoordinates.RIGHT_HAND_Z_UP,), span=Span.STATIC), *lines]
+
+    def _robot_items(
+        self, robot: ShownRobot, scene_from_robot: NDArray[np.float64], *, is_alone: bool
+    ) -> list[LogItem]:
         import rerun as rr
 
         color = color_of_robot(self._names.index(robot.name))
         root = f"world/{robot.name}"
         rotation = rr.Quaternion(xyzw=quaternion_from_rotation(scene_from_robot[:3, :3]))
-        self._stream.log(root, rr.Transform3D(translation=scene_from_robot[:3, 3], quaternion=rotation))
-        self._log_objects(robot, root, color)
+        place = rr.Transform3D(translation=scene_from_robot[:3, 3], quaternion=rotation)
+        items = [LogItem(path=root, archetypes=(place,), span=Span.LASTING)]
+        items += self._object_items(robot, root, color)
         path = self._paths[robot.name]
         path.extend(robot.world_from_camera[:, :3, 3])
         if path:
             line = rr.LineStrips3D([np.array(path)], colors=color, radii=_PATH_RADIUS)
-            self._stream.log(f"{root}/path", line)
             told = f"{robot.name}, alone" if is_alone else robot.name
             above = path[-1] + np.array([0.0, 0.0, _LABEL_ABOVE_M])
-            self._stream.log(
-                f"{root}/robot", rr.Points3D([above], colors=color, radii=-6.0, labels=[told], show_labels=True)
-            )
-        self._stream.log(f"{OBJECTS}/{robot.name}", rr.Scalars([float(len(robot.objects))]))
+            label = rr.Points3D([above], colors=color, radii=-6.0, labels=[told], show_labels=True)
+            items.append(LogItem(path=f"{root}/path", archetypes=(line,), span=Span.LASTING))
+            items.append(LogItem(path=f"{root}/robot", archetypes=(label,), span=Span.LASTING))
+        count = rr.Scalars([float(len(robot.objects))])
+        return [*items, LogItem(path=f"{OBJECTS}/{robot.name}", archetypes=(count,))]
 
-    def _log_objects(self, robot: ShownRobot, root: str, color: tuple[int, int, int]) -> None:
+    def _object_items(self, robot: ShownRobot, root: str, color: tuple[int, int, int]) -> list[LogItem]:
+        """Return what has changed of a robot's objects."""
         import rerun as rr
 
-        shown = self._shown[robot.name]
+        def cleared(object_id: int) -> LogItem:
+            path = f"{root}/objects/{object_id}"
+            return LogItem(path=path, archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
+
+        shown, items = self._shown[robot.name], []
         for gone in sorted(shown.keys() - {item.id for item in robot.objects}):
             del shown[gone]
-            self._stream.log(f"{root}/objects/{gone}", rr.Clear(recursive=True))
+            items.append(cleared(gone))
         for item in robot.objects:
             before = shown.get(item.id)
-            if before is None or not _looks_the_same(before, item):
-                if before is not None and before.superquadrics is None:
-                    self._stream.log(f"{root}/objects/{item.id}", rr.Clear(recursive=False))
-                self._stream.log(f"{root}/objects/{item.id}", _drawn(item, shaded(color, _SHADES[item.id % 3])))
-                shown[item.id] = item
-
-
-@contextmanager
-def _refusals(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"cannot write the recording {path}: {error.strerror or error}") from error
+            if before is not None and _looks_the_same(before, item):
+                continue
+            if before is not None and before.superquadrics is None:
+                items.append(cleared(item.id))  # of its box, which the shape does not replace
+            drawn = _drawn(item, shaded(color, _SHADES[item.id % 3]))
+            items.append(
+                LogItem(path=f"{root}/objects/{item.id}", archetypes=(drawn,), weight=Weight.HEAVY, span=Span.LASTING)
+            )
+            shown[item.id] = item
+        return items
 
 
 def color_of_robot(place: int) -> tuple[int, int, int]:

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from hickory_stream.fleet.messages import Message
 
 
+pytestmark = pytest.mark.timeout(150)
+
+
 def task(name: str) -> Any:
     """Return what the processes of `crew_robots` know of a task; the configuration of one takes a second to load."""
     return SimpleNamespace(robot=SimpleNamespace(name=name))

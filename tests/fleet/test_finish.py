@@ -21,6 +21,8 @@ from tests.merging.test_merge_maps import save
 if TYPE_CHECKING:
     from pathlib import Path
 
+pytestmark = pytest.mark.timeout(150)
+
 HERE, THERE = furniture(14, 7), furniture(12, 60)
 FRAMES = {"alone": frame(5, 1, 1), "a": frame(20, 1, 1), "x": frame(33, 0, 2), "b": frame(70, 2, -1),
           "y": frame(10, 4, 0), "c": frame(-130, 0.5, 3)}  # fmt: skip

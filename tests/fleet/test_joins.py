@@ -15,6 +15,8 @@ from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 if TYPE_CHECKING:
     from hickory_stream.records import MapSnapshot
 
+pytestmark = pytest.mark.timeout(150)
+
 ITEMS = furniture(16, 7)
 FRAMES = {"a": np.eye(4), "b": frame(70, 2, -1), "c": frame(-130, 0.5, 3), "far": frame(20, 1, 1)}
 OTHER_PLACE = furniture(12, 60)

@@ -19,6 +19,8 @@ from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 if TYPE_CHECKING:
     from hickory_stream.records import MapSnapshot
 
+pytestmark = pytest.mark.timeout(150)
+
 HERE, THERE = furniture(12, 7), furniture(12, 60)
 FRAMES = (frame(20, 1, 1), frame(70, 2, -1), frame(-130, 0.5, 3), frame(10, 4, 0), frame(33, 0, 2))
 PLACES = (furniture(9, 90), HERE, THERE, HERE, THERE)

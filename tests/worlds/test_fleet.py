@@ -18,6 +18,8 @@ from hickory_stream.worlds.fleet import make_fleet
 from hickory_stream.worlds.recording import RecordingConfig, drawn_frame, make_recording
 from players import open_source
 
+pytestmark = pytest.mark.timeout(150)
+
 SHORT = RecordingConfig(seed=3, seconds=1.5, rate_hz=2.0, width=96, height=64)
 
 
