@@ -16,17 +16,20 @@ from hickory_stream.alignment.affinity import (
 )
 from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
-from hickory_stream.alignment.hypothesis import Evidence
+from hickory_stream.alignment.hypothesis import Evidence, matched
+from hickory_stream.alignment.hypothesis import judged as judged_as
 from hickory_stream.alignment.judgement import (
     Judged,
-    centroid_covariance,
+    centroid_information,
     confronted,
     rival_of,
     why_refused,
 )
 from hickory_stream.alignment.refinement import refined
+from hickory_stream.alignment.registration import common_covariance, registered
 from hickory_stream.alignment.search import hypotheses_of
 from hickory_stream.alignment.shape_scores import superquadric_scores
+from hickory_stream.alignment.tilt import levelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,8 +38,12 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.hypothesis import Hypothesis
     from hickory_stream.alignment.object_map import ObjectMap
+    from hickory_stream.alignment.tilt import Levelled
 
     ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
+
+
+_ROUNDS = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -132,31 +139,53 @@ def _answered(
     judged: tuple[Judged, ...],
     config: AlignConfig,
 ) -> Alignment:
-    best = judged[0].hypothesis
+    best, settled = _settled(evidence, judged[0].hypothesis, config)
     points = map_a.centroids[best.pairs[:, 0]]
+    center_a = points.mean(axis=0)
     finer = refined(
         map_a,
         map_b,
         best.pairs,
-        best.a_from_b,
-        sigma_m=evidence.sigma_m,
-        tilt_sigma_rad=float(np.radians(config.affinity.level_tilt_deg)) if best.is_level else None,
+        settled.a_from_b,
+        mean=best.a_from_b,
+        prior=centroid_information(points, evidence.sigma_m, config),
         config=config.refinement,
     )
+    if finer is not None:
+        settled = levelled(finer.a_from_b, finer.covariance, center_a, config.acceptance.tilt_sigmas_rad)
+    common_m = config.refinement.common_m, config.refinement.common_up_m
+    max_turn_rad = float(np.radians(config.acceptance.most_tilt_deg))
+    common = common_covariance(points, center_a, common_m, max_turn_rad)
     return Alignment(
-        a_from_b=best.a_from_b if finer is None else finer.a_from_b,
+        a_from_b=settled.a_from_b,
         pairs=_matched_pairs(map_a, map_b, scores, best),
-        covariance=centroid_covariance(points, evidence, best, config) if finer is None else finer.covariance,
-        center_a=points.mean(axis=0),
+        covariance=settled.covariance + common,
+        center_a=center_a,
         log10_chance=judged[0].log10_chance,
         margin=judged[0].margin,
         rival=judged[1].hypothesis if len(judged) > 1 else None,
         contradictions=judged[0].contradictions,
-        is_level=best.is_level,
+        is_level=settled.is_level,
         is_refined=finer is not None,
         notes=scores.notes,
         rivals=tuple(rival_of(map_a, one, evidence, config) for one in judged[1 : 1 + len(judged[0].margins)]),
     )
+
+
+def _settled(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> tuple[Hypothesis, Levelled]:
+    """Return the best hypothesis by its objects alone, tilted as they say, and with what is known of the tilt."""
+    pairs = best.pairs
+    for _ in range(_ROUNDS):
+        points_a, points_b = evidence.centroids_a[pairs[:, 0]], evidence.centroids_b[pairs[:, 1]]
+        own = registered(points_a, points_b, np.ones(len(pairs)), is_level=False)
+        total = centroid_information(points_a, evidence.sigma_m, config)
+        covariance = np.asarray(np.linalg.inv(total), dtype=np.float64)
+        settled = levelled(own, covariance, points_a.mean(axis=0), config.acceptance.tilt_sigmas_rad)
+        explained = matched(evidence, settled.a_from_b)
+        if len(explained) < len(best.pairs) or np.array_equal(explained, pairs):
+            break
+        pairs = explained
+    return judged_as(evidence, own, pairs, is_level=False), settled
 
 
 def _matched_pairs(

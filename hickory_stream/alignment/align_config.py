@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from hickory_stream.alignment.affinity import AffinityConfig
 from hickory_stream.alignment.consensus import ConsensusConfig
 from hickory_stream.alignment.contradiction import ContradictionConfig
 from hickory_stream.alignment.refinement import RefinementConfig
 from hickory_stream.ranges import Ranged, number
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_NUM_SCALES = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -24,6 +32,8 @@ class AcceptanceConfig(Ranged):
         max_turn_deg: maximum standard deviation of the rotation.
         tilt_price: a tilt between the maps adds this to the log10 of false alarms: robots measure gravity.
         max_tilt_deg: maximum angle between the verticals of two maps.
+        least_tilt_deg, most_tilt_deg: what the tilt between two maps is expected to be about each level axis, as a
+            standard deviation: any scale from the least to the most is as likely.
         distinct_m, distinct_deg: transforms closer than this are the same.
         num_rivals: maximum number of distinct transforms to search for ...
         num_insignificant: ... of which so many may be no better than chance.
@@ -36,10 +46,17 @@ class AcceptanceConfig(Ranged):
     max_turn_deg: float = number(2.0, 0, 180, "deg")
     tilt_price: float = number(4.0, 0, 1000, "log10")
     max_tilt_deg: float = number(25.0, 0, 180, "deg")
+    least_tilt_deg: float = number(0.1, 0.0001, 90, "deg")
+    most_tilt_deg: float = number(10.0, 0.0001, 90, "deg")
     distinct_m: float = number(0.5, 0, 1000, "m")
     distinct_deg: float = number(5.0, 0, 180, "deg")
     num_rivals: int = number(12, 1, 1000, "transforms")
     num_insignificant: int = number(4, 1, 1000, "transforms")
+
+    @property
+    def tilt_sigmas_rad(self) -> NDArray[np.float64]:
+        """The scales (S,) that the tilt may have, as standard deviations about each level axis, ascending."""
+        return np.radians(np.geomspace(self.least_tilt_deg, self.most_tilt_deg, _NUM_SCALES))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

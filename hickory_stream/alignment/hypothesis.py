@@ -73,12 +73,12 @@ def grown(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hy
     """
     for _ in range(_ROUNDS):
         a_from_b = _fitted(evidence, pairs, is_level)
-        matched = _matched(evidence, a_from_b)
-        if len(matched) < 2:
+        explained = matched(evidence, a_from_b)
+        if len(explained) < 2:
             return None
-        if np.array_equal(matched, pairs):
+        if np.array_equal(explained, pairs):
             break
-        pairs = matched
+        pairs = explained
     a_from_b = _fitted(evidence, pairs, is_level)
     return judged(evidence, a_from_b, pairs, is_level=is_level)
 
@@ -88,7 +88,7 @@ def _fitted(evidence: Evidence, pairs: NDArray[np.int64], is_level: bool) -> NDA
     return registered(points_a, points_b, np.ones(len(pairs)), is_level=is_level)
 
 
-def _matched(evidence: Evidence, a_from_b: NDArray[np.float64]) -> NDArray[np.int64]:
+def matched(evidence: Evidence, a_from_b: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the pairs (K, 2), in ascending order, that a transform explains: one-to-one, the best in all."""
     moved = apply(a_from_b, evidence.centroids_b)
     offsets = evidence.centroids_a[evidence.plausible[:, 0]] - moved[evidence.plausible[:, 1]]

@@ -14,6 +14,7 @@ from hickory_stream.alignment.hypothesis import grown
 from hickory_stream.alignment.registration import information
 from hickory_stream.alignment.rivalry import alike, separation
 from hickory_stream.alignment.search import NOTABLE, distinct, searched
+from hickory_stream.alignment.tilt import levelled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -196,8 +197,13 @@ def _is_mirrored(best: Hypothesis, evidence: Evidence, config: AlignConfig) -> b
 def centroid_covariance(
     points_a: NDArray[np.float64], evidence: Evidence, best: Hypothesis, config: AlignConfig
 ) -> NDArray[np.float64]:
-    """Return the covariance (6, 6) that the centroids leave; gravity fixes the tilt of level maps."""
-    total = information(points_a, np.full(len(points_a), evidence.sigma_m), points_a.mean(axis=0))
-    if best.is_level:
-        total[:2, :2] += np.eye(2) / np.radians(config.affinity.level_tilt_deg) ** 2
-    return np.asarray(np.linalg.pinv(total))
+    """Return the covariance (6, 6) that the centroids leave, the tilt being known to be small."""
+    center_a = points_a.mean(axis=0)
+    own = np.asarray(np.linalg.inv(centroid_information(points_a, evidence.sigma_m, config)), dtype=np.float64)
+    return levelled(best.a_from_b, own, center_a, config.acceptance.tilt_sigmas_rad).covariance
+
+
+def centroid_information(points_a: NDArray[np.float64], sigma_m: float, config: AlignConfig) -> NDArray[np.float64]:
+    """Return the information (6, 6) of matched centroids (K, 3); whatever they leave open has the widest prior."""
+    total = information(points_a, np.full(len(points_a), sigma_m), points_a.mean(axis=0))
+    return total + np.diag([1.0 / np.radians(config.acceptance.max_tilt_deg) ** 2] * 3 + [0.0] * 3)

@@ -1,7 +1,7 @@
 """Refinement of an alignment: the surfaces of matched objects are registered (point to plane).
 
 Points of each object are paired with the nearest points of its partner only, and their distances along its normals are
-minimised with a robust loss, since each map saw other sides of an object. The centroids, and gravity, remain as priors.
+minimised with a robust loss, since each map saw other sides of an object. The centroids remain as priors.
 The result is kept only if a larger share of the surfaces coincides than before.
 """
 
@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.alignment.contradiction import thinned
-from hickory_stream.alignment.registration import information
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
 from hickory_stream.ranges import Ranged, number
 
@@ -38,6 +37,9 @@ class RefinementConfig(Ranged):
         surface_m: standard deviation of a surface estimated from many points: the error that does not average out.
         min_points: objects with fewer points are not used.
         neighbors: number of points from which a normal is estimated.
+        common_m, common_up_m: standard deviation, level and vertical, of what all objects of a map err in common: it
+            saw them from one height, and along one way.
+        alike_m: over about this distance objects are displaced alike where a map drifts.
     """
 
     rounds: int = number(12, 0, 1000, "rounds")
@@ -46,6 +48,9 @@ class RefinementConfig(Ranged):
     surface_m: float = number(0.01, 0, 1, "m")
     min_points: int = number(30, 3, 1_000_000, "points")
     neighbors: int = number(12, 3, 1000, "points")
+    common_m: float = number(0.004, 0.00001, 1, "m")
+    common_up_m: float = number(0.008, 0.00001, 1, "m")
+    alike_m: float = number(2.0, 0.001, 1000, "m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -65,10 +70,10 @@ def refined(
     map_a: ObjectMap,
     map_b: ObjectMap,
     pairs: NDArray[np.int64],
-    a_from_b: NDArray[np.float64],
+    start: NDArray[np.float64],
     *,
-    sigma_m: float,
-    tilt_sigma_rad: float | None,
+    mean: NDArray[np.float64],
+    prior: NDArray[np.float64],
     config: RefinementConfig,
 ) -> Refined | None:
     """Return the finer transform; None where too few points are there, or fewer of them meet afterwards.
@@ -77,27 +82,26 @@ def refined(
         map_a: the map that stays.
         map_b: the map that is moved.
         pairs: (K, 2) indices of matched objects.
-        a_from_b: where to start, the best by the centroids.
-        sigma_m: standard deviation of the centroids' distances.
-        tilt_sigma_rad: that of the tilt, where gravity is known.
+        start: (4, 4) transform to begin with.
+        mean: (4, 4), the best by the centroids alone ...
+        prior: (6, 6) ... and its information.
         config: how.
     """
     surfaces = _surfaces(map_a, map_b, pairs, config)
     if not surfaces:
         return None
     center_a = map_a.centroids[pairs[:, 0]].mean(axis=0)
-    prior = _prior(map_a, pairs, center_a, sigma_m, tilt_sigma_rad)
-    start, current = a_from_b, a_from_b
+    current = start
     met_before = _met(surfaces, start, config)
     for scale_m in np.geomspace(config.first_m, config.last_m, config.rounds):
         own, gains = _normal_equations(surfaces, current, center_a, float(scale_m), config)
-        gain = gains.sum(axis=0) - prior @ _twist(current, start, center_a)
+        gain = gains.sum(axis=0) - prior @ _twist(current, mean, center_a)
         current = _moved(current, np.asarray(np.linalg.solve(prior + own, gain), dtype=np.float64), center_a)
     met_after = _met(surfaces, current, config)
     if met_after <= met_before:
         return None
     own, gains = _normal_equations(surfaces, current, center_a, config.last_m, config)
-    covariance = _covariance(prior + own, gains)
+    covariance = _covariance(prior + own, gains, np.array([s.center for s in surfaces]), config.alike_m)
     return Refined(a_from_b=current, covariance=covariance, met_before=met_before, met_after=met_after)
 
 
@@ -111,6 +115,11 @@ class _Surface:
     normals_b: NDArray[np.float64]
     tree_a: cKDTree
     tree_b: cKDTree
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """The middle (3,) of the object, in a."""
+        return np.asarray(self.points_a.mean(axis=0))
 
     def residuals(
         self, a_from_b: NDArray[np.float64]
@@ -149,14 +158,20 @@ def _normal_equations(
     return np.sum([own for own, _ in parts], axis=0), np.array([gain for _, gain in parts])
 
 
-def _covariance(total: NDArray[np.float64], gains: NDArray[np.float64]) -> NDArray[np.float64]:
+def _covariance(
+    total: NDArray[np.float64], gains: NDArray[np.float64], places: NDArray[np.float64], alike_m: float
+) -> NDArray[np.float64]:
     """Return the covariance (6, 6) where the objects (K, 6) pull in different directions: maps drift and are not rigid.
 
-    The sandwich estimator with an object as one observation: points of one object err together.
+    The sandwich estimator with an object as one observation, since its points err together; and objects near one
+    another are displaced alike, as much as they are near (Conley 1999, with a normal kernel).
     """
     bread = np.linalg.inv(total)
-    count = len(gains)
-    meat = gains.T @ gains * count / max(count - 3, 1)
+    squares = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+    kernel = np.exp(-squares / (2 * alike_m**2))
+    # So many independent ones there are, of which three shifts are fitted.
+    count = len(gains) ** 2 / kernel.sum()
+    meat = gains.T @ kernel @ gains * count / max(count - 3, 1)
     return np.asarray(bread + bread @ meat @ bread)
 
 
@@ -190,19 +205,6 @@ def _normals(points: NDArray[np.float64], tree: cKDTree, count: int) -> NDArray[
     around = tree.data[indices]
     offsets = around - around.mean(axis=1, keepdims=True)
     return np.asarray(np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0])
-
-
-def _prior(
-    map_a: ObjectMap,
-    pairs: NDArray[np.int64],
-    center_a: NDArray[np.float64],
-    sigma_m: float,
-    tilt_sigma_rad: float | None,
-) -> NDArray[np.float64]:
-    prior = information(map_a.centroids[pairs[:, 0]], np.full(len(pairs), sigma_m), center_a)
-    if tilt_sigma_rad is not None:
-        prior[:2, :2] += np.eye(2) / tilt_sigma_rad**2
-    return prior
 
 
 def _met(surfaces: list[_Surface], a_from_b: NDArray[np.float64], config: RefinementConfig) -> float:

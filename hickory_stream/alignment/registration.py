@@ -51,6 +51,23 @@ def information(
     return total
 
 
+def common_covariance(
+    points_a: NDArray[np.float64], center: NDArray[np.float64], sigmas_m: tuple[float, float], max_turn_rad: float
+) -> NDArray[np.float64]:
+    """Return the (6, 6) covariance of an error that all matched objects (K, 3) may have in common, or in a gradient.
+
+    What a map has seen from one height, or along one way, errs together, and more objects do not make it less: they are
+    worth one (Kish's design effect, 1965). `sigmas_m` are its level and its vertical standard deviation on an object; a
+    turn that the objects leave open is known to `max_turn_rad`.
+    """
+    weights = 1.0 / np.array([sigmas_m[0], sigmas_m[0], sigmas_m[1]]) ** 2
+    total = np.diag([1.0 / max_turn_rad**2] * 3 + [0.0] * 3)
+    for x, y, z in points_a - center:
+        jacobian = np.hstack([np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]), np.eye(3)])
+        total += jacobian.T @ (jacobian * weights[:, None]) / len(points_a)
+    return np.asarray(np.linalg.inv(total))
+
+
 def tilt_rad(a_from_b: NDArray[np.float64]) -> float:
     """Return the angle between the verticals of the two maps."""
     return float(np.arctan2(np.hypot(a_from_b[0, 2], a_from_b[1, 2]), a_from_b[2, 2]))

@@ -12,7 +12,7 @@ from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
 from hickory_stream.alignment.methods import METHODS, Method, align_by
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
-from hickory_stream.evaluation.maps.trial import error_of, overlap_b
+from hickory_stream.evaluation.maps.trial import error_of, normalised_square, overlap_b
 from hickory_stream.evaluation.maps.variants import bent_map, mirrored_map, moved_map, random_frame
 from hickory_stream.geometry.rigid import apply, invert
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
@@ -45,14 +45,16 @@ def test_three_quarters_of_outliers_do_not_hide_the_overlap(seed: int, difficult
     assert len(true & {(p.id_a, p.id_b) for p in answer.pairs}) >= 0.7 * len(answer.pairs)
 
 
-def test_covariances_say_how_far_off_the_answers_are() -> None:
-    ratios = []
-    for seed in range(40):
-        pair = simulate_pair(SimulationConfig(outliers=0.6), seed)
+@pytest.mark.parametrize("tilt_deg", [0.0, 1.0, 3.0])
+def test_covariances_say_how_far_off_the_answers_are(tilt_deg: float) -> None:
+    squares = []
+    for seed in range(24):
+        pair = simulate_pair(SimulationConfig(outliers=0.6, tilt_deg=tilt_deg), seed)
         answer = aligned(align(pair.map_a, pair.map_b))
-        error = apply(answer.a_from_b @ invert(pair.a_from_b), answer.center_a) - answer.center_a
-        ratios.append(error @ np.linalg.solve(answer.covariance[3:, 3:], error) / 3)
-    assert 0.5 < np.mean(ratios) < 2.0
+        squares.append(normalised_square(answer, pair.a_from_b))
+    # Six degrees of freedom: of 24 the mean is 6 +- 0.7; where there is no tilt its prior is right, and 4 are left.
+    assert 3.0 < np.mean(squares) < 9.0
+    assert np.mean(np.array(squares) < 12.59) >= 0.8
 
 
 @settings(max_examples=6)
@@ -64,7 +66,8 @@ def test_frames_do_not_matter_and_swapping_the_maps_inverts_the_answer(seed: int
     there = aligned(align(pair.map_a, moved_map(pair.map_b, new_from_b)))
     back = aligned(align(pair.map_b, pair.map_a))
     assert np.allclose(there.a_from_b @ new_from_b, here.a_from_b, atol=1e-6)
-    assert np.allclose(invert(back.a_from_b), here.a_from_b, atol=1e-6)
+    # What is known of the tilt is linearised about the answer, in the frame of either map.
+    assert np.allclose(invert(back.a_from_b), here.a_from_b, atol=2e-3)
 
 
 def test_the_same_maps_give_the_same_answer_to_the_byte() -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import align_by
@@ -89,6 +90,14 @@ def error_of(
         origin_m=float(np.linalg.norm(a_from_b[:3, 3] - true_a_from_b[:3, 3])),
         rotation_deg=float(np.degrees(rotation_angle_rad(a_from_b[:3, :3].T @ true_a_from_b[:3, :3]))),
     )
+
+
+def normalised_square(answer: Alignment, true_a_from_b: NDArray[np.float64]) -> float:
+    """Return the squared error of an alignment in units of its covariance: 6 on average if that is right."""
+    away = answer.a_from_b @ invert(true_a_from_b)
+    turn = Rotation.from_matrix(away[:3, :3]).as_rotvec()
+    error = np.concatenate([turn, apply(away, answer.center_a) - answer.center_a])
+    return float(error @ np.linalg.solve(answer.covariance, error))
 
 
 def overlap_b(pair: SimulatedPair) -> NDArray[np.float64]:
