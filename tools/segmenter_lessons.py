@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.perception.fragment_odds import FragmentOdds
-    from hickory_stream.perception.geometric import Fragments
+    from hickory_stream.perception.over_segmentation import Fragments
     from hickory_stream.perception.pixel_network import PixelNetwork
     from hickory_stream.perception.region_graph import RegionGraph
     from hickory_stream.records import MapPrior
@@ -187,7 +187,7 @@ def lesson_of_pieces(pieces: Fragments, shown: NDArray[np.int32], network: Pixel
     said = None if network is None else network.odds(pieces.surface, None)
     if said is not None:
         pieces = replace(pieces, labels=divided_by_odds(pieces.labels, said, SplitConfig()))
-    measures = region_graph_of(pieces.surface, pieces.labels, pieces.supports, pieces.room, JoinConfig())
+    measures = region_graph_of(pieces, JoinConfig())
     if measures is None:
         return []
     labels, factor = pieces.labels, pieces.surface.factor

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from hickory_stream.events import FrameObserved
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.track import Track
-    from hickory_stream.perception.geometric import Fragments
+    from hickory_stream.perception.over_segmentation import Fragments
     from hickory_stream.perception.perceive import PerceptionConfig
     from hickory_stream.records import Frame, MapPrior, Observation
 

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.perception.features import Makers
-    from hickory_stream.perception.pair_geometry import PairGeometry
+    from hickory_stream.perception.ordered_pairs import OrderedPairs
     from hickory_stream.perception.region_extents import Extents
-    from hickory_stream.perception.region_graph import RegionGraph, RegionPairs, Regions
+    from hickory_stream.perception.region_graph import RegionGraph, Regions
 
 _FAR_M = 0.3
 _UNITS = ("_m", "_m2", "_m3")
@@ -32,19 +32,10 @@ def is_size(name: str) -> bool:
     return name.endswith((*_UNITS, *_OTHERS)) or name in _COUNTS
 
 
-def absolute_features(
-    graph: RegionGraph,
-    regions: Regions,
-    pairs: RegionPairs,
-    geometry: PairGeometry,
-    extents: Extents,
-    union: Extents,
-    large: NDArray[np.int64],
-    small: NDArray[np.int64],
-) -> Makers:
+def absolute_features(ordered: OrderedPairs) -> Makers:
     """Return by name (K,) the sizes of the regions `large` and `small` of each pair, and their relative position."""
-    of_regions = of_both(_of_regions(graph, regions, extents), large, small)
-    return {**of_regions, **_of_pairs(regions, pairs, geometry, extents, union, large, small)}
+    of_regions = _of_regions(ordered.graph, ordered.regions, ordered.extents)
+    return {**of_both(of_regions, ordered.large, ordered.small), **_of_pairs(ordered)}
 
 
 def _of_regions(graph: RegionGraph, regions: Regions, extents: Extents) -> Makers:
@@ -68,15 +59,9 @@ def _of_regions(graph: RegionGraph, regions: Regions, extents: Extents) -> Maker
     }
 
 
-def _of_pairs(
-    regions: Regions,
-    pairs: RegionPairs,
-    geometry: PairGeometry,
-    extents: Extents,
-    union: Extents,
-    large: NDArray[np.int64],
-    small: NDArray[np.int64],
-) -> Makers:
+def _of_pairs(ordered: OrderedPairs) -> Makers:
+    regions, pairs, geometry = ordered.regions, ordered.pairs, ordered.geometry
+    extents, union, large, small = ordered.extents, ordered.union, ordered.large, ordered.small
     aside, overlap, inset, spread = geometry.aside_m, geometry.overlap_m, geometry.inset_m, geometry.contact_spread_m
     joined = union.box_high_m - union.box_low_m
     volume = np.prod(regions.high - regions.low + 0.01, axis=1)

@@ -17,6 +17,7 @@ from hickory_stream.perception.join import JoinConfig, Joined, join_fragments
 from hickory_stream.perception.label_boxes import label_boxes
 from hickory_stream.perception.map_prior import fragment_owners
 from hickory_stream.perception.masks import enlarged, enlarged_mask, occluded_shares, why_no_object
+from hickory_stream.perception.over_segmentation import Fragments
 from hickory_stream.perception.room_structure import RoomStructure, room_structure_of
 from hickory_stream.perception.structure import StructureConfig
 from hickory_stream.perception.surface import Surface, SurfaceConfig, moved_surface, surface_of
@@ -59,16 +60,6 @@ class GeometricConfig(Ranged):
     support_area_px: int = number(60, 1, 1_000_000, "px")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Fragments:
-    """An over-segmented frame at working resolution (h, w): `labels` 1..n, and the support plane of each pixel or 0."""
-
-    surface: Surface
-    room: RoomStructure
-    supports: NDArray[np.int32]
-    labels: NDArray[np.int32]
-
-
 class GeometricSegmenter:
     """Segments frames by geometry and colour; stateless.
 
@@ -92,7 +83,7 @@ class GeometricSegmenter:
         pieces = self.fragments(frame, prior, prepared)
         join = self._config.join
         owners = fragment_owners(pieces.labels, pieces.surface, prior, join.map_prior)
-        joined = join_fragments(pieces.surface, pieces.labels, pieces.supports, pieces.room, self._trees, join, owners)
+        joined = join_fragments(pieces, self._trees, join, owners)
         return self.segmentation(frame, pieces, joined)
 
     def segmentation(

@@ -28,9 +28,8 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.fragment_odds import FragmentOdds
     from hickory_stream.perception.map_prior import FragmentOwners
+    from hickory_stream.perception.over_segmentation import Fragments
     from hickory_stream.perception.region_graph import RegionGraph
-    from hickory_stream.perception.room_structure import RoomStructure
-    from hickory_stream.perception.surface import Surface
     from hickory_stream.perception.trees import Trees
 
 
@@ -105,20 +104,17 @@ class Round:
 
 
 def join_fragments(
-    surface: Surface,
-    labels: NDArray[np.int32],
-    supports: NDArray[np.int32],
-    room: RoomStructure,
+    fragments: Fragments,
     trees: Trees,
     config: JoinConfig,
     owners: FragmentOwners | None = None,
     odds: FragmentOdds | None = None,
 ) -> Joined:
-    """Return the fragments `labels` (h, w) joined into instances, with the map prior and without.
+    """Return the fragments joined into instances, with the map prior and without.
 
     `owners`: the map objects on which the fragments lie, if any; `odds`: the log-odds of a network, if any.
     """
-    graph = region_graph_of(surface, labels, supports, room, config)
+    labels, graph = fragments.labels, region_graph_of(fragments, config)
     if graph is None:
         return Joined(labels=labels)
     numbers = _last(rounds(graph, trees.probabilities, config, odds, owners))
@@ -136,23 +132,11 @@ def _last(steps: Iterator[Round]) -> NDArray[np.int64]:
     return last.numbers
 
 
-def region_graph_of(
-    surface: Surface, labels: NDArray[np.int32], supports: NDArray[np.int32], room: RoomStructure, config: JoinConfig
-) -> RegionGraph | None:
-    """Return the region graph of the fragments `labels` (h, w) before any are merged; None if there are none."""
-    if not labels.any():
+def region_graph_of(fragments: Fragments, config: JoinConfig) -> RegionGraph | None:
+    """Return the region graph of fragments before any are merged; None if there are none."""
+    if not fragments.labels.any():
         return None
-    return build_region_graph(
-        surface,
-        labels,
-        supports,
-        room.areas_m2,
-        room.structure,
-        room.floor_z_m,
-        reach_px=config.reach_px,
-        gap_m=config.gap_m,
-        bridging=config.bridging,
-    )
+    return build_region_graph(fragments, reach_px=config.reach_px, gap_m=config.gap_m, bridging=config.bridging)
 
 
 def rounds(

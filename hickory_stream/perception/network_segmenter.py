@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.geometric import Fragments, GeometricConfig
+    from hickory_stream.perception.geometric import GeometricConfig
     from hickory_stream.perception.join import Joined
+    from hickory_stream.perception.over_segmentation import Fragments
     from hickory_stream.perception.pixel_network import PixelNetwork, PixelOdds
     from hickory_stream.perception.surface import Surface
     from hickory_stream.perception.trees import Trees
@@ -83,9 +84,7 @@ class NetworkSegmenter:
         pieces = self.fragments(frame, prior, found)
         owners = fragment_owners(pieces.labels, pieces.surface, prior, self._join.map_prior)
         odds = fragment_odds(pieces.labels, found.odds)
-        joined = join_fragments(
-            pieces.surface, pieces.labels, pieces.supports, pieces.room, self._trees, self._join, owners, odds
-        )
+        joined = join_fragments(pieces, self._trees, self._join, owners, odds)
         structure_odds = self._config.structure_shift - thing_log_odds(joined.labels, found.odds)
         return self._geometric.segmentation(frame, pieces, joined, structure_odds)
 

@@ -15,18 +15,16 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.perception.absolute_features import absolute_features
 from hickory_stream.perception.features import Features, of_both
-from hickory_stream.perception.pair_geometry import pair_geometry
-from hickory_stream.perception.region_extents import LEAST_M, extents_of, union_of
-from hickory_stream.perception.region_graph import merged_pairs, merged_regions
-from hickory_stream.perception.support_contacts import support_contacts_of
+from hickory_stream.perception.ordered_pairs import ordered_pairs
+from hickory_stream.perception.region_extents import LEAST_M
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.perception.features import Makers
-    from hickory_stream.perception.pair_geometry import PairGeometry
+    from hickory_stream.perception.ordered_pairs import OrderedPairs
     from hickory_stream.perception.region_extents import Extents
-    from hickory_stream.perception.region_graph import RegionGraph, RegionPairs, Regions
+    from hickory_stream.perception.region_graph import RegionGraph, Regions
     from hickory_stream.perception.support_contacts import SupportContacts
 
 
@@ -35,21 +33,17 @@ def pair_features(graph: RegionGraph, numbers: NDArray[np.int64], count: int) ->
 
     `numbers` (n,) gives the merged region 0..count - 1 of each fragment.
     """
-    regions, pairs = merged_regions(graph.regions, numbers, count), merged_pairs(graph.pairs, numbers)
-    support = support_contacts_of(graph.contacts, np.append(numbers, count), graph.heights_m, graph.level)
-    is_turned = regions.pixels[pairs.a] < regions.pixels[pairs.b]
-    large, small = np.where(is_turned, pairs.b, pairs.a), np.where(is_turned, pairs.a, pairs.b)
-    extents = extents_of(regions, graph.bottom_m)
-    union = union_of(regions, extents, large, small)
-    geometry = pair_geometry(regions, pairs, large, small)
+    ordered = ordered_pairs(graph, numbers, count)
+    regions, large, small = ordered.regions, ordered.large, ordered.small
+    of_regions = {**_shapes(regions, ordered.extents), **_colors(regions), **_support_features(ordered.support)}
     features = Features(
         {
-            **of_both({**_shapes(regions, extents), **_colors(regions), **_support_features(support)}, large, small),
-            **_relations(regions, geometry, extents, union, large, small),
+            **of_both(of_regions, large, small),
+            **_relations(ordered),
             **_colors_of_pairs(regions, large, small),
-            **_mutual_support_features(support, large, small),
-            **_contact_features(pairs, regions, geometry, graph, extents, union, large, small, is_turned),
-            **absolute_features(graph, regions, pairs, geometry, extents, union, large, small),
+            **_mutual_support_features(ordered.support, large, small),
+            **_contact_features(ordered),
+            **absolute_features(ordered),
         }
     )
     return np.stack([large, small], axis=1), features
@@ -119,19 +113,14 @@ def _mutual_support_features(support: SupportContacts, large: NDArray[np.int64],
     }
 
 
-def _relations(
-    regions: Regions,
-    geometry: PairGeometry,
-    extents: Extents,
-    union: Extents,
-    large: NDArray[np.int64],
-    small: NDArray[np.int64],
-) -> Makers:
+def _relations(ordered: OrderedPairs) -> Makers:
     """Return relative poses and the shape of the union of two regions: ratios, angles, multiples of sigma.
 
     The features "before" are the sine of the elevation of one region's centroid over the other's plane: positive for
     both regions of a concave pair, negative for both of a convex one (Stein et al. 2014).
     """
+    regions, extents, union, geometry = ordered.regions, ordered.extents, ordered.union, ordered.geometry
+    large, small = ordered.large, ordered.small
     normal = regions.normals / np.maximum(np.linalg.norm(regions.normals, axis=1), 1e-9)[:, None]
     most = regions.planes.argmax(axis=1)
     aside, overlap, inset = geometry.aside_m, geometry.overlap_m, geometry.inset_m
@@ -188,18 +177,10 @@ def _signed_log(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.sign(values) * portable.log1p(np.abs(values)))
 
 
-def _contact_features(
-    pairs: RegionPairs,
-    regions: Regions,
-    geometry: PairGeometry,
-    graph: RegionGraph,
-    extents: Extents,
-    union: Extents,
-    large: NDArray[np.int64],
-    small: NDArray[np.int64],
-    is_turned: NDArray[np.bool_],
-) -> Makers:
+def _contact_features(ordered: OrderedPairs) -> Makers:
     """Return the contact of two regions: its length, sharpness and place, and which region occludes the other."""
+    pairs, regions, geometry = ordered.pairs, ordered.regions, ordered.geometry
+    extents, union, large, small = ordered.extents, ordered.union, ordered.large, ordered.small
     meet, touch = np.maximum(pairs.meet, 1), np.maximum(pairs.touch, 1)
 
     def of_meeting(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -208,8 +189,8 @@ def _contact_features(
     def of_touching(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(pairs.touch > 0, values / touch, np.nan)
 
-    nearer, above = (np.where(is_turned[:, None], v[:, ::-1], v) for v in (pairs.nearer, pairs.above))
-    at_m, spread = geometry.contact_m[:, 2] + graph.middle[2], geometry.contact_spread_m
+    nearer, above = (np.where(ordered.is_turned[:, None], v[:, ::-1], v) for v in (pairs.nearer, pairs.above))
+    at_m, spread = geometry.contact_m[:, 2] + ordered.graph.middle[2], geometry.contact_spread_m
     away = pairs.meet - pairs.touch
     grain = regions.grain[:, 0] / np.maximum(regions.grain[:, 1], 1)
     width_m = np.minimum(extents.width_m[large], extents.width_m[small])

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.contacts import Contacts
     from hickory_stream.perception.occlusion_bridging import BridgingConfig
+    from hickory_stream.perception.over_segmentation import Fragments
     from hickory_stream.perception.surface import Surface
 
 HEIGHT_BIN_M = 0.01
@@ -92,25 +93,15 @@ class RegionGraph:
     heights_m: NDArray[np.float32]
 
 
-def build_region_graph(
-    surface: Surface,
-    labels: NDArray[np.int32],
-    supports: NDArray[np.int32],
-    areas_m2: NDArray[np.float32],
-    structure: NDArray[np.bool_],
-    floor_z_m: float | None,
-    *,
-    reach_px: int,
-    gap_m: float,
-    bridging: BridgingConfig,
-) -> RegionGraph:
-    """Return the graph of the fragments `labels` (h, w), of which there is at least one.
+def build_region_graph(fragments: Fragments, *, reach_px: int, gap_m: float, bridging: BridgingConfig) -> RegionGraph:
+    """Return the graph of fragments, of which there is at least one.
 
     Pixels are neighbours across fewer than `reach_px` unlabelled pixels; fragments are close up to `gap_m`.
     """
-    sums, middle, bottom_m = region_sums(surface, labels, supports, areas_m2, HEIGHT_BIN_M)
+    surface, room, labels, supports = fragments.surface, fragments.room, fragments.labels, fragments.supports
+    sums, middle, bottom_m = region_sums(surface, labels, supports, room.areas_m2, HEIGHT_BIN_M)
     count = len(sums.pixels)
-    contacts = contacts_of(surface, np.where(structure, np.int32(count), labels), reach_px)
+    contacts = contacts_of(surface, np.where(room.structure, np.int32(count), labels), reach_px)
     ends = np.concatenate([contacts.here, contacts.there, contacts.cut])
     regions = Regions(
         outline=np.bincount(ends, minlength=count + 1)[:count].astype(np.float64),
@@ -127,7 +118,7 @@ def build_region_graph(
         contacts=contacts,
         middle=middle,
         bottom_m=bottom_m,
-        floor_z_m=np.nan if floor_z_m is None else floor_z_m,
+        floor_z_m=np.nan if room.floor_z_m is None else room.floor_z_m,
         level=(surface.normals_world[..., 2] > 0.7) | (supports > 0),
         heights_m=np.ascontiguousarray(surface.points_world[..., 2]),
     )

@@ -29,7 +29,7 @@ def pieces():
 
 
 def measures_of(pieces, labels):
-    return region_graph_of(pieces.surface, labels, pieces.supports, pieces.room, JoinConfig())
+    return region_graph_of(replace(pieces, labels=labels), JoinConfig())
 
 
 @pytest.fixture(scope="module")
