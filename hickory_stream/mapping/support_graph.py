@@ -2,6 +2,17 @@
 
 It is used by merging, splitting, the life cycle, shape completion (a closed shape ends at the surface of `rests_on`)
 and queries. An edge is computed when it is queried, from the current bodies; `edges` computes all of them.
+
+Three measures of contact with a support are kept apart, since each is used where the others do not hold:
+
+- `rests_on` (`height_under`) needs the height of the surface, which it takes from the points under the box; a mask that
+  reaches a little below its object has such points everywhere.
+- `foot_of` and `part_of` must not merge objects: they require that the surface is visible as a ring around the foot.
+- `hangs_from` must not attach a supported body: the contact of its lowest points with any surface, also a steep one,
+  is support.
+
+With `height_under` in place of either of the other two the three golden logs keep their maps, but in `home` other tracks
+are merged.
 """
 
 from __future__ import annotations

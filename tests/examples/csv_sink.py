@@ -25,10 +25,11 @@ class CsvSink:
         """Write the objects of the map after a keyframe; reports of other frames have no snapshot."""
         if report.snapshot is None:
             return
-        for tracked in report.snapshot.objects:
-            place = (f"{x:.3f}" for x in tracked.box.center)
-            has_shape = int(tracked.shape is not None)
-            self._table.writerow((report.stamp_ns, tracked.id, tracked.phase, *place, tracked.sightings, has_shape))
+        for item in report.snapshot.objects:
+            place = (f"{x:.3f}" for x in item.box.center)
+            self._table.writerow(
+                (report.stamp_ns, item.id, item.phase, *place, item.sightings, int(item.shape is not None))
+            )
         self._stream.flush()
 
     def close(self) -> None:

@@ -32,15 +32,10 @@ class HullReconstructor:
         points_world = points_world[far_m <= np.quantile(far_m, _KEPT_SHARE)]
         foot = points_world[:, :2] if inputs.support_z_m is not None else points_world[:0, :2]
         standing = np.column_stack([foot, np.full(len(foot), inputs.support_z_m or 0.0)])
-        hull = trimesh.convex.convex_hull(np.concatenate([points_world, standing]))
-        hull = hull.subdivide_to_size(_EDGE_M)
+        hull = trimesh.convex.convex_hull(np.concatenate([points_world, standing])).subdivide_to_size(_EDGE_M)
         hull.merge_vertices()
         gaps_m, _ = cKDTree(points_world).query(hull.vertices)
         vertices = apply(invert(inputs.box.world_from_box), np.asarray(hull.vertices))
-        mesh = Mesh(
-            vertices=vertices,
-            faces=hull.faces,
-            colors=np.tile(np.median(inputs.colors, axis=0).astype(np.uint8), (len(vertices), 1)),
-            is_seen=gaps_m < _SEEN_M,
-        )
+        colors = np.tile(np.median(inputs.colors, axis=0).astype(np.uint8), (len(vertices), 1))
+        mesh = Mesh(vertices=vertices, faces=hull.faces, colors=colors, is_seen=gaps_m < _SEEN_M)
         return Reconstruction(mesh=mesh, world_from_object=inputs.box.world_from_box)

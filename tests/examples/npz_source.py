@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import zipfile
 from functools import partial
 from typing import TYPE_CHECKING
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -26,19 +25,17 @@ class NpzSource:
 
     def __init__(self, path: Path) -> None:
         try:
-            data = path.read_bytes()
-            with np.load(io.BytesIO(data)) as archive:
+            with path.open("rb") as file, np.load(file) as archive:
                 self._rgb, self._depth_m, self._stamps_ns, self._poses, lens = (archive[name] for name in ARRAYS)
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        except (OSError, ValueError, KeyError, BadZipFile) as error:
             raise RecordingError(f"{path} is no log of frames ({error}); expected the arrays {ARRAYS}") from error
         height, width = self._rgb.shape[1:3]
-        camera = Camera(width=width, height=height, fx=lens[0], fy=lens[1], cx=lens[2], cy=lens[3])
         self._num_yielded = 0
         self.info = SourceInfo(
             uri=str(path),
             kind="NumPy archive",
-            identity=hashlib.sha256(data).hexdigest(),
-            camera=camera,
+            identity=hashlib.sha256(path.read_bytes()).hexdigest(),
+            camera=Camera(width=width, height=height, fx=lens[0], fy=lens[1], cx=lens[2], cy=lens[3]),
             num_frames=len(self._stamps_ns),
             start_ns=int(self._stamps_ns[0]),
             end_ns=int(self._stamps_ns[-1]),
@@ -47,11 +44,10 @@ class NpzSource:
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames from the beginning."""
-        self._num_yielded = 0
-        for i, stamp_ns in enumerate(self._stamps_ns.tolist()):
-            self._num_yielded = max(self._num_yielded, i + 1)
-            when, where = {"index": i, "stamp_ns": stamp_ns}, {"world_from_camera": self._poses[i]}
-            known = {**when, **where, "camera": self.info.camera}
+        stamped = zip(self._stamps_ns.tolist(), self._poses, strict=True)
+        for i, (stamp_ns, pose) in enumerate(stamped):
+            self._num_yielded = i + 1
+            known = {"index": i, "stamp_ns": stamp_ns, "world_from_camera": pose, "camera": self.info.camera}
             yield RawFrame(**known, decode=partial(Frame, **known, rgb=self._rgb[i], depth_m=self._depth_m[i]))
 
     def ledger(self) -> Mapping[str, int]:

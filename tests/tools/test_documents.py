@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tools.benchmarks.documents import MEASURED, filled_in, keep, without_age
+from tools.benchmarks.documents import MEASURED, TYPED, filled_in, keep, unmarked_tables, without_age
 from tools.benchmarks.figures import Figure
 from tools.readmes import READMES
 
@@ -65,11 +65,32 @@ def test_the_line_below_says_when_and_marks_what_is_older_than_the_code(measured
     assert filled_in(later, folder=measured, code="now") == now
 
 
-def test_a_table_without_a_measurement_keeps_its_cells_and_is_marked_as_older(tmp_path: Path) -> None:
+@pytest.mark.parametrize("readme", READMES)
+def test_every_table_of_figures_is_generated_or_marked_as_typed_with_commit_and_date(readme: Path) -> None:
+    assert unmarked_tables(readme.read_text(encoding="utf-8")) == []
+
+
+def test_a_table_of_figures_that_nobody_marked_is_found() -> None:
+    rows = ["| what | before | now |", "|---|---|---|", "| `home` | 35 of 54 | 43 of 54 |", "| `shop` | 24 | 30 |"]
+    marked = [*rows, "", "*Typed figures of commit d752b20, 2026-11-22: older than the code.*"]
+    assert unmarked_tables("\n".join([*rows, "", "text"])) == [rows[2]]
+    assert unmarked_tables("\n".join([*marked, ""])) == []
+    assert unmarked_tables(TABLE) == []
+    assert unmarked_tables("| rule | reason |\n|---|---|\n" + "| a | Stein et al. 2014 |\n" * 9) == []
+
+
+def test_a_table_without_a_measurement_keeps_its_cells_and_says_so(tmp_path: Path) -> None:
     filled = filled_in(TABLE, folder=tmp_path, code="")
     assert "| `speed`: seconds a second | >= 1 | typed |" in filled
-    assert "older than the code" in filled
+    assert "No measurement is kept yet" in filled
     assert filled_in(filled, folder=tmp_path, code="") == filled
+
+
+def test_a_table_of_typed_figures_says_of_which_commit_they_are(tmp_path: Path) -> None:
+    (name, about) = next(iter(TYPED.items()))
+    filled = filled_in(TABLE.replace("figures: main", f"figures: {name}"), folder=tmp_path, code="")
+    assert "| `speed`: seconds a second | >= 1 | typed |" in filled
+    assert f"*Typed figures of {about}: older than the code." in filled
 
 
 def test_a_part_that_is_measured_later_replaces_its_figures_alone(measured: Path) -> None:
@@ -94,7 +115,7 @@ def test_a_row_that_names_its_benchmark_says_itself_how_old_it_is(measured: Path
     rows = filled_in(table, folder=measured, code="now").splitlines()
     told = "21 of 22; 1.07 x | `tools/bench main --quick`, 2026-11-22, now |"
     assert rows[3].endswith(f"{{speed}} --> | {told}")
-    assert rows[4].endswith("| typed | `tools/bench navigation`, typed before measurements were kept |")
+    assert rows[4].endswith("| typed | `tools/bench navigation`, not measured |")
     later = filled_in("\n".join(rows), folder=measured, code="later")
     assert "2026-11-22, now, **older than the code** |" in later
     assert without_age(later) == "\n".join(rows)

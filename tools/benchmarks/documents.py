@@ -40,10 +40,17 @@ _OPENING, _CLOSING = r"<!-- figures: (?P<name>by row|\w+)(?P<goals>, goals)? -->
 _OLDER = "\n**The code has changed since.**"
 _OLDER_IN_A_ROW = ", **older than the code**"
 _MOST_IN_A_CELL = 40
-_NEVER = "*Typed before measurements were kept: older than the code. `tools/bench {name} --write-docs` measures it.*"
+TYPED = {"quality": "commit dec9bbd, 2026-11-21"}
+"""Benchmarks whose figures were typed before measurements were kept: when that was."""
+
+_TYPED = "*Typed figures of {about}: older than the code. `tools/bench {name} --write-docs` measures them.*"
 _NONE = "*No measurement is kept yet: `tools/bench {name} --write-docs` makes one.*"
 _COMMENT = re.compile(r"<!-- (.*?) -->")
 _ABSENT = "not measured"
+_TABLE = re.compile(r"^(?P<rows>(?:\|.*\n)+)\n*(?P<after>.*)", re.MULTILINE)
+_MARK = re.compile(r"\*Typed figures.*\b[0-9a-f]{7}, \d{4}-\d\d-\d\d: older than the code")
+_NO_FIGURE = re.compile(r"`[^`]*`|\b(19|20)\d\d\b")
+_FIGURES, _SHARE = 4, 0.5
 _WIDTH = 120
 
 
@@ -137,12 +144,30 @@ def filled_in(text: str, *, folder: Path, code: str) -> str:
         elif runs:
             lines = lines[:2] + [_row(line, runs) for line in lines[2:]]
         if not runs:
-            captions = [(_NONE if block["goals"] else _NEVER).format(name=name)]
+            captions = [(_TYPED if name in TYPED else _NONE).format(name=name, about=TYPED.get(name))]
         else:
             captions = _captions(name, runs, {figure for line in lines[2:] for figure in _named(line)}, code)
         return "\n".join([*lines, *([""] if lines else []), *captions])
 
     return filled(text, _OPENING, _CLOSING, write)
+
+
+def unmarked_tables(text: str) -> list[str]:
+    """Return the first rows of those tables of figures that are neither generated nor marked as typed.
+
+    A table of figures is one with a number in most cells beside its first column; years are no figures. Below a typed
+    one stands a line such as `*Typed figures of commit d752b20, 2026-11-22: older than the code.*`.
+    """
+    rest = re.sub(rf"{_OPENING}\n.*?{re.escape(_CLOSING)}", "", text, flags=re.DOTALL)
+    found = []
+    for table in _TABLE.finditer(rest):
+        header, _, *rows = table["rows"].splitlines()
+        cells = [_NO_FIGURE.sub("", cell) for row in rows for cell in _cells(row)[1:]]
+        num_figures = sum(bool(re.search(r"\d", cell)) for cell in cells)
+        if any(_cells(header)) and num_figures >= _FIGURES and num_figures >= _SHARE * len([*filter(None, cells)]):
+            if not _MARK.match(table["after"]):
+                found.append(rows[0])
+    return found
 
 
 def without_age(text: str) -> str:
@@ -174,7 +199,9 @@ def _row_with_benchmark(line: str, runs: Sequence[Run], code: str) -> str:
     cells = _cells(line)
     used = [run for run in runs if not run.values.keys().isdisjoint(_named(line))]
     if not used:
-        return _joined([*cells[:-1], f"`tools/bench {_benchmark_of(line)}`, typed before measurements were kept"])
+        name = _benchmark_of(line)
+        told = f"typed, {TYPED[name]}{_OLDER_IN_A_ROW}" if name in TYPED else _ABSENT
+        return _joined([*cells[:-1], f"`tools/bench {name}`, {told}"])
     told = "; ".join(
         f"`tools/bench {_benchmark_of(line)}{_brief(run.options)}`, {run.date}, {run.commit}" for run in used
     )
