@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AffinityConfig(Ranged):
-    """Which pairs of objects are considered, and when two such pairs agree.
+    """The choice of candidate pairs of objects, and the test whether two of them agree.
 
     Attributes:
         centroid_m: standard deviation of an object's centroid on each axis, in each map.
@@ -115,10 +115,10 @@ def fused_log_ranks(scores: Sequence[NDArray[np.float64] | None], shape: tuple[i
 
 
 def distinctive_log_ranks(log_ranks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N, M) log ranks among the pairs of either object alone where those are better than among all pairs.
+    """Return (N, M) log ranks among the pairs of either object alone, if these are better than among all pairs.
 
-    Where most objects are of one kind, two of another kind that look alike rank no better than any of those; among the
-    pairs of either of the two they do.
+    If most objects of a map are of one kind, a pair of similar objects of another kind does not rank high among all
+    pairs, but does among the pairs of either of its objects.
     """
     by_a, by_b = _row_log_ranks(log_ranks), _row_log_ranks(np.ascontiguousarray(log_ranks.T)).T
     return np.asarray(np.minimum(log_ranks, np.maximum(by_a, by_b)))

@@ -68,7 +68,7 @@ def align(
         map_a: N objects; the result is in its frame.
         map_b: M objects.
         config: None for the defaults.
-        shape_scores: how shapes are compared; None if they are not.
+        shape_scores: the function that compares shapes; None if they are not compared.
     """
     config = AlignConfig() if config is None else config
     refusal = _too_small(map_a, map_b, config)
@@ -83,7 +83,7 @@ def align(
 def evidence_of(
     map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape_scores: ShapeScores | None
 ) -> tuple[Evidence, PairScores]:
-    """Return the evidence by which hypotheses about two maps are judged, and the scores of all pairs of objects."""
+    """Return the evidence for judging hypotheses about two maps, and the scores of all pairs of objects."""
     scores = _scored(map_a, map_b, shape_scores)
     return _evidence(map_a, map_b, scores, config), scores
 

@@ -1,4 +1,4 @@
-"""The configuration of alignment as a whole: that of each of its steps."""
+"""The configuration of alignment: that of each of its steps."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ class AcceptanceConfig(Ranged):
     Attributes:
         max_log10_chance: maximum log10 of the expected number of false alarms: of sets of pairs as good as these
             between two unrelated maps.
-        min_margin: by how many decades the evidence that separates the best from any rival must be significant.
+        min_margin: minimum significance, in decades, of the evidence that separates the best from any rival.
         min_pairs: minimum number of pairs.
         min_spread_m: minimum standard deviation of the pairs across their main horizontal direction.
         max_turn_deg: maximum standard deviation of the rotation.
-        tilt_price: a tilt between the maps adds this to the log10 of false alarms: robots measure gravity.
+        tilt_price: a tilt between the maps adds this to log10 of the false alarms, since robots measure gravity.
         max_tilt_deg: maximum angle between the verticals of two maps.
         least_tilt_deg, most_tilt_deg: what the tilt between two maps is expected to be about each level axis, as a
             standard deviation: any scale from the least to the most is as likely.
         distinct_m, distinct_deg: transforms closer than this are the same.
         num_rivals: maximum number of distinct transforms to search for ...
-        num_insignificant: ... of which so many may be no better than chance.
+        num_insignificant: ... and maximum number of insignificant ones among them.
     """
 
     max_log10_chance: float = number(-2.5, -1000, 1000, "log10")

@@ -32,7 +32,7 @@ class Refusal(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MatchedPair:
-    """One object in both maps: its ids, its scores in 0..1 (None if unknown) and the residual between the two."""
+    """One object in both maps: its ids, its scores in 0..1 (None if unknown) and the residual between its centroids."""
 
     id_a: int
     id_b: int
@@ -44,9 +44,9 @@ class MatchedPair:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Contradictions:
-    """The check against observed space: objects of one map whose place the other map has observed.
+    """The check against observed space: objects of one map at positions that the other map has observed.
 
-    Of `num_expected` such objects, `num_confirmed` are matched or lie on something solid, and `num_missing` lie in free
+    Of `num_expected` such objects, `num_confirmed` are matched or coincide with surface, and `num_missing` lie in free
     space; `ids_a` and `ids_b` are the ids of those that are missing in the other map.
     """
 
@@ -59,11 +59,11 @@ class Contradictions:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rival:
-    """One of several significant ways to lay map b over map a, for a pose graph that can decide between them later.
+    """One of several significant transforms between two maps, for a pose graph that can decide between them later.
 
-    `a_from_b`, `covariance` and `center_a` are as those of an `Alignment`, of the objects' centroids alone;
-    `log10_chance` is its own; `margin`: by how many decades the evidence for it is more significant than that for its
-    closest rival: negative where another is better.
+    `a_from_b`, `covariance` and `center_a` are those of an `Alignment`, from the objects' centroids alone;
+    `log10_chance` is its own. `margin` is the difference in significance to its closest rival, in decades; negative if
+    the rival is better.
     """
 
     a_from_b: NDArray[np.float64]
@@ -81,13 +81,13 @@ class Rival:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Alignment:
-    """Where map b lies in map a.
+    """The pose of map b in map a.
 
-    `a_from_b` (4, 4); `covariance` (6, 6) of a small turn (radians) about the pairs' centroid `center_a` (3,), then a
-    shift (metres), both in frame a; `log10_chance`: the logarithm of the number of sets of pairs as good as this one
-    that two unrelated maps would have; `margin`: how significant the evidence is (in the same logarithm) that
-    separates it from its closest `rival`; `rivals` are the other significant transforms, all of them ruled out; `notes`
-    say what was missing or done differently.
+    `a_from_b` (4, 4); `covariance` (6, 6) of a small rotation (radians) about the pairs' centroid `center_a` (3,) and a
+    translation (metres), in frame a; `log10_chance`: log10 of the expected number of equally good sets of pairs between
+    two unrelated maps; `margin`: the significance, in the same unit, of the evidence that separates it from its closest
+    `rival`; `rivals` are the other significant transforms, which were ruled out; `notes` report missing data and
+    deviations from the configuration.
     """
 
     a_from_b: NDArray[np.float64]
@@ -110,20 +110,20 @@ class Alignment:
 
     @property
     def translation_sigma_m(self) -> float:
-        """The standard deviation of the shift, over all directions."""
+        """The standard deviation of the translation, over all directions."""
         return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
 
     @property
     def rotation_sigma_rad(self) -> float:
-        """The standard deviation of the turn, about all axes."""
+        """The standard deviation of the rotation, over all axes."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class NoAlignment:
-    """A refusal: its reason, in a word and in a sentence, and the best hypotheses, the likeliest first.
+    """A refusal: its reason, in a word and in a sentence, and the best hypotheses, most likely first.
 
-    Where it is `Refusal.RIVAL`, `rivals` are the transforms of which one may be right, the likeliest first.
+    For `Refusal.RIVAL`, `rivals` are the transforms of which one may be right, most likely first.
     """
 
     refusal: Refusal

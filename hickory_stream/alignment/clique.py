@@ -13,7 +13,7 @@ from hickory_stream.compiled import numba
 
 @numba.njit(cache=True, nogil=True)
 def heaviest_clique(starts, neighbors, gains, incumbent, max_nodes):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the vertices of the clique of the greatest total gain; the best so far when `max_nodes` are spent.
+    """Return the vertices of the clique with the greatest total gain, or the best one found in `max_nodes` nodes.
 
     The graph is in compressed rows, neighbours ascending; `gains` (C,) are positive; `incumbent` is a clique to beat.
     """
@@ -95,7 +95,7 @@ def _smallest_last(starts, neighbors):  # type: ignore[no-untyped-def] # pragma:
 
 @numba.njit(cache=True, nogil=True)
 def _colored(linked, gains, members, size, order, bound):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Write members class by class, no two of a class linked, and what a clique up to each of them can gain at most."""
+    """Write the members by colour class and, for each, the maximum gain of a clique among the members up to it."""
     left = members[:size].copy()
     num_left = size
     at = 0

@@ -43,7 +43,7 @@ class ConsensusConfig(Ranged):
 def densest_clique(affinity: Affinity, alive: NDArray[np.bool_], config: ConsensusConfig) -> NDArray[np.int64]:
     """Return the ascending indices of the candidates in the heaviest clique found among those `alive` (C,).
 
-    The weight of a candidate is `pair_gain` less the logarithm of its rank. Empty when nothing is alive.
+    The weight of a candidate is `pair_gain` minus the logarithm of its rank. Empty if no candidate is alive.
     """
     vertices, starts, neighbors, weights = _alive_graph(
         affinity.starts, affinity.neighbors, affinity.weights, np.ascontiguousarray(alive)
@@ -66,7 +66,7 @@ def ascended_clique(
     Args:
         agreement: (C, C) symmetric weights, 0 where two candidates contradict each other.
         strengths: (C,) of the candidates, in 0..1.
-        config: how many steps.
+        config: the numbers of steps.
     """
     rows, columns = np.nonzero(agreement)
     starts = np.searchsorted(rows, np.arange(len(strengths) + 1)).astype(np.int64)
@@ -98,9 +98,9 @@ def _alive_graph(starts, neighbors, weights, alive):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True)
 def _ascend(starts, neighbors, weights, strengths, penalties, steps):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return u of projected gradient ascent; M has strengths^2 on its diagonal, weights times strengths beside it.
+    """Return u of projected gradient ascent; M has strengths^2 on its diagonal, and weights times strengths elsewhere.
 
-    A coordinate that has become zero stays so: what is left gets smaller with every step.
+    A coordinate that has become zero stays zero, so that the problem becomes smaller with every step.
     """
     count = len(strengths)
     u = np.ones(count)
@@ -132,7 +132,7 @@ def _ascend(starts, neighbors, weights, strengths, penalties, steps):  # type: i
             scale = 2.0 * np.sqrt(norm) / largest
             norm = 0.0
             for c in active:
-                # Where the gradient is negative the coordinate shrinks, and at last is zero.
+                # A coordinate with a negative gradient decreases until it is zero.
                 u[c] = max(u[c] + scale * gradient[c], 0.0)
                 norm += u[c] * u[c]
             if norm <= 0.0:
@@ -144,7 +144,7 @@ def _ascend(starts, neighbors, weights, strengths, penalties, steps):  # type: i
             value = new_value
         if is_clique:
             break
-        # From a little to more than any vertex can gain from all its neighbours.
+        # The penalty rises from a small value to more than any vertex can gain from all its neighbours.
         penalty = 0.02 if penalty == 0.0 else 2.0 * penalty
     return u
 
@@ -163,7 +163,7 @@ def _linked(starts, neighbors, c, d):  # type: ignore[no-untyped-def] # pragma: 
 
 @numba.njit(cache=True, nogil=True)
 def _rounded(starts, neighbors, order):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the clique that taking vertices in `order` gives, each that agrees with all before it."""
+    """Return the clique found greedily: vertices are taken in `order` if they agree with all before them."""
     clique = np.empty(len(order), dtype=np.int64)
     size = 0
     for v in order:

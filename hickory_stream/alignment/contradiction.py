@@ -89,14 +89,14 @@ def _missing(
 
 
 def thinned(points: NDArray[np.float32], most: int = _MAX_POINTS) -> NDArray[np.float32]:
-    """Return at most `most` of the points, evenly taken."""
+    """Return at most `most` of the points, at an even stride."""
     if len(points) <= most:
         return points
     return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
 
 
 def _solid(submap: Submap, objects: ObjectMap) -> NDArray[np.int64]:
-    """Return the sorted voxel keys, in a submap, of structure and objects."""
+    """Return the sorted voxel keys of structure and objects in a submap."""
     points = [points for points in objects.points if points is not None]
     if not points:
         return submap.observed_space.structure

@@ -24,11 +24,11 @@ _FAR = 1e6
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hypothesis:
-    """One way to lay map b over map a.
+    """A transform between two maps with its pairs of objects.
 
-    `a_from_b` (4, 4); `pairs` (K, 2) indices into the maps, the surest first; `log_ranks` and `residuals_m` (K,) of
-    each; `log10_chance`: log10 of the expected number of false alarms: of sets of pairs of two unrelated maps as good
-    as the best `num_proving` of these pairs.
+    `a_from_b` (4, 4); `pairs` (K, 2) are indices into the maps, most certain first, with `log_ranks` and `residuals_m`
+    (K,); `log10_chance` is log10 of the expected number of false alarms: sets of pairs between two unrelated maps that
+    are as good as the best `num_proving` of these pairs.
     """
 
     a_from_b: NDArray[np.float64]
@@ -48,11 +48,11 @@ class Hypothesis:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """What hypotheses are judged by: the centroids of both maps, the ranks (N, M) of all pairs, and chance.
+    """The data for judging hypotheses: the centroids of both maps, the ranks (N, M) of all pairs, and the chance model.
 
-    `search_log_ranks` (N, M) are those by which candidates are chosen and weighed; `plausible` (P, 2) are the pairs
-    that look alike enough to be matched; `sigma_m` is the standard deviation of a residual on each axis, `gate` how
-    many of them a residual may be. `looks` are the scores (N, M) behind the ranks, NaN where unknown.
+    Candidates are chosen and weighted by `search_log_ranks` (N, M); `plausible` (P, 2) are the pairs similar enough to
+    be matched; `sigma_m` is the standard deviation of a residual on each axis, and `gate` its maximum in multiples of
+    that. `looks` are the scores (N, M) behind the ranks, NaN if unknown.
     """
 
     centroids_a: NDArray[np.float64]
@@ -67,9 +67,9 @@ class Evidence:
 
 
 def grown(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hypothesis | None:
-    """Return the hypothesis that starts from `pairs` (K, 2): fitted, matched again and fitted until nothing changes.
+    """Return the hypothesis grown from `pairs` (K, 2) by fitting and matching in turn until nothing changes.
 
-    None when fewer than two pairs are left.
+    None if fewer than two pairs remain.
     """
     for _ in range(_ROUNDS):
         a_from_b = _fitted(evidence, pairs, is_level)
@@ -89,7 +89,7 @@ def _fitted(evidence: Evidence, pairs: NDArray[np.int64], is_level: bool) -> NDA
 
 
 def matched(evidence: Evidence, a_from_b: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the pairs (K, 2), in ascending order, that a transform explains: one-to-one, the best in all."""
+    """Return the pairs (K, 2), in ascending order, that agree with a transform: the optimal one-to-one assignment."""
     moved = apply(a_from_b, evidence.centroids_b)
     offsets = evidence.centroids_a[evidence.plausible[:, 0]] - moved[evidence.plausible[:, 1]]
     squares = np.einsum("kc,kc->k", offsets, offsets) / evidence.sigma_m**2
@@ -100,7 +100,7 @@ def matched(evidence: Evidence, a_from_b: NDArray[np.float64]) -> NDArray[np.int
     columns, column_of = np.unique(pairs[:, 1], return_inverse=True)
     if len(rows) == len(columns) == len(pairs):
         return pairs
-    # As many pairs as can be, and of those the cheapest.
+    # The largest number of pairs, at the least cost.
     table = np.zeros((len(rows), len(columns)))
     table[row_of, column_of] = costs - _FAR
     chosen_rows, chosen_columns = linear_sum_assignment(table)
@@ -116,7 +116,7 @@ def judged(
     residuals = points_a - apply(a_from_b, evidence.centroids_b[pairs[:, 1]])
     squares = (residuals**2).sum(axis=1)
     ranks = evidence.log_ranks[pairs[:, 0], pairs[:, 1]]
-    # The surest first: pairs are judged as the best k of them, for every k.
+    # Most certain first: for every k, the best k pairs are tested.
     order = np.lexsort((pairs[:, 0], squares / (2 * evidence.sigma_m**2) + ranks))
     pairs, squares, ranks, points_a = pairs[order], squares[order], ranks[order], points_a[order]
     logs = log_expected_sets(evidence.chance, ranks, np.cumsum(squares), _running_scatters(points_a), is_level=is_level)
@@ -133,7 +133,7 @@ def judged(
 
 
 def _running_scatters(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (K, 3, 3): of the first k points, the sum of outer products about their mean."""
+    """Return (K, 3, 3) the sums of outer products of the first k points about their mean, for every k."""
     k = np.arange(1, len(points) + 1)
     offsets = points - points.mean(axis=0)
     products = np.cumsum(offsets[:, :, None] * offsets[:, None], axis=0)

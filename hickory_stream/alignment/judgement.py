@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.hypothesis import Evidence, Hypothesis
     from hickory_stream.alignment.object_map import ObjectMap
 
-# Mirrored hypotheses are not tried if the evidence, in decades, is so many times what is required.
+# Mirrored hypotheses are not tried if the evidence, in decades, is this multiple of the required one.
 _SURE = 4.0
 
 
@@ -31,8 +31,8 @@ _SURE = 4.0
 class Judged:
     """A hypothesis, the evidence against it, and log10 of its expected number of false alarms with that included.
 
-    `margins` are by how many decades it is separated from each of the others, in their order; `margin` is the least of
-    them, or how significant it is alone where no other is significant at all.
+    `margins` are the differences in significance, in decades, to each of the others in their order; `margin` is the
+    least of them, or its own significance if no other hypothesis is significant.
     """
 
     hypothesis: Hypothesis
@@ -42,16 +42,16 @@ class Judged:
 
     @property
     def margin(self) -> float:
-        """By how many decades it is separated from its closest rival."""
+        """The difference in significance to its closest rival, in decades."""
         return min((-self.log10_chance, *self.margins))
 
 
 def confronted(
     map_a: ObjectMap, map_b: ObjectMap, evidence: Evidence, found: list[Hypothesis], config: AlignConfig
 ) -> tuple[Judged, ...]:
-    """Return the hypotheses with missing objects counted against them: the best first, then by their false alarms.
+    """Return the hypotheses, penalised for missing objects: the best first, then by their expected false alarms.
 
-    The best is the one that is separated from all others; without one, that of the fewest expected false alarms.
+    The best is the one that is separated from all others or, if there is none, the one of fewest expected false alarms.
     """
     judged = []
     if sum(one.log10_chance <= NOTABLE for one in found) > 1:
@@ -68,9 +68,10 @@ def confronted(
 
 
 def with_look_alikes(evidence: Evidence, found: list[Hypothesis], config: AlignConfig) -> list[Hypothesis]:
-    """Return the hypotheses grown again by pairs that look as much alike as those of the best do, however they rank.
+    """Return the hypotheses grown again by pairs that are as similar as those of the best one, regardless of rank.
 
-    Where many objects look the same a rank is noise, and without this each hypothesis would have its own few of them.
+    If many objects look the same, ranks among them are noise, and each hypothesis would contain a random few of these
+    pairs.
     """
     is_plausible = alike(evidence, found[0])
     is_plausible[evidence.plausible[:, 0], evidence.plausible[:, 1]] = True
@@ -161,7 +162,7 @@ def why_refused(
 
 
 def open_ones(judged: tuple[Judged, ...], config: AlignConfig) -> tuple[Judged, ...]:
-    """Return the best hypothesis and those that it is not separated from: one of them may be right."""
+    """Return the best hypothesis and those that it is not separated from, of which one may be right."""
     best = judged[0]
     others = [
         one for one, margin in zip(judged[1:], best.margins, strict=False) if margin < config.acceptance.min_margin
@@ -170,7 +171,7 @@ def open_ones(judged: tuple[Judged, ...], config: AlignConfig) -> tuple[Judged, 
 
 
 def rival_of(map_a: ObjectMap, one: Judged, evidence: Evidence, config: AlignConfig) -> Rival:
-    """Return a hypothesis for others: its transform, and how sure that is if it is the right one."""
+    """Return a hypothesis as a `Rival`: its transform, and the covariance of that if it is the right one."""
     points = map_a.centroids[one.hypothesis.pairs[:, 0]]
     return Rival(
         a_from_b=one.hypothesis.a_from_b,
@@ -183,9 +184,9 @@ def rival_of(map_a: ObjectMap, one: Judged, evidence: Evidence, config: AlignCon
 
 
 def _is_mirrored(best: Hypothesis, evidence: Evidence, config: AlignConfig) -> bool:
-    """Return whether the mirror image of map b is the better explanation: what lies along the mirror fits both.
+    """Return whether the mirror image of map b fits better, as it may if the matched objects lie in one plane.
 
-    Not looked for where the pairs are too many to lie there by chance.
+    It is not tried if the pairs are too many to lie in one plane by chance.
     """
     if best.log10_chance < _SURE * config.acceptance.max_log10_chance:
         return False

@@ -1,4 +1,4 @@
-"""The paper's methods and its rivals by name, on the same maps: for comparison, not for use.
+"""The paper's methods and competing methods by name, on the same maps, for comparison only.
 
 `sq`, `bbox` and `semantic` differ in the shape score alone: superquadrics, bounding boxes, none. `sq-paper`,
 `roman-one` and `roman-xl` follow ROMAN (Peterson et al., 2025): its scores and thresholds, gradient ascent, and any
@@ -45,7 +45,7 @@ _LOOKALIKES, _DRAWS, _RANSAC_GATE_M = 3, 2000, 0.3
 def align_by(
     method: Method, map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig | None = None
 ) -> Alignment | NoAlignment:
-    """Return what a method says of two maps; of the rivals' answers, chance is computed but not heeded."""
+    """Return the answer of a method; for competing methods `log10_chance` is computed, but not used to refuse."""
     config = AlignConfig() if config is None else config
     match method:
         case "sq":
@@ -72,7 +72,7 @@ def _roman(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape: Shape
 
 
 def _roman_pairs(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape: ShapeScores) -> NDArray[np.int64]:
-    """Return the pairs (K, 2) that ROMAN's scores and ascent choose."""
+    """Return the pairs (K, 2) chosen by ROMAN's scores and gradient ascent."""
     if not len(map_a) or not len(map_b):
         return np.empty((0, 2), dtype=np.int64)
     unary = np.sqrt(_rescaled_cosines(map_a, map_b) * np.nan_to_num(shape(map_a, map_b), nan=1.0))
@@ -99,7 +99,7 @@ def _rescaled_cosines(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]
 
 
 def _gravity_scores(points_a: NDArray[np.float64], points_b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (C, C) pairwise scores: horizontal and vertical distances must agree each on its own."""
+    """Return (C, C) pairwise scores, for which horizontal and vertical distances must agree separately."""
     offsets_a, offsets_b = points_a[:, None] - points_a[None], points_b[:, None] - points_b[None]
     level = np.abs(np.hypot(*offsets_a[..., :2].T) - np.hypot(*offsets_b[..., :2].T)).T
     up = np.abs(offsets_a[..., 2] - offsets_b[..., 2])
@@ -109,7 +109,7 @@ def _gravity_scores(points_a: NDArray[np.float64], points_b: NDArray[np.float64]
 
 
 def _roman_submaps(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> Alignment | NoAlignment:
-    """Return the alignment by the pair of submaps that has the most matches."""
+    """Return the alignment of the pair of submaps with the most matches."""
     best = np.empty((0, 2), dtype=np.int64)
     for members_a in _submaps(map_a):
         for members_b in _submaps(map_b):
@@ -120,7 +120,7 @@ def _roman_submaps(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> A
 
 
 def _submaps(objects: ObjectMap) -> list[NDArray[np.int64]]:
-    """Return the indices of overlapping pieces: centres at least 10 m apart, what is within 15 m, the 40 nearest."""
+    """Return the indices of overlapping submaps: centres at least 10 m apart, the 40 nearest objects within 15 m."""
     centers: list[NDArray[np.float64]] = []
     for place in objects.centroids:
         if all(np.linalg.norm(place - center) >= _SUBMAP_STEP_M for center in centers):
@@ -137,7 +137,7 @@ def _submaps(objects: ObjectMap) -> list[NDArray[np.int64]]:
 
 
 def _ransac(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> Alignment | NoAlignment:
-    """Return the transform of 2000 random triples of semantic look-alikes that brings most pairs within 0.3 m."""
+    """Return the transform of 2000 random triples of semantically similar pairs with most pairs within 0.3 m."""
     if min(len(map_a), len(map_b)) < _MIN_MATCHES:
         return _answer(map_a, map_b, np.empty((0, 2), dtype=np.int64), config)
     evidence, _ = evidence_of(map_a, map_b, config, None)

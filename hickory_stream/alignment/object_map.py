@@ -28,11 +28,11 @@ _MIN_HALF_EXTENT_M = 0.005
 class ObjectMap:
     """N objects in one frame, z up, metres.
 
-    `ids` (N,); `centroids` (N, 3), of layer 3 in closed form where there is one, else of layer 1; `features` (N, D) of
-    unit norm with rows of NaN where an object has none, None where no object has; `shapes` and `points` hold layer 3,
-    or its sketch from the points, and layer 1 of each object, None where there is none; `boxes` are upright boxes
-    around them. `submap_ids` (N,) says which piece of the map an object hangs on. `submaps` hold the observed space.
-    `extractor` names what made the features, "" where that is not known.
+    `ids` (N,); `centroids` (N, 3) of layer 3 (in closed form), else of layer 1; `features` (N, D) of unit norm, with
+    rows of NaN for objects without, None if no object has any; `shapes` and `points` are layer 3 (or the sketch fitted
+    to the points) and layer 1 of each object, None if missing; `boxes` are upright boxes around them. `submap_ids` (N,)
+    is the submap of each object; `submaps` have the observed space. `extractor` is the name of the feature extractor,
+    "" if unknown.
     """
 
     ids: NDArray[np.int64]
@@ -65,7 +65,7 @@ class ObjectMap:
 def object_map(snapshot: MapSnapshot, extractor: str = "") -> ObjectMap:
     """Return the objects of a snapshot in its world; tracks that are still tentative are left out.
 
-    `extractor` names what made the features, as far as the caller knows: cosines between two mean nothing.
+    `extractor` is the name of the feature extractor, if known: features of different extractors are not comparable.
     """
     objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
     shapes = tuple(tracked.superquadrics for tracked in objects)

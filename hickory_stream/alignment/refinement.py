@@ -55,9 +55,9 @@ class RefinementConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Refined:
-    """A finer transform, its covariance (6, 6) about the pairs' centroid in a, and how much better it is.
+    """A refined transform and its covariance (6, 6) about the pairs' centroid in a.
 
-    `met_before` and `met_after` are the shares of the surfaces' points that meet.
+    `met_before` and `met_after` are the shares of surface points that coincide before and after.
     """
 
     a_from_b: NDArray[np.float64]
@@ -76,16 +76,16 @@ def refined(
     prior: NDArray[np.float64],
     config: RefinementConfig,
 ) -> Refined | None:
-    """Return the finer transform; None where too few points are there, or fewer of them meet afterwards.
+    """Return the refined transform; None if there are too few points, or fewer of them coincide afterwards.
 
     Args:
-        map_a: the map that stays.
-        map_b: the map that is moved.
+        map_a: the fixed map.
+        map_b: the map to be moved.
         pairs: (K, 2) indices of matched objects.
         start: (4, 4) transform to begin with.
         mean: (4, 4), the best by the centroids alone ...
         prior: (6, 6) ... and its information.
-        config: how.
+        config: the parameters.
     """
     surfaces = _surfaces(map_a, map_b, pairs, config)
     if not surfaces:
@@ -124,7 +124,7 @@ class _Surface:
     def residuals(
         self, a_from_b: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return, for the points of both in frame a: where they are, their normals' distances, normals, gaps."""
+        """Return for the points of both, in frame a: positions, point-to-plane distances, normals, point distances."""
         moved = apply(a_from_b, self.points_b)
         gaps_b, nearest_a = self.tree_a.query(moved)
         gaps_a, nearest_b = self.tree_b.query(apply(invert(a_from_b), self.points_a))
@@ -136,12 +136,12 @@ class _Surface:
     def normal_equations(
         self, a_from_b: NDArray[np.float64], center_a: NDArray[np.float64], scale_m: float, config: RefinementConfig
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the information (6, 6) and the gain (6,) that this gives on a turn about the centre and a shift."""
+        """Return the normal matrix (6, 6) and the right side (6,) for a rotation about the centre and a translation."""
         places, distances, normals, gaps = self.residuals(a_from_b)
-        # Geman and McClure: a gap of `scale_m` counts a quarter, one of many a nothing.
+        # Geman and McClure (1987): the weight is a quarter at a distance of `scale_m`, and tends to 0.
         weights = 1.0 / (1.0 + (gaps / scale_m) ** 2) ** 2
         rows = np.hstack([np.cross(places - center_a, normals), normals])
-        # The points of a surface err together: many of them are worth as much as a few.
+        # The errors of a surface's points are correlated: many points weigh as much as a few.
         weights = weights * min(1.0, 100.0 / len(gaps)) / (config.surface_m**2 + (scale_m / 3) ** 2)
         return (rows * weights[:, None]).T @ rows, (rows * weights[:, None]).T @ distances
 
@@ -153,7 +153,7 @@ def _normal_equations(
     scale_m: float,
     config: RefinementConfig,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the information (6, 6) that all surfaces give together, and the gain (K, 6) of each."""
+    """Return the normal matrix (6, 6) of all surfaces together, and the right side (K, 6) of each."""
     parts = [surface.normal_equations(a_from_b, center_a, scale_m, config) for surface in surfaces]
     return np.sum([own for own, _ in parts], axis=0), np.array([gain for _, gain in parts])
 
@@ -208,7 +208,7 @@ def _normals(points: NDArray[np.float64], tree: cKDTree, count: int) -> NDArray[
 
 
 def _met(surfaces: list[_Surface], a_from_b: NDArray[np.float64], config: RefinementConfig) -> float:
-    """Return the share of points that have the partner's surface within reach, every object counting the same."""
+    """Return the share of points with the partner's surface within reach, averaged over the objects."""
     shares = []
     for surface in surfaces:
         _, distances, _, gaps = surface.residuals(a_from_b)
@@ -221,7 +221,7 @@ def _met(surfaces: list[_Surface], a_from_b: NDArray[np.float64], config: Refine
 def _moved(
     a_from_b: NDArray[np.float64], step: NDArray[np.float64], center_a: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the transform after a small turn (radians) about the centre and a shift, both in frame a."""
+    """Return the transform followed by a small rotation (radians) about the centre and a translation, in frame a."""
     turn = Rotation.from_rotvec(step[:3]).as_matrix()
     return from_rotation_translation(turn, center_a - turn @ center_a + step[3:]) @ a_from_b
 
@@ -229,7 +229,7 @@ def _moved(
 def _twist(
     a_from_b: NDArray[np.float64], start: NDArray[np.float64], center_a: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the turn about the centre and the shift that lead from `start` to `a_from_b`."""
+    """Return the rotation about the centre and the translation that lead from `start` to `a_from_b`."""
     now_from_start = a_from_b @ invert(start)
     shift = apply(now_from_start, center_a) - center_a
     return np.concatenate([Rotation.from_matrix(now_from_start[:3, :3]).as_rotvec(), shift])

@@ -1,7 +1,8 @@
 """The least-squares transform between matched objects of two maps, and its covariance.
 
-Level: both maps know gravity, and only a turn about the vertical is between them (4 unknowns). Tilted: any rotation
-(6 unknowns). The rotation is solved in closed form about the weighted centroids (Horn, 1987; Umeyama, 1991).
+Level: both maps are gravity-aligned and differ by a rotation about the vertical and a translation (4 unknowns). Tilted:
+any rotation (6 unknowns). The rotation is solved in closed form about the weighted centroids (Horn, 1987; Umeyama,
+1991).
 """
 
 from __future__ import annotations
@@ -37,15 +38,15 @@ def registered(
 def information(
     points_a: NDArray[np.float64], sigmas_m: NDArray[np.float64], center: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the (6, 6) information on a small turn (radians) about `center`, then a shift (metres), in frame a.
+    """Return the information (6, 6) of a small rotation (radians) about `center` and a translation (metres) in a.
 
-    Of K points (K, 3) whose distances to their counterparts have (K,) standard deviations on each axis: the inverse of
-    the Cramer-Rao bound.
+    It is the inverse of the Cramer-Rao bound for K points (K, 3) whose residuals have (K,) standard deviations on each
+    axis.
     """
     total = np.zeros((6, 6))
     for offset, sigma in zip(points_a - center, sigmas_m, strict=True):
         x, y, z = offset
-        # d(turn x offset + shift).
+        # The Jacobian of rotation x offset + translation.
         jacobian = np.hstack([np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]), np.eye(3)])
         total += jacobian.T @ jacobian / sigma**2
     return total
@@ -81,10 +82,10 @@ def differs(
     distance_m: float,
     angle_rad: float,
 ) -> bool:
-    """Return whether two transforms take `center_b` more than `distance_m` apart, or turn by more than `angle_rad`."""
+    """Return whether two transforms differ by more than `distance_m` at `center_b`, or by more than `angle_rad`."""
     from hickory_stream.geometry.rigid import apply, rotation_angle_rad
 
     moved_m = float(np.linalg.norm(apply(a_from_b, center_b) - apply(other_a_from_b, center_b)))
     turned_rad = rotation_angle_rad(a_from_b[:3, :3].T @ other_a_from_b[:3, :3])
-    # Limits that numpy made would make this numpy's bool, which is no JSON.
+    # A plain bool: limits of NumPy types would give NumPy's bool, which JSON cannot encode.
     return bool(moved_m > distance_m or turned_rad > angle_rad)

@@ -1,4 +1,4 @@
-"""Search for distinct transforms between two maps that many pairs of objects support."""
+"""Search for distinct transforms between two maps, each supported by many pairs of objects."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.affinity import Affinity
     from hickory_stream.alignment.align_config import AlignConfig
 
-# Some searches are spared where the evidence is so many times what is asked for, in decades.
+# Further searches are skipped if the evidence exceeds the required one by this many decades.
 _CLEAR = 3.0
-# A hypothesis as good as this, or worse, is found in unrelated maps: what it explains is neither rival nor repetition.
+# log10 of expected false alarms from which on hypotheses occur in unrelated maps, and are not counted as rivals.
 NOTABLE = -1.0
 
 
 def hypotheses_of(evidence: Evidence, config: AlignConfig) -> list[Hypothesis]:
-    """Return the distinct hypotheses: of maps that both know gravity, and where that is open, of tilted ones."""
+    """Return the distinct hypotheses: level ones and, unless level is certain, tilted ones."""
     found = searched(evidence, config, is_level=True)
     if found and _shows_gravity(evidence, found[0], config):
         return found
@@ -57,7 +57,7 @@ def searched(evidence: Evidence, config: AlignConfig, *, is_level: bool) -> list
 
 
 def _better(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hypothesis | None:
-    """Return the level hypothesis of some pairs, or the tilted one where it is better; None if neither fits."""
+    """Return the level hypothesis of some pairs, or the tilted one if it is better; None if neither fits."""
     tilted = grown(evidence, pairs, is_level=False)
     if tilted is not None and tilt_rad(tilted.a_from_b) > evidence.chance.max_tilt_rad:
         tilted = None
@@ -68,13 +68,13 @@ def _better(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> 
 
 
 def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
-    """Return whether no further rival can matter: the next clique is lighter than one that is no better than chance."""
+    """Return whether no further rival is possible: the next clique has less weight than an insignificant one."""
     best, second = found[0].log10_chance, found[1].log10_chance
     return best < _CLEAR * config.acceptance.max_log10_chance and second > NOTABLE
 
 
 def _shows_gravity(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> bool:
-    """Return whether a level hypothesis would not hold if the maps were tilted: many pairs, spread to all sides."""
+    """Return whether the pairs confirm that the maps are level: there are many, distributed in all directions."""
     if not best.is_level or best.log10_chance > _CLEAR * config.acceptance.max_log10_chance:
         return False
     points = evidence.centroids_a[best.pairs[:, 0]]

@@ -1,7 +1,7 @@
 """Similarity of shapes: an (N, M) matrix of scores in 0..1 for each way to compare the objects of two maps.
 
-`superquadric_scores` is ours; `literal_scores` is Eq. (sgeo) of the paper as it stands; `box_scores` is Mesh-BBox;
-`point_scores` are ROMAN's attributes of the cloud. A pair of which one object lacks what is compared scores NaN.
+`superquadric_scores` is our own; `literal_scores` is Eq. (sgeo) of the paper to the letter; `box_scores` is Mesh-BBox;
+`point_scores` are ROMAN's attributes of the point cloud. The score of a pair is NaN if one object lacks the data.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.object_map import ObjectMap
 
-# Of the literal score, and of our kernel: exponents, logarithms of lengths; a primitive weighs its share of volume to
-# this power, so that small parts have a say.
+# Standard deviations of the literal score and of our kernel (exponents, logarithms of lengths); the weight of a
+# primitive is its share of volume to this power, below 1 so that small parts count.
 _SIGMA_EXPONENTS = 1.0
 _EXPONENT_SIGMA, _LOG_REACH_SIGMA, _SHARE_POWER = 1.0, 0.2, 0.25
 _FAR_SQUARE = 30.0
@@ -30,11 +30,11 @@ _MIN_POINTS = 4
 
 
 def superquadric_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
-    """Return the (N, M) kernels of layer 3: how alike two sets of primitives are, in any order and number.
+    """Return the (N, M) kernels of layer 3: the similarity of two sets of primitives, in any order and number.
 
-    Every primitive is a point: the logarithms of its reach along gravity and of its two level ones, and its exponents.
-    The score is the cosine between the sums of normal kernels around the two sets. No primitive need find a partner: a
-    lost one takes its share away and no more.
+    Every primitive is a point of five coordinates: the logarithms of its vertical and its two horizontal extents, and
+    its exponents. The score is the cosine between the sums of Gaussian kernels around the two sets of points.
+    Primitives are not matched, so that a missing one only reduces the score by its share.
     """
     a, b = _primitive_sets(map_a.shapes), _primitive_sets(map_b.shapes)
     scores = _kernels(*a, *b)
@@ -46,8 +46,8 @@ def superquadric_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float6
 def literal_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
     """Return the (N, M) scores of Eq. (sgeo): the first K primitives of both, weighted by their share of volume.
 
-    K is the smaller of the two counts, sigma_geo is 1; the weights are the mean of both objects' shares of volume, and
-    sum to less than 1 where primitives are left over.
+    K is the smaller of the two counts, sigma_geo is 1. The weights are the mean of both objects' shares of volume, and
+    sum to less than 1 if the counts differ.
     """
     exponents_a, axes_a, weights_a, counts_a = _padded(map_a.shapes)
     exponents_b, axes_b, weights_b, counts_b = _padded(map_b.shapes)
@@ -64,7 +64,7 @@ def literal_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
 
 
 def box_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
-    """Return the (N, M) mean ratios of the sides of the bounding boxes, level sides by length, then the height."""
+    """Return the (N, M) mean ratios of the sides of the bounding boxes: horizontal sides by length, then the height."""
     a, b = _box_sides(map_a), _box_sides(map_b)
     return np.asarray((np.minimum(a[:, None], b[None]) / np.maximum(a[:, None], b[None])).mean(axis=2))
 
@@ -82,7 +82,7 @@ def point_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
 def _primitive_sets(
     shapes: Sequence[Superquadrics | None],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Return the points (P, 5) of all primitives, their weights (P,), and where each object's begin (N + 1,)."""
+    """Return the points (P, 5) of all primitives, their weights (P,), and the first index of each object (N + 1,)."""
     counts = [0 if shape is None else len(shape) for shape in shapes]
     known = [shape for shape in shapes if shape is not None and len(shape)]
     if not known:
@@ -92,7 +92,7 @@ def _primitive_sets(
     rotations = np.concatenate([shape.world_from_local[:, :3, :3] for shape in known])
     scaled = rotations * axes[:, None]
     spread = scaled @ scaled.transpose(0, 2, 1)
-    # The eigenvalues of the level 2 x 2 block, in closed form.
+    # The eigenvalues of the horizontal 2 x 2 block, in closed form.
     middle, half = (spread[:, 0, 0] + spread[:, 1, 1]) / 2, (spread[:, 0, 0] - spread[:, 1, 1]) / 2
     radius = np.hypot(half, spread[:, 0, 1])
     reach = np.column_stack([spread[:, 2, 2], middle + radius, middle - radius])
@@ -106,7 +106,7 @@ def _primitive_sets(
 
 @numba.njit(cache=True, nogil=True)
 def _kernels(points_a, weights_a, starts_a, points_b, weights_b, starts_b, only_diagonal=False):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N, M) sums of normal kernels between all primitives of two objects; on request the diagonal alone."""
+    """Return (N, M) sums of Gaussian kernels between all primitives of two objects; on request the diagonal only."""
     sums = np.zeros((len(starts_a) - 1, len(starts_b) - 1))
     for i in range(sums.shape[0]):
         for j in range(sums.shape[1]):
@@ -141,7 +141,7 @@ def _padded(
 
 
 def _box_sides(objects: ObjectMap) -> NDArray[np.float64]:
-    """Return (N, 3) half sides of the boxes around the whole objects (layer 3), else around what was seen of them."""
+    """Return (N, 3) half sides of the boxes around layer 3 of the objects, else around their points."""
     boxes = [
         box if shape is None else shape_box(shape) for shape, box in zip(objects.shapes, objects.boxes, strict=True)
     ]

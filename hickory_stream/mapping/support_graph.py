@@ -11,8 +11,8 @@ Three measures of contact with a support are kept apart, since each is used wher
 - `hangs_from` must not attach a supported body: the contact of its lowest points with any surface, also a steep one,
   is support.
 
-With `height_under` in place of either of the other two the three golden logs keep their maps, but in `home` other tracks
-are merged.
+With `height_under` in place of either of the other two, the three golden logs keep their maps, but `home` does not:
+other tracks are merged.
 """
 
 from __future__ import annotations
