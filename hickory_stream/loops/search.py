@@ -16,16 +16,15 @@ import numpy as np
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import (
     apply,
     compose,
     from_rotation_translation,
     invert,
-    rotation_angle_rad,
     yaw_rotation,
 )
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
+from hickory_stream.graph.gate import difference, mahalanobis2
 from hickory_stream.loops.surfaces import Surface, SurfaceFit, registered
 from hickory_stream.records import Loop, MapSnapshot
 
@@ -112,11 +111,12 @@ def _by_surface(query: LoopQuery, earlier_id: int, config: LoopConfig) -> Loop:
     earlier, later, predicted = query.surfaces[earlier_id], query.surfaces[query.later_id], query.predicted[earlier_id]
     reach_m = _WITHIN_SIGMAS * predicted.sigma_m
     fits = [registered(earlier, later, start, reach_m) for start in _starts(predicted, later)]
-    best = max(fits, key=lambda fit: (_worth(fit, config), fit.agreement))
-    rivals = [fit for fit in fits if not _is_same(fit, best, later) and _worth(fit, config)]
+    best = max(fits, key=lambda fit: fit.support)
     reason = _why_not(best, config)
-    if reason is None and any(fit.agreement > best.agreement - config.rival_agreement for fit in rivals):
-        reason = f"it fits elsewhere nearby as well: {best.agreement:.0%} of the surface agrees in both"
+    rivals = [fit.support for fit in fits if not _is_same(fit, best, later)]
+    most = max(rivals, default=0)
+    if reason is None and most > config.rival_share * best.support:
+        reason = f"it fits elsewhere nearby as well: {best.support} points speak for it, {most} for that"
     return _loop(earlier_id, query.later_id, best, "surface", reason)
 
 
@@ -136,13 +136,11 @@ def _starts(predicted: Predicted, later: Surface) -> list[NDArray[np.float64]]:
     return starts
 
 
-def _worth(fit: SurfaceFit, config: LoopConfig) -> bool:
-    return fit.num_met >= config.least_points
-
-
 def _is_same(a: SurfaceFit, b: SurfaceFit, later: Surface) -> bool:
-    step = compose(invert(compose(a.earlier_from_later, later.anchor)), compose(b.earlier_from_later, later.anchor))
-    return portable.norm(step[:3, 3]) < _SAME_M and rotation_angle_rad(step[:3, :3]) < _SAME_RAD
+    """Return whether two fits say the same, along the directions in which both say anything."""
+    error = difference(compose(a.earlier_from_later, later.anchor), compose(b.earlier_from_later, later.anchor))
+    tolerance = np.diag([_SAME_RAD * _SAME_RAD] * 3 + [_SAME_M * _SAME_M] * 3)
+    return mahalanobis2(error, a.covariance + b.covariance + tolerance) < 1.0
 
 
 def _why_not(fit: SurfaceFit, config: LoopConfig) -> str | None:

@@ -40,14 +40,17 @@ _LEAST_GATE_ROUNDS = 4
 _CORRELATED = 30.0
 """So many neighbouring points err alike: the share of the Hessian that counts as independent evidence."""
 
-_FLOOR_RAD, _FLOOR_M = 0.002, 0.01
-"""What two surfaces of one room differ by, however many points they have: noise of depth that does not average out."""
+_FLOOR_RAD, _FLOOR_M = 0.004, 0.02
+"""What two surfaces of one room differ by, however many points they have: no submap is quite rigid."""
 
 _UNKNOWN_VARIANCE = 100.0
 """That of a direction along which the surfaces say nothing, in m^2 and rad^2."""
 
 _MET_M = 0.06
 """Surfaces that are nearer than this to each other, across, have met."""
+
+_UPRIGHT = 0.7
+"""Surface whose normal has a smaller part along the vertical is upright."""
 
 _SIDE_M = 0.25
 """Up to so far from a point, of place and normal together, the same side of a surface is looked for."""
@@ -88,7 +91,8 @@ class SurfaceFit:
 
     `earlier_from_later` (4, 4) is between their frames; `covariance` (6, 6) that of a small turn, then shift, in the
     frame of the later one's anchor. Of the `num_known` points of either of which the other one knows what is there,
-    `num_met` have met a surface; the others lie in its free space.
+    `num_met` have met a surface; the others lie in its free space. Only upright surface counts: floors and tops of
+    things meet wherever one stands.
     """
 
     earlier_from_later: NDArray[np.float64]
@@ -100,6 +104,11 @@ class SurfaceFit:
     def agreement(self) -> float:
         """The share of known points that have met."""
         return self.num_met / self.num_known if self.num_known else 0.0
+
+    @property
+    def support(self) -> int:
+        """Points for it without those against it."""
+        return 2 * self.num_met - self.num_known
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -207,9 +216,10 @@ def _evidence(earlier: Surface, later: Surface, earlier_from_later: NDArray[np.f
 
 
 def _met_and_against(surface: Surface, other: Surface, here_from_other: NDArray[np.float64]) -> tuple[int, int]:
-    """Return how many points of another surface lie on one, and how many in its free space, away from all surface."""
-    points = apply(here_from_other, other.points)
-    facing = portable.matmul(other.normals, here_from_other[:3, :3].T)
+    """Return how many upright points of another surface lie on one, and how many in its free space, off all surface."""
+    is_upright = np.abs(other.normals[:, 2]) < _UPRIGHT
+    points = apply(here_from_other, other.points[is_upright])
+    facing = portable.matmul(other.normals[is_upright], here_from_other[:3, :3].T)
     distance, at = surface.sides.query(_with_normals(points, facing), distance_upper_bound=_SIDE_M)
     is_near = np.isfinite(distance)
     off = (surface.normals[at[is_near]] * (surface.points[at[is_near]] - points[is_near])).sum(axis=1)

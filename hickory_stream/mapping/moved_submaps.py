@@ -24,24 +24,29 @@ from hickory_stream.mapping.cloud import moved_cloud, share_near
 from hickory_stream.mapping.existence import Existence
 from hickory_stream.mapping.moved import moved_shape
 from hickory_stream.mapping.submaps import placed_at
-from hickory_stream.mapping.track import is_object, touching, with_cloud
+from hickory_stream.mapping.track import is_object, with_cloud
 from hickory_stream.mapping.track_endings import drop, unite
 from hickory_stream.mapping.views import sector_of
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
     from hickory_stream.events import Effect, FrameObserved, PosesCorrected
-    from hickory_stream.mapping.associate import AssociateConfig
     from hickory_stream.mapping.map_state import MapState
     from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.submaps import Submaps
     from hickory_stream.mapping.track import Track
     from hickory_stream.records import View
 
 _MIN_SIGHTINGS = 2
+_SURE = 1.4
+"""Boxes of so much IoU, less 1, are one thing however they came there."""
+
+_CLOSER = 0.1
+"""By so much more two tracks must be one than they were before a correction, to be brought together by it."""
 
 
 def place_submaps(state: MapState, event: PosesCorrected, config: MappingConfig, *, merges: bool) -> list[Effect]:
@@ -49,11 +54,12 @@ def place_submaps(state: MapState, event: PosesCorrected, config: MappingConfig,
     state.graph = state.graph if event.graph is None else event.graph
     if event.graph is not None and not event.submap_ids:
         return []
+    before = state.submaps
     state.submaps = placed_at(state.submaps, dict(zip(event.submap_ids, event.world_from_submap, strict=True)))
     text = f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew"
     state.decide("pose_correction", None, text)
     set_apart(state)
-    return merge_met(state, config) if merges else []
+    return merge_met(state, before, config) if merges else []
 
 
 def set_apart(state: MapState) -> None:
@@ -83,30 +89,67 @@ def recognise(state: MapState, event: FrameObserved, config: MappingConfig) -> l
     return effects
 
 
-def merge_met(state: MapState, config: MappingConfig) -> list[Effect]:
-    """Merge tracks that a correction has brought to the same place: one by where it was, one by where it is now.
+def merge_met(state: MapState, before: Submaps, config: MappingConfig) -> list[Effect]:
+    """Merge tracks that a correction has brought to the same place; `before` are the submaps as they were placed.
 
     Pairs are one to one, by the IoU of their boxes first, then by the share of the smaller one's points that lie on the
-    other.
+    other. Two that lay like this before are a thing and what is in it, and stay two; so do those that keyframes have
+    seen apart.
     """
     effects: list[Effect] = []
-    here = [track for track in state.ordered() if _can_meet(track)]
-    near = [track for track in _near(state, [track.bounds for track in here], config) if _can_meet(track)]
-    taken: set[int] = set()
-    scored = [
-        (-score, ours.id, theirs.id, theirs)
-        for theirs in near
-        for ours in touching(theirs.bounds, here)
-        if (score := _sameness(ours, theirs, config.associate)) > 0
-    ]
-    for _, our_id, their_id, theirs in sorted(scored, key=lambda row: row[:3]):
-        if our_id in taken or their_id in taken:
-            continue
-        taken |= {our_id, their_id}
-        effects += _brought_back(state, theirs, f"it lies where #{our_id} is")
-        kept_id, gone_id = min(our_id, their_id), max(our_id, their_id)
-        effects += unite(state, kept_id, gone_id, "a correction of the poses brought them to one place", config)
+    while pairs := _best_pairs(_met(state, before, config)):
+        for kept_id, gone_id in pairs:
+            effects += _united(state, kept_id, gone_id, config)
     return effects
+
+
+def _united(state: MapState, kept_id: int, gone_id: int, config: MappingConfig) -> list[Effect]:
+    """Merge two tracks of submaps that lie elsewhere to each other."""
+    effects: list[Effect] = []
+    known = {**state.tracks, **state.elsewhere}
+    kept, gone = known[kept_id], known[gone_id]
+    # Both into the frame in which one of them is seen, if one is.
+    if gone_id in state.tracks:
+        effects += _brought_back(state, _in_open_frame(state, kept, config), f"it lies where #{gone_id} is")
+    elif kept_id in state.tracks:
+        effects += _brought_back(state, _in_open_frame(state, gone, config), f"it lies where #{kept_id} is")
+    else:
+        kept_from_gone = state.submaps.between(kept.submap_id, gone.submap_id)
+        there = moved_track(gone, kept_from_gone, config.lattice.points_m)
+        state.elsewhere[gone_id] = replace(there, submap_id=kept.submap_id)
+    effects += unite(state, kept_id, gone_id, "a correction of the poses brought them to one place", config)
+    return effects
+
+
+def _best_pairs(scored: Iterable[tuple[float, int, int]]) -> list[tuple[int, int]]:
+    """Return one-to-one pairs, the best first."""
+    taken: set[int] = set()
+    pairs = []
+    for _, kept_id, gone_id in sorted(scored):
+        if kept_id not in taken and gone_id not in taken:
+            taken |= {kept_id, gone_id}
+            pairs.append((kept_id, gone_id))
+    return pairs
+
+
+def _met(state: MapState, before: Submaps, config: MappingConfig) -> Iterator[tuple[float, int, int]]:
+    """Yield (-score, lower id, higher id) of tracks of submaps that were moved against each other, now at one place."""
+    tracks = [track for track in state.everywhere() if _can_meet(track)]
+    if not tracks:
+        return
+    centers = np.array([apply(state.submaps.world_from(t.submap_id), t.box.center[None])[0] for t in tracks])
+    reach = np.array([portable.norm(track.box.half_extents_m) for track in tracks])
+    for i, a in enumerate(tracks):
+        off = centers[i + 1 :] - centers[i]
+        near = np.flatnonzero((off * off).sum(axis=1) < (reach[i + 1 :] + reach[i]) ** 2)
+        for b in (tracks[i + 1 + j] for j in near):
+            a_from_b = state.submaps.between(a.submap_id, b.submap_id)
+            then = before.between(a.submap_id, b.submap_id)
+            if np.array_equal(a_from_b, then) or state.votes.of(a.id, b.id).apart:
+                continue
+            score = _sameness(a, b, a_from_b, config)
+            if score >= _SURE or (score > 0 and score > _sameness(a, b, then, config) + _CLOSER):
+                yield -score, a.id, b.id
 
 
 def end_elsewhere(state: MapState) -> list[Effect]:
@@ -136,37 +179,39 @@ def moved_track(track: Track, new_from_old: NDArray[np.float64], voxel_m: float)
 
 def _near(state: MapState, bounds: list[NDArray[np.float32]], config: MappingConfig) -> Iterator[Track]:
     """Yield the tracks elsewhere, brought into the open submap's frame, that may touch one of the bounds (2, 3)."""
-    if not bounds:
-        return
     low, high = np.array(bounds)[:, 0], np.array(bounds)[:, 1]
     for track_id in sorted(state.elsewhere):
         track = state.elsewhere[track_id]
-        open_from_own = state.submaps.open_from(track.submap_id)
-        center = apply(open_from_own, track.box.center[None])[0]
+        center = apply(state.submaps.open_from(track.submap_id), track.box.center[None])[0]
         reach = portable.norm(track.box.half_extents_m)
-        if not ((low - reach <= center) & (center <= high + reach)).all(axis=1).any():
-            continue
-        yield replace(
-            moved_track(track, open_from_own, config.lattice.points_m),
-            submap_id=state.submaps.open_id,
-            seen_in=state.submaps.open_id,
-        )
+        if ((low - reach <= center) & (center <= high + reach)).all(axis=1).any():
+            yield _in_open_frame(state, track, config)
+
+
+def _in_open_frame(state: MapState, track: Track, config: MappingConfig) -> Track:
+    """Return a track elsewhere as one of the open submap."""
+    moved_there = moved_track(track, state.submaps.open_from(track.submap_id), config.lattice.points_m)
+    return replace(moved_there, submap_id=state.submaps.open_id, seen_in=state.submaps.open_id)
 
 
 def _can_meet(track: Track) -> bool:
     return track.phase is not Phase.ROOM and track.sightings >= _MIN_SIGHTINGS
 
 
-def _sameness(a: Track, b: Track, config: AssociateConfig) -> float:
+def _sameness(a: Track, b: Track, a_from_b: NDArray[np.float64], config: MappingConfig) -> float:
     """Return how surely two tracks at one place are the same object: 1 to 2 by boxes, up to 1 by points, 0 not."""
-    iou = box_iou(a.box, b.box)
-    if iou >= config.min_iou:
+    associate_config = config.associate
+    there = replace(b.box, world_from_box=compose(a_from_b, b.box.world_from_box))
+    iou = box_iou(a.box, there)
+    if iou >= associate_config.min_iou:
         return 1.0 + iou
-    small, large = sorted((a, b), key=lambda track: (track.box.volume_m3, track.id))
-    if intersection_volume_m3(small.box, large.box) < config.min_lies_on * small.box.volume_m3:
+    a_is_small = a.box.volume_m3 < b.box.volume_m3
+    least = min(a.box.volume_m3, b.box.volume_m3)
+    if intersection_volume_m3(a.box, there) < associate_config.min_lies_on * least:
         return 0.0
-    share = share_near(small.solid.keys, large.cloud)
-    return share if share >= config.min_lies_on else 0.0
+    own = moved_cloud(b.solid, a_from_b, config.lattice.points_m)
+    share = share_near(a.solid.keys, own) if a_is_small else share_near(own.keys, a.cloud)
+    return share if share >= associate_config.min_lies_on else 0.0
 
 
 def _brought_back(state: MapState, track: Track, why: str) -> list[Effect]:

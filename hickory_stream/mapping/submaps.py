@@ -140,7 +140,12 @@ class Submaps:
 
     def open_from(self, submap_id: int) -> NDArray[np.float64]:
         """Return where a submap lies in the frame of the open one, which is that of the frames to come: (4, 4)."""
-        return compose(invert(self.states[-1].world_from_submap), self.states[submap_id].world_from_submap)
+        return self.between(self.open_id, submap_id)
+
+    def between(self, a: int, b: int) -> NDArray[np.float64]:
+        """Return where a submap lies in the frame of another one, as both are placed: a_from_b (4, 4)."""
+        a_place, b_place = self.states[a].world_from_submap, self.states[b].world_from_submap
+        return np.eye(4) if a_place is b_place else compose(invert(a_place), b_place)
 
 
 def first_submap(voxel_m: float) -> Submaps:

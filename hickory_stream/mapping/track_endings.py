@@ -29,9 +29,10 @@ def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = N
 
 
 def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: MappingConfig) -> list[Effect]:
-    """Merge a track into another one, which takes over its points, its views, its votes and its candidates."""
-    kept, gone = state.tracks[kept_id], state.tracks.pop(gone_id)
-    state.tracks[kept_id] = merged = merge(kept, gone, config.lattice.points_m, config.views)
+    """Merge a track into another one of the same frame, which takes over points, views, votes and candidates."""
+    tracks = state.tracks if kept_id in state.tracks else state.elsewhere
+    kept, gone = tracks[kept_id], tracks.pop(gone_id)
+    tracks[kept_id] = merged = merge(kept, gone, config.lattice.points_m, config.views)
     state.votes = state.votes.merged(kept_id, gone_id)
     state.split_candidates = reassigned(state.split_candidates, kept_id, gone_id)
     state.absorbed = after_merge(state.absorbed, kept_id, gone)

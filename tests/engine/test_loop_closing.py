@@ -1,0 +1,106 @@
+"""A robot that comes back with odometry that has drifted: the loop is found, and the map becomes one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.box_scene import SCENE_CAMERA, SceneSource
+from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.history.replay import replay
+from hickory_stream.engine.saved_map import open_map
+from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
+from hickory_stream.testing import InstanceSegmenter
+from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import Frame, RawFrame
+
+pytestmark = pytest.mark.timeout(240)
+
+NUM_FRAMES = 33  # once around the boxes, and a quarter, in steps of 14 degrees
+CAMERA = SCENE_CAMERA.scaled(2 / 3)
+
+
+def step_of(index: int) -> int:
+    """The step on the camera's circle of a frame."""
+    return 2 * index
+
+
+SHORT = ("mapping.submaps.travel_m=3.0", "mapping.submaps.loop_latency_s=0.6")
+
+
+def drift(index: int) -> NDArray[np.float64]:
+    """What the odometry makes of the world: it turns and shifts, ever more."""
+    share = index / NUM_FRAMES
+    return from_rotation_translation(yaw_rotation(0.06 * share), np.array([0.25, -0.15, 0.0]) * share)
+
+
+class DriftingSource(SceneSource):
+    """The scene, its poses those of an odometry that drifts."""
+
+    def frames(self) -> Iterator[RawFrame]:
+        for raw in super().frames():
+            pose = compose(drift(raw.index), raw.world_from_camera)
+
+            def decode(raw: RawFrame = raw, pose: NDArray[np.float64] = pose) -> Frame:
+                return replace(raw.decode(), world_from_camera=pose)
+
+            yield replace(raw, world_from_camera=pose, decode=decode)
+
+
+def run(path: Path, *overrides: str, name: str = "map") -> SceneRun:
+    source = DriftingSource(NUM_FRAMES, camera=CAMERA, step_of=step_of)
+    segmenter = InstanceSegmenter(source.instances)
+    return map_scene(path, *NO_SHAPES, *SHORT, *overrides, name=name, source=source, segmenter=segmenter)
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
+    return run(tmp_path_factory.mktemp("closed"))
+
+
+def worst_place_m(found: SceneRun) -> float:
+    """How far the last submap is from where it is in truth, against the first one."""
+    submap = found.snapshots[-1].submaps[-1]
+    there = compose(submap.world_from_submap, drift(NUM_FRAMES - 1))
+    return float(np.linalg.norm(there[:3, 3]))
+
+
+def test_the_way_back_is_found_and_the_last_submap_lies_where_it_is(closed: SceneRun) -> None:
+    graph = closed.snapshots[-1].graph
+    assert graph is not None
+    accepted = [(edge.earlier, edge.later) for edge in graph.loops if edge.status == "accepted"]
+    assert accepted
+    assert all(earlier + 2 <= later for earlier, later in accepted)
+    # What drifts within the last submap itself stays.
+    assert worst_place_m(closed) < 0.6 * float(np.linalg.norm([0.25, -0.15]))
+    ledger = open_map(closed.folder.path).ledger["frames"]
+    assert ledger["loops"] == len([loop for loop in graph.loops if not loop.reason])
+    assert ledger["loop_corrections"] >= 1
+
+
+def test_the_map_is_reproducible_and_its_journal_replays_it(closed: SceneRun, tmp_path: Path) -> None:
+    saved = open_map(closed.folder.path)
+    assert saved.manifest.is_reproducible
+    assert map_digest(saved.snapshot) == closed.digest
+    assert map_digest(replay(closed.folder.path)) == closed.digest
+    assert run(tmp_path).digest == closed.digest
+
+
+def test_without_loops_the_map_stays_as_the_odometry_has_it_and_has_things_twice(
+    tmp_path: Path, closed: SceneRun
+) -> None:
+    plain = run(tmp_path, "mapping.submaps.searches_loops=false")
+    assert plain.snapshots[-1].graph is None
+    assert all(np.array_equal(s.world_from_submap, np.eye(4)) for s in plain.snapshots[-1].submaps)
+    assert worst_place_m(plain) > 0.25
+    assert len(plain.snapshots[-1].objects) > len(closed.snapshots[-1].objects)

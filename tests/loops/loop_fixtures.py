@@ -1,0 +1,96 @@
+"""Rooms as surfaces: points on floor, walls and boxes with the normals that a camera inside sees."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
+from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
+from hickory_stream.loops.surfaces import Surface
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+STEP_M, VOXEL_M = 0.08, 0.05
+ANCHOR = from_rotation_translation(yaw_rotation(0.4), np.array([2.0, 1.5, 1.2]))
+Patch = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
+
+
+def patch(corner: list[float], u: list[float], v: list[float], normal: list[float], step_m: float = STEP_M) -> Patch:
+    """Points of a parallelogram from a corner along u and v, with one normal."""
+    along, across = np.array(u), np.array(v)
+    counts = [max(2, round(float(np.linalg.norm(side)) / step_m)) for side in (along, across)]
+    s, t = (grid.ravel() for grid in np.meshgrid(*(np.linspace(0, 1, n, endpoint=False) for n in counts)))
+    points = np.array(corner) + s[:, None] * along + t[:, None] * across
+    return points, np.tile(normal, (len(points), 1)).astype(float)
+
+
+def box(x: float, y: float, side: float, height: float) -> list[Patch]:
+    """The four sides and the top of a box on the floor."""
+    a, b = x + side, y + side
+    return [
+        patch([x, y, 0], [side, 0, 0], [0, 0, height], [0, -1, 0]),
+        patch([x, b, 0], [side, 0, 0], [0, 0, height], [0, 1, 0]),
+        patch([x, y, 0], [0, side, 0], [0, 0, height], [-1, 0, 0]),
+        patch([a, y, 0], [0, side, 0], [0, 0, height], [1, 0, 0]),
+        patch([x, y, height], [side, 0, 0], [0, side, 0], [0, 0, 1]),
+    ]
+
+
+def room(width: float = 4.0, depth: float = 3.0) -> list[Patch]:
+    """A floor and four walls of 2 m, seen from inside, with two boxes."""
+    return [
+        patch([0, 0, 0], [width, 0, 0], [0, depth, 0], [0, 0, 1]),
+        patch([0, 0, 0], [width, 0, 0], [0, 0, 2], [0, 1, 0]),
+        patch([0, depth, 0], [width, 0, 0], [0, 0, 2], [0, -1, 0]),
+        patch([0, 0, 0], [0, depth, 0], [0, 0, 2], [1, 0, 0]),
+        patch([width, 0, 0], [0, depth, 0], [0, 0, 2], [-1, 0, 0]),
+        *box(0.5, 0.6, 0.6, 0.7),
+        *box(2.6, 1.7, 0.9, 0.4),
+    ]
+
+
+def air(low: tuple[float, float, float] = (0, 0, 0), high: tuple[float, float, float] = (4, 3, 2)) -> NDArray[np.int64]:
+    """The voxels inside a room, but for its boxes."""
+    axes = [np.arange(a + VOXEL_M, b - VOXEL_M, VOXEL_M) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    for x, y, side, height in ((0.5, 0.6, 0.6, 0.7), (2.6, 1.7, 0.9, 0.4)):
+        inside = (points >= [x, y, 0]).all(axis=1) & (points <= [x + side, y + side, height]).all(axis=1)
+        points = points[~inside]
+    return sorted_unique(keys_of_points(points, VOXEL_M))
+
+
+def surface(
+    patches: list[Patch],
+    *,
+    own_from_world: NDArray[np.float64] | None = None,
+    free: NDArray[np.int64] | None = None,
+    noise_m: float = 0.005,
+    seed: int = 0,
+) -> Surface:
+    """A surface with noise, in a frame of its own."""
+    move = np.eye(4) if own_from_world is None else own_from_world
+    rng = np.random.default_rng(seed)
+    points, normals = (np.concatenate(parts) for parts in zip(*patches, strict=True))
+    points = points + rng.normal(0, noise_m, points.shape) + rng.uniform(0, 0.3 * STEP_M, 3)
+    return Surface(
+        points=apply(move, points),
+        normals=normals @ move[:3, :3].T,
+        free=np.empty(0, np.int64) if free is None else free,
+        voxel_m=VOXEL_M,
+        anchor=move @ ANCHOR,
+    )
+
+
+def shift(x: float, y: float, z: float = 0.0, yaw_deg: float = 0.0) -> NDArray[np.float64]:
+    return from_rotation_translation(yaw_rotation(np.radians(yaw_deg)), np.array([x, y, z]))
+
+
+def off(found: NDArray[np.float64], own_from_world: NDArray[np.float64]) -> tuple[float, float]:
+    """How far a found earlier_from_later is from the true one, at the anchor: metres, degrees."""
+    step = invert(invert(own_from_world) @ own_from_world @ ANCHOR) @ (found @ own_from_world @ ANCHOR)
+    return float(np.linalg.norm(step[:3, 3])), float(
+        np.degrees(np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1)))
+    )

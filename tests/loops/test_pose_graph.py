@@ -1,0 +1,98 @@
+"""From submaps and loops to a graph, and from its solution to places of submaps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
+from hickory_stream.graph.config import GraphConfig
+from hickory_stream.graph.solution import Solution
+from hickory_stream.graph.solve import solve
+from hickory_stream.loops.config import LoopConfig
+from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places
+from hickory_stream.records import Loop, SurveyedSubmap
+
+CONFIG, LOOPS = GraphConfig(), LoopConfig()
+NONE = np.empty((0, 3), np.float32)
+
+
+def submap(submap_id: int, x_m: float, y_m: float, *, after_jump: bool = False) -> SurveyedSubmap:
+    return SurveyedSubmap(
+        id=submap_id,
+        world_from_submap=np.eye(4),
+        anchor=from_rotation_translation(yaw_rotation(0.3 * submap_id), np.array([x_m, y_m, 1.0])),
+        way_m=5.0,
+        turn_rad=1.0,
+        after_jump=after_jump,
+        points=NONE,
+        normals=NONE,
+        free=np.empty(0, np.int64),
+        voxel_m=0.05,
+    )
+
+
+WALK = [submap(i, x, y) for i, (x, y) in enumerate([(0, 0), (5, 0), (5, 5), (0, 5), (0.3, 0.1)])]
+HOME = Loop(
+    earlier=0,
+    later=4,
+    earlier_from_later=from_rotation_translation(np.eye(3), np.array([-0.25, -0.1, 0.0])),
+    covariance=np.diag([1e-5] * 3 + [2e-4] * 3),
+    method="surface",
+    score=0.97,
+)
+STAMPS = [10 * i for i in range(5)]
+
+
+def test_a_loop_bends_the_way_back_and_what_it_says_holds_in_the_places() -> None:
+    solution = solve(pose_graph(WALK, [HOME], STAMPS, CONFIG), CONFIG)
+    assert isinstance(solution, Solution)
+    places = submap_places(WALK, solution.world_from_node, LOOPS)
+    assert solution.accepted == (0,)
+    assert np.array_equal(places[0], np.eye(4))
+    between = invert(places[0]) @ places[4]
+    assert np.allclose(between, HOME.earlier_from_later, atol=0.03)
+    moved_m = [
+        float(np.linalg.norm((place @ s.anchor - s.anchor)[:3, 3])) for place, s in zip(places, WALK, strict=True)
+    ]
+    assert moved_m == sorted(moved_m)
+    assert is_correction(WALK, places, [np.eye(4)] * 5, LOOPS)
+
+
+def test_what_a_search_did_not_believe_is_in_no_graph_but_in_its_record() -> None:
+    other = replace(HOME, earlier=1, reason="it fits elsewhere nearby as well")
+    graph = pose_graph(WALK, [other, HOME], STAMPS, CONFIG)
+    assert [loop.id for loop in graph.loops] == [1]
+    solution = solve(graph, CONFIG)
+    assert isinstance(solution, Solution)
+    record = graph_record(graph, solution, [other, HOME], STAMPS)
+    assert [(edge.earlier, edge.status, edge.reason) for edge in record.loops] == [
+        (0, "accepted", ""),
+        (1, "rejected", "it fits elsewhere nearby as well"),
+    ]
+
+
+def test_submaps_that_a_solution_hardly_moves_against_each_other_stay_one_piece() -> None:
+    nodes = np.array([s.anchor for s in WALK])
+    nodes[1, 0, 3] += 0.005
+    nodes[2, 0, 3] += 0.5
+    places = submap_places(WALK, nodes, LOOPS)
+    assert places[4] is places[3]
+    assert np.allclose(places[2][:3, 3], [0.5, 0, 0])
+    assert np.allclose(places[1][:3, 3], [0.005, 0, 0])
+    assert places[0] is places[1]
+    assert not is_correction(WALK, [places[4]] * 5, [np.eye(4)] * 5, LOOPS)
+
+
+def test_all_submaps_moved_alike_are_no_correction_and_a_jump_is_an_edge_that_gives_way() -> None:
+    away = from_rotation_translation(yaw_rotation(1.0), np.array([3.0, 4.0, 0.0]))
+    assert not is_correction(WALK, [away] * 5, [np.eye(4)] * 5, LOOPS)
+    torn = [*WALK[:2], replace(WALK[2], after_jump=True), *WALK[3:]]
+    edges = pose_graph(torn, [], STAMPS, CONFIG).odometry
+    assert [edge.is_jump for edge in edges] == [False, True, False, False]
+    assert edges[1].covariance[3, 3] > 100 * edges[0].covariance[3, 3]
+
+
+def test_a_submap_without_a_keyframe_is_no_node() -> None:
+    with pytest.raises(ValueError, match="anchor"):
+        pose_graph([WALK[0], replace(WALK[1], anchor=np.eye(3))], [], STAMPS, CONFIG)

@@ -1,0 +1,84 @@
+"""The search for loops: where a submap overlaps, where it could be meant elsewhere, and where only objects tell."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.loops.config import LoopConfig
+from hickory_stream.loops.search import LoopQuery, Predicted, search_loops
+from hickory_stream.loops.surfaces import Surface
+from hickory_stream.records import MapSnapshot
+from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+from tests.loops.loop_fixtures import air, box, off, patch, room, shift, surface
+
+DRIFT = shift(0.12, -0.08, 0.02, yaw_deg=3.0)
+CONFIG = LoopConfig()
+
+
+def query(
+    earlier: Surface,
+    later: Surface,
+    *,
+    predicted: NDArray[np.float64] | None = None,
+    sigma_m: float = 0.08,
+    snapshot: MapSnapshot | None = None,
+) -> LoopQuery:
+    known = Predicted(
+        earlier_from_later=np.eye(4) if predicted is None else predicted, sigma_m=sigma_m, sigma_yaw_rad=0.02
+    )
+    return LoopQuery(later_id=3, surfaces={0: earlier, 3: later}, predicted={0: known}, snapshot=snapshot)
+
+
+def test_a_room_that_is_entered_again_is_a_loop() -> None:
+    (loop,) = search_loops(query(surface(room(), free=air()), surface(room(), own_from_world=DRIFT, seed=1)), CONFIG)
+    assert (loop.earlier, loop.later, loop.method, loop.reason) == (0, 3, "surface", None)
+    assert off(loop.earlier_from_later, DRIFT)[0] < 0.015
+
+
+def test_another_room_is_no_candidate() -> None:
+    elsewhere = surface(room(), own_from_world=shift(9.0, 0.0), seed=1)
+    assert search_loops(query(surface(room()), elsewhere), CONFIG) == ()
+
+
+def test_too_little_surface_is_not_searched() -> None:
+    few = surface([patch([0, 0, 0], [0.5, 0, 0], [0, 0.5, 0], [0, 0, 1])])
+    assert search_loops(query(surface(room()), few), CONFIG) == ()
+
+
+def test_like_things_in_a_row_are_told_to_fit_elsewhere_as_well() -> None:
+    floor = patch([-2, 0, 0], [10, 0, 0], [0, 3, 0], [0, 0, 1])
+    wall = patch([-2, 3, 0], [10, 0, 0], [0, 0, 2], [0, -1, 0])
+    row = [floor, wall, *(side for i in range(10) for side in box(-1.0 + 0.6 * i, 1.0, 0.3, 0.5))]
+    (loop,) = search_loops(query(surface(row), surface(row, seed=1), sigma_m=0.4), CONFIG)
+    assert loop.reason is not None
+    assert "fits elsewhere" in loop.reason
+
+
+def test_what_lies_in_free_space_is_no_loop() -> None:
+    empty = surface(room()[:5], free=air())
+    full = [*room()[:5], *(side for i in range(5) for side in box(0.2 + 0.7 * i, 0.3 + 0.5 * (i % 2), 0.5, 1.8))]
+    (loop,) = search_loops(query(empty, surface(full, seed=1)), replace(CONFIG, least_agreement=0.9))
+    assert loop.reason is not None
+    assert "free space" in loop.reason
+
+
+def test_where_the_graph_knows_too_little_the_objects_tell() -> None:
+    far = frame(40.0, 30.0, -20.0)
+    items = furniture(14, seed=5)
+    both = [snapshot_of(items, np.eye(4), seed=1), snapshot_of(items, far, seed=2)]
+    objects = [*both[0].objects]
+    objects += [replace(item, id=item.id + 100, submap_id=3) for item in both[1].objects]
+    submaps = [both[0].submaps[0], replace(both[1].submaps[0], id=3)]
+    snapshot = MapSnapshot(revision=1, stamp_ns=1, submaps=tuple(submaps), objects=tuple(objects))
+    patches = [patch([-0.6, -0.6, 0], [7.8, 0, 0], [0, 7.8, 0], [0, 0, 1])]
+    for place, half, _ in items:
+        patches += box(place[0] - half[0], place[1] - half[0], 2 * half[0], 2 * half[2])
+    earlier, later = surface(patches), surface(patches, own_from_world=far, seed=1)
+    asked = query(earlier, later, sigma_m=20.0, snapshot=snapshot)
+    loops = search_loops(asked, CONFIG)
+    assert [loop.method for loop in loops] == ["objects"]
+    assert loops[0].reason is None
+    assert np.allclose(loops[0].earlier_from_later, invert(far), atol=0.05)
+    assert search_loops(replace(asked, snapshot=None), CONFIG) == ()

@@ -1,0 +1,60 @@
+"""Registration of surfaces: to the centimetre, side by side, and with what speaks against it."""
+
+import numpy as np
+
+from hickory_stream.loops.surfaces import registered
+from tests.loops.loop_fixtures import air, off, patch, room, shift, surface
+
+DRIFT = shift(0.12, -0.08, 0.02, yaw_deg=3.0)
+
+
+def test_a_room_seen_again_is_registered_to_a_centimetre_with_an_honest_covariance() -> None:
+    later = surface(room(), own_from_world=DRIFT, free=None, seed=1)
+    fit = registered(surface(room()), later, np.eye(4), 0.3)
+    way_m, angle_deg = off(fit.earlier_from_later, DRIFT)
+    assert way_m < 0.015
+    assert angle_deg < 0.3
+    sigma_m = float(np.sqrt(np.trace(fit.covariance[3:, 3:])))
+    assert 0.3 * way_m < sigma_m < 0.05
+    assert fit.agreement > 0.95
+
+
+def test_the_two_sides_of_a_wall_are_never_one_surface() -> None:
+    thickness_m = 0.1
+    here = [*room()[:1], patch([0, 3, 0], [4, 0, 0], [0, 0, 2], [0, -1, 0]), *room()[5:]]
+    behind = [*room()[:1], patch([0, 3 + thickness_m, 0], [4, 0, 0], [0, 0, 2], [0, 1, 0]), *room()[5:]]
+    fit = registered(surface(here), surface(behind, own_from_world=DRIFT, seed=1), np.eye(4), 0.3)
+    assert off(fit.earlier_from_later, DRIFT)[0] < 0.3 * thickness_m
+
+
+def test_along_a_bare_corridor_the_prediction_stays_and_the_covariance_says_so() -> None:
+    corridor = [
+        patch([0, 0, 0], [8, 0, 0], [0, 1.5, 0], [0, 0, 1]),
+        patch([0, 0, 0], [8, 0, 0], [0, 0, 2], [0, 1, 0]),
+        patch([0, 1.5, 0], [8, 0, 0], [0, 0, 2], [0, -1, 0]),
+    ]
+    fit = registered(
+        surface(corridor), surface(corridor, own_from_world=shift(0.0, 0.06), seed=1), shift(0.3, 0.0), 0.3
+    )
+    along_m, across_m, _ = fit.earlier_from_later[:3, 3]
+    assert abs(along_m - 0.3) < 0.01
+    assert abs(across_m + 0.06) < 0.02
+    assert np.sqrt(np.linalg.eigvalsh(fit.covariance[3:, 3:])[-1]) > 1.0
+
+
+def test_surface_in_what_the_other_saw_to_be_free_speaks_against_a_fit() -> None:
+    earlier, later = surface(room(), free=air()), surface(room(), seed=1, free=air())
+    right = registered(earlier, later, np.eye(4), 0.3)
+    assert right.agreement > 0.95
+    empty = surface([*room()[:5]], free=air())
+    moved = registered(empty, surface(room(), free=air(), seed=2), np.eye(4), 0.3)
+    assert moved.agreement < right.agreement
+    assert moved.num_known > moved.num_met
+
+
+def test_the_same_surfaces_give_the_same_bytes() -> None:
+    fits = [
+        registered(surface(room()), surface(room(), own_from_world=DRIFT, seed=1), np.eye(4), 0.5) for _ in range(2)
+    ]
+    assert fits[0].earlier_from_later.tobytes() == fits[1].earlier_from_later.tobytes()
+    assert fits[0].covariance.tobytes() == fits[1].covariance.tobytes()
