@@ -149,7 +149,8 @@ class LoopCloser:
 
 def _accepted(core: MapperCore) -> list[int]:
     """Return the numbers of the loops that the last solution believed."""
-    edges = () if core.graph is None else core.graph.loops
+    graph = core.snapshot().graph
+    edges = () if graph is None else graph.loops
     believed = {(edge.earlier, edge.later) for edge in edges if edge.status == "accepted"}
     return [i for i, loop in enumerate(core.loops) if (loop.earlier, loop.later) in believed]
 

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.submaps import SubmapState
     from hickory_stream.mapping.tracker import Associator
-    from hickory_stream.records import Loop, MapPrior, MapSnapshot, PoseGraphRecord
+    from hickory_stream.records import Loop, MapPrior, MapSnapshot
 
 logger = logging.getLogger(__name__)
 
@@ -207,11 +207,6 @@ class MapperCore:
     def loops(self) -> tuple[Loop, ...]:
         """What searches for loops gave, believed or not."""
         return self._state.loops
-
-    @property
-    def graph(self) -> PoseGraphRecord | None:
-        """The pose graph as it was solved last; None before the first loop."""
-        return self._state.graph
 
     @property
     def searches(self) -> tuple[SearchLoops, ...]:
