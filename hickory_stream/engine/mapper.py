@@ -22,8 +22,10 @@ from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.processor import processor_kind, processor_of_run
 from hickory_stream.engine.run import Run, RunParts
+from hickory_stream.engine.run_closing import MapSaver, close_run, why_empty
 from hickory_stream.engine.sink_threads import SinkThread
-from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers, WorkerLimits
+from hickory_stream.engine.worker_choice import make_workers
+from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers
 from hickory_stream.errors import InputError, MapFolderError, RecordingError
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_extractor, make_segmenter
@@ -275,49 +277,20 @@ class Mapper:
             await run.run(rate=rate, loops=loops)
             is_clean = run.is_complete
         finally:
-            await self._close(folder, journal, threads, run, source, is_clean)
-        reason = _why_empty(source, run)
+            try:
+                await close_run(run, folder, journal, threads, is_clean=is_clean)
+            finally:
+                self.lost_outputs = tuple(thread.lost_output for thread in threads if thread.lost_output is not None)
+        reason = why_empty(source, run)
         if reason is not None:
             await asyncio.to_thread(shutil.rmtree, folder.path, ignore_errors=True)
             raise RecordingError(reason)
-
-    async def _close(
-        self,
-        folder: MapFolder,
-        journal: JournalWriter,
-        threads: list[SinkThread],
-        run: Run,
-        source: Source,
-        is_clean: bool,
-    ) -> None:
-        """Let the sinks finish, and write what is said of the run; an error comes after the others were closed.
-
-        The map comes first: a viewer that hangs must not keep it from being finished.
-        """
-        failed: BaseException | None = None
-        for thread in threads:
-            if thread.is_essential:
-                try:
-                    await thread.close()
-                except Exception as error:  # noqa: BLE001 -- kept, and raised once every sink is closed
-                    failed = error
-        try:
-            await asyncio.to_thread(journal.close)
-        except MapFolderError as error:
-            failed = failed or error
-        if failed is None or not is_clean:
-            said = run.ledger(), run.timings(), is_clean and failed is None, run.is_reproducible
-            await asyncio.to_thread(_finish, folder, *said)
-        await asyncio.gather(*(thread.close() for thread in threads if not thread.is_essential))
-        self.lost_outputs = tuple(thread.lost_output for thread in threads if thread.lost_output is not None)
-        if failed is not None:
-            raise failed
 
     def _make_sinks(
         self, folder: MapFolder, sinks: Callable[[MapFolder], list[tuple[Sink, bool]]] | None
     ) -> list[SinkThread]:
         try:
-            made = sinks(folder) if sinks is not None else [(_Saver(folder), True)]
+            made = sinks(folder) if sinks is not None else [(MapSaver(folder), True)]
         except Exception:
             if not self._resumes:
                 shutil.rmtree(folder.path, ignore_errors=True)
@@ -352,59 +325,3 @@ class Mapper:
             shutil.rmtree(place, ignore_errors=True)
             self.folder.close()
             raise
-
-
-def make_workers(config: MapperConfig) -> ShapeWorkers:
-    """Return the workers that a configuration asks for; raises `ConfigError` where they cannot be had."""
-    limits = WorkerLimits(time_s=config.run.job_timeout_s, memory_mb=config.run.job_memory_mb)
-    if config.run.cluster:
-        from hickory_stream.engine.dask_workers import DaskWorkers
-
-        resources = {"GPU": config.run.cluster_gpus} if config.run.cluster_gpus > 0 else None
-        return DaskWorkers(config.run.cluster, limits, resources)
-    return LocalWorkers(config.run.workers, limits, config.run.worker_python)
-
-
-class _Saver:
-    """Keeps the newest snapshot and saves it at the end: the sink of a mapper that was given none."""
-
-    def __init__(self, folder: MapFolder) -> None:
-        self._folder = folder
-        self._newest: MapSnapshot | None = None
-
-    def show(self, report: Any) -> None:
-        self._newest = report.snapshot or self._newest
-
-    def close(self) -> None:
-        if self._newest is not None:
-            self._folder.save(self._newest)
-
-
-def _finish(
-    folder: MapFolder,
-    ledger: Mapping[str, Any],
-    timings: Mapping[str, float],
-    is_clean: bool,
-    is_reproducible: bool,
-) -> None:
-    folder.write_json("ledger.json", ledger)
-    folder.write_json("timings.json", timings)
-    if is_clean:
-        shutil.rmtree(folder.jobs, ignore_errors=True)
-    folder.finish(finished_cleanly=is_clean, is_reproducible=is_reproducible)
-    if is_clean:
-        caches.prune()
-
-
-def _why_empty(source: Source, run: Run) -> str | None:
-    """Return why a source that was played to its end can have given no map, None where it can have."""
-    uri, counts = source.info.uri, run.counts
-    if not run.is_complete:
-        return None
-    if run.num_keyframes == 0:
-        told = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items()))
-        needed = "it must hold colour, depth and poses that overlap in time"
-        return f"{uri} gave no usable frame ({told or 'nothing'}); {needed}"
-    if counts.get("keyframes_without_depth", 0) == run.num_keyframes:
-        return f"{uri} has no depth in any of {run.num_keyframes} keyframes; mapping needs depth in metres above 0"
-    return None

@@ -1,0 +1,22 @@
+"""The choice of shape workers by the configuration: child processes of this machine, or a cluster."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hickory_stream.engine.workers import LocalWorkers, WorkerLimits
+
+if TYPE_CHECKING:
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.workers import ShapeWorkers
+
+
+def make_workers(config: MapperConfig) -> ShapeWorkers:
+    """Return the workers that a configuration asks for; raises `ConfigError` where they cannot be had."""
+    limits = WorkerLimits(time_s=config.run.job_timeout_s, memory_mb=config.run.job_memory_mb)
+    if config.run.cluster:
+        from hickory_stream.engine.dask_workers import DaskWorkers
+
+        resources = {"GPU": config.run.cluster_gpus} if config.run.cluster_gpus > 0 else None
+        return DaskWorkers(config.run.cluster, limits, resources)
+    return LocalWorkers(config.run.workers, limits, config.run.worker_python)
