@@ -12,7 +12,6 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.graph.factors import OdometryEdge
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -30,6 +29,16 @@ class Prediction:
     covariance: NDArray[np.float64]
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Link:
+    """Odometry composed between two nodes: `before_from_after` (4, 4), its covariance (6, 6) in the later's frame."""
+
+    before: int
+    after: int
+    before_from_after: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
 class Chain:
     """The tree of a graph's odometry.
 
@@ -40,10 +49,8 @@ class Chain:
         poses = np.array(graph.world_from_node)
         errors = np.zeros((graph.num_nodes, 6, 6))
         self._before = [-1] * graph.num_nodes
-        self._is_jump = [False] * graph.num_nodes
         for edge in sorted(graph.odometry, key=lambda edge: edge.after):
             self._before[edge.after] = edge.before
-            self._is_jump[edge.after] = edge.is_jump
             poses[edge.after] = portable.matmul(poses[edge.before], edge.before_from_after)
             errors[edge.after] = edge.covariance
         # Of the edge to each node, as small motions in the frame of the world.
@@ -65,7 +72,7 @@ class Chain:
             for (earlier, later), covariance in zip(pairs, covariances, strict=True)
         ]
 
-    def skeleton(self, ends: Iterable[int]) -> tuple[OdometryEdge, ...]:
+    def skeleton(self, ends: Iterable[int]) -> tuple[Link, ...]:
         """Return what odometry and the verticals say between the nodes that matter, each after the one it hangs on.
 
         These are node 0, the nodes `ends`, and those at which the ways to them part; edges have their numbers.
@@ -82,14 +89,13 @@ class Chain:
         ways = [self._up_to(node, kept) for node in nodes]
         befores = [self._before[way[-1]] for way in ways]
         return tuple(
-            OdometryEdge(
+            Link(
                 before=before,
                 after=after,
                 before_from_after=self._between(before, after),
                 covariance=covariance,
-                is_jump=any(self._is_jump[node] for node in way),
             )
-            for before, after, way, covariance in zip(befores, nodes, ways, self._known(nodes, ways), strict=True)
+            for before, after, covariance in zip(befores, nodes, self._known(nodes, ways), strict=True)
         )
 
     def _up_to(self, node: int, kept: set[int]) -> list[int]:

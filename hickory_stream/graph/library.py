@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.graph.chain import Link
     from hickory_stream.graph.factors import LoopEdge, OdometryEdge
 
 # Node 0 is held this well, in radians and metres: far better than any edge, far from the end of double precision.
@@ -53,7 +54,7 @@ class Factors:
         for node in nodes:
             self._add_sure(gtsam.AttitudeFactorPose3(node, up, level, gtsam.Unit3(upright[node][2, :3])))
 
-    def add_odometry(self, edge: OdometryEdge) -> None:
+    def add_odometry(self, edge: OdometryEdge | Link) -> None:
         """Add an edge that is not to be cut: its covariance says how far it may stretch."""
         self._add_sure(self._between(edge.before, edge.after, edge.before_from_after, edge.covariance))
 

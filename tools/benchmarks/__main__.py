@@ -104,7 +104,7 @@ def main() -> int:
         default=[],
         metavar="PART",
         help="engine: digests, kills, stops, live, soak; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen, clouds, own;"
-        " rules: rules, mapping, perception; poses: fleet",
+        " rules: rules, mapping, perception; poses: fleet, graph",
     )
     parser.add_argument("--minutes", type=float, default=math.inf, help="what goes on later: begin nothing after this")
     parser.add_argument("--fresh", action="store_true", help="what goes on later: forget what is kept")

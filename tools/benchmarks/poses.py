@@ -67,11 +67,13 @@ class _Walked:
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method.
 
-    `--only fleet` measures fleets alone.
+    `--only fleet` measures fleets alone, `--only graph` the pose graph.
     """
     if options.only == ("fleet",):
         return fleet_figures(options)
     figures: list[Figure] = graph_figures(options)
+    if options.only == ("graph",):
+        return figures
     data = Path(os.environ.get("HICKORY_DATA") or ROOT.parent / "shared" / "data")
     if (data / "redkitchen").is_dir():
         kitchen = list(_frames(data / "redkitchen"))
