@@ -99,10 +99,11 @@ def nearby(walk: SimulatedGraph, loop: LoopEdge, seed: int) -> np.ndarray:
     return invert(walk.true[loop.earlier]) @ walk.true[loop.later] @ noise
 
 
-def test_a_jump_is_mended_by_a_loop_across_it() -> None:
+@pytest.mark.parametrize("yaw_rad", [0.4, 3.0])
+def test_a_jump_is_mended_by_loops_across_it(yaw_rad: float) -> None:
     walk = simulated_graph(np.random.default_rng(7), CONFIG, num_nodes=60, num_loops=8, num_wrong=0)
     middle = 30
-    jump = from_rotation_translation(yaw_rotation(0.4), np.array([3.0, -2.0, 0.0]))
+    jump = from_rotation_translation(yaw_rotation(yaw_rad), np.array([3.0, -2.0, 0.0]))
     edges = []
     for edge in walk.graph.odometry:
         if edge.after == middle:
