@@ -32,7 +32,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     align.set_defaults(run=run)
     align.add_argument("a", type=Path, metavar="A", help="the map whose frame the answer is in")
     align.add_argument("b", type=Path, metavar="B")
-    align.add_argument("--method", choices=METHODS, default="sq", help="sq (default), or a rival for comparison")
+    align.add_argument("--method", choices=METHODS, default="sq", help="sq (default), or another method for comparison")
     add_output(align, "-o", "--out", type=Path, metavar="PNG|RRD", help="draw both maps joined by their pairs")
 
 

@@ -22,7 +22,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
         help="show or clear what is kept to save time: compiled kernels, shapes, recordings",
     )
     actions = cache.add_subparsers(required=True, metavar="ACTION")
-    show = actions.add_parser("show", parents=[common], help="print where it lies and how much it is, by kind")
+    show = actions.add_parser("show", parents=[common], help="print the folder and the sizes by kind")
     show.set_defaults(run=_show)
     cleared = actions.add_parser("clear", parents=[common], help="remove all of it, or some kinds")
     cleared.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(KINDS)}; default: all")

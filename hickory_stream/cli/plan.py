@@ -50,7 +50,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
         "--unknown",
         choices=("blocked", "free"),
         default="blocked",
-        help="whether space that nobody looked into is avoided (default)",
+        help="whether unobserved space is avoided (default)",
     )
 
 

@@ -39,13 +39,15 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     play.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
     play.add_argument(
-        "--live", action="store_true", help="as from a camera: in real time, and what comes too fast is left out"
+        "--live",
+        action="store_true",
+        help="play like a live camera: in real time; frames that come too fast are left out",
     )
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
     play.add_argument("--start", type=float, default=0.0, metavar="S", help="begin so many seconds into the log")
     play.add_argument("--end", type=float, metavar="S", help="end so many seconds into the log")
     play.add_argument(
-        "--inject", metavar="FAULTS", help="play it badly, e.g. drop=0.1,teleport=0.02; see --inject-seed"
+        "--inject", metavar="FAULTS", help="inject faults, e.g. drop=0.1,teleport=0.02; see --inject-seed"
     )
     play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="which frames have faults")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")

@@ -17,7 +17,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     """Add the command to the command line."""
     schema = commands.add_parser("schema", parents=[common], help="print the JSON Schema of what --json prints")
     schema.set_defaults(run=run)
-    schema.add_argument("name", nargs="?", metavar="OUTPUT", help="as its key `output` says; all of them by default")
+    schema.add_argument(
+        "name", nargs="?", metavar="OUTPUT", help="the value of the key `output`; all of them by default"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -36,7 +36,7 @@ def add_source_options(command: argparse.ArgumentParser) -> None:
         "--extrinsics",
         choices=("log", "estimate"),
         default="log",
-        help="where the camera sits on the body: as TF or the profile say (log), or by the motion of both",
+        help="the camera's pose on the body: from TF or the profile (log), or estimated from the motion of both",
     )
     topics.add_argument("--clock", choices=("auto", "header", "log"), default="auto", help="which stamps count")
 

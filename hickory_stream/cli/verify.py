@@ -23,14 +23,14 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     verify = commands.add_parser(
         "verify",
         parents=[common],
-        help="prove anew what a map says of itself: digest, journal, files, layer 4; exit status 1: not so",
+        help="verify digest, journal, files and layer 4 of a map; exit status 1: they do not hold",
     )
     verify.set_defaults(run=run)
     verify.add_argument("map", type=Path, metavar="MAP")
     verify.add_argument(
         "--repair",
         action="store_true",
-        help="first write objects.json anew from the journal, where that makes the map of the manifest",
+        help="first restore objects.json from the journal, if that gives the map of the manifest",
     )
 
 

@@ -21,8 +21,9 @@ from hickory_stream.engine.history.resume import reopen
 from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.processor import processor_kind, processor_of_run
-from hickory_stream.engine.run import Run, RunParts
+from hickory_stream.engine.run import Run
 from hickory_stream.engine.run_closing import MapSaver, close_run, why_empty
+from hickory_stream.engine.run_parts import RunParts
 from hickory_stream.engine.sink_threads import SinkThread
 from hickory_stream.engine.worker_choice import make_workers
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers

@@ -22,7 +22,6 @@ import logging
 import time
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,48 +56,15 @@ from hickory_stream.perception.perceive import Perceived, perceive
 from hickory_stream.ports import interrupt, num_seeks, prepared_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.history.resume_point import ResumePoint
-    from hickory_stream.engine.journal_writer import JournalWriter
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.modes import Mode
-    from hickory_stream.engine.run_progress import Progress
-    from hickory_stream.engine.sink_threads import SinkThread
+    from hickory_stream.engine.run_parts import RunParts
     from hickory_stream.engine.step import FramePose
-    from hickory_stream.engine.workers import ShapeWorkers
-    from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.ports import FeatureExtractor, Segmenter, Source
-    from hickory_stream.records import Decision, Frame, MapSnapshot
+    from hickory_stream.records import Decision, Frame
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class RunParts:
-    """What a run is made of: a source and what maps it, where the map goes, and who is told.
-
-    `resumes` is the state of an interrupted run that this one continues, with its core. `rehearses`: perception and
-    core are tried out before the first frame is read, which then takes no longer than the others.
-    """
-
-    config: MapperConfig
-    mode: Mode
-    source: Source
-    core: MapperCore
-    segmenter: Segmenter
-    extractor: FeatureExtractor
-    workers: ShapeWorkers
-    folder: MapFolder
-    journal: JournalWriter
-    sinks: Sequence[SinkThread]
-    publish: Callable[[MapSnapshot], None]
-    progress: Callable[[Progress], None]
-    resumes: ResumePoint | None = None
-    rehearses: bool = False
 
 
 class Run:
