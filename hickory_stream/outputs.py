@@ -115,9 +115,24 @@ class FailedShapes(TypedDict):
     inputs: list[str]
 
 
+class RegistrationCounts(TypedDict):
+    """Keyframes mapped; `corrected`: elsewhere than the odometry has them, the last one by `moved_m`, `turned_deg`.
+
+    `kept_out` did not fit the map; `carried_away`: how often the robot was elsewhere than its odometry says.
+    """
+
+    keyframes: int
+    corrected: int
+    kept_out: int
+    carried_away: int
+    moved_m: float
+    turned_deg: float
+
+
 class Finished(TypedDict):
     """What `play` and `resume` have made; `ledger` says what became of every message and frame.
 
+    `registration` says how keyframes were fitted to the map, None where they were not.
     `lost_outputs` says why a recording or costmap is not there to its end, `damage` where the log is damaged ("" where
     it is sound), `notes` what the map cannot know of floor and gravity, `resume` how a run goes on that was stopped.
     """
@@ -134,6 +149,7 @@ class Finished(TypedDict):
     lost_outputs: list[str]
     damage: str
     notes: list[str]
+    registration: RegistrationCounts | None
     resume: NotRequired[str]
     ledger: dict[str, Any]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.status import INCOMPLETE, STOPPED
@@ -22,6 +23,7 @@ _IDS_TOLD = 5
 def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     """Say what a run has made, and return the exit status."""
     from hickory_stream.engine.failures import failed_shapes
+    from hickory_stream.engine.history.registration_summary import registration_summary
     from hickory_stream.engine.manifest import read_json
     from hickory_stream.mapping.floor_notes import floor_notes
 
@@ -29,6 +31,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     num_shaped = sum(tracked.shape is not None for tracked in objects)
     failures = failed_shapes(out, [tracked.id for tracked in objects if tracked.shape is None])
     ledger = read_json(out, "ledger.json")
+    registration = registration_summary(out, ledger)
     notes = floor_notes(played.snapshot) if played.snapshot is not None else ()
     if options.json:
         said = {
@@ -45,6 +48,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             "lost_outputs": list(played.lost_outputs),
             "damage": _damage(ledger),
             "notes": list(notes),
+            "registration": None if registration is None else asdict(registration),
             "ledger": ledger,
         }
         print(output("play", said))
@@ -58,6 +62,8 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             print(ledger_table(ledger["messages"]))
         if not played.finished_cleanly:
             print(f"stopped, and saved; go on with: {resume_command(out)}")
+        if registration is not None and registration.text():
+            print(registration.text())
         told = (*notes, _damage(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
         sys.stderr.writelines(f"{line}\n" for line in told if line)
     if played.was_stopped:

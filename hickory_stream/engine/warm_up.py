@@ -16,6 +16,7 @@ from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, SceneS
 from hickory_stream.compiled import kernels_folder
 from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.config import MapperConfig
+from hickory_stream.engine.keyframe_places import KeyframePlaces
 from hickory_stream.events import ComputeFeatures, FeaturesReady
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
@@ -75,9 +76,10 @@ def rehearse(
 
     The first keyframe of a process takes a second longer than the others without it.
     """
-    core = MapperCore(config.mapping)
+    core, places = MapperCore(config.mapping), KeyframePlaces(config.registration)
     for raw in SceneSource(num_frames, (*SCENE_BOXES, _WALL)).frames():
         frame = raw.decode()
+        places.place(frame)
         prepared, prior = segmenter.prepare(frame), core.prior()
         perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.lattice)
         waiting: list[Effect] = core.handle(perceived.event(frame))

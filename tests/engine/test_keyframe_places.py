@@ -10,6 +10,7 @@ import pytest
 
 from hickory_stream.box_scene import scene_pose
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.history.registration_summary import registration_summary
 from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
@@ -113,8 +114,12 @@ def test_keyframes_of_a_drifting_odometry_are_mapped_where_they_truly_were(drift
     way = compose(invert(first.map_from_camera), last.map_from_camera)
     assert np.linalg.norm(raw_way[:3, 3] - true_way[:3, 3]) > 0.06
     assert np.linalg.norm(way[:3, 3] - true_way[:3, 3]) < 0.015
-    ledger = open_map(run.folder.path).ledger["frames"]
-    assert ledger["keyframes_corrected"] >= NUM_FRAMES - 4
+    saved = open_map(run.folder.path)
+    told, ledger = registration_summary(run.folder.path, saved.ledger), saved.ledger["frames"]
+    assert told is not None
+    assert told.moved_m > 0.05
+    assert told.text().startswith(f"odometry: {told.corrected} of {NUM_FRAMES} keyframes were registered to the map")
+    assert ledger["keyframes_corrected"] == told.corrected >= NUM_FRAMES - 4
     assert ledger["keyframes"] == ledger["read"] == NUM_FRAMES
 
 
@@ -192,6 +197,10 @@ def test_a_robot_that_was_carried_away_goes_on_in_a_submap_of_its_own(tmp_path: 
     assert frames["carried_away"] == 1
     assert frames["keyframes_kept_out"] == 7
     assert len(open_map(run.folder.path).snapshot.submaps) == 2
+    told = registration_summary(run.folder.path, open_map(run.folder.path).ledger)
+    assert told is not None
+    assert (told.kept_out, told.carried_away) == (7, 1)
+    assert "7 did not fit and were kept out; 1 time(s) the robot was elsewhere" in told.text()
     jumps = events_of(run.folder.path, "PoseJumped")
     assert len(jumps) == 1
     assert isinstance(jumps[0], PoseJumped)

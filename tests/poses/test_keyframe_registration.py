@@ -60,8 +60,8 @@ def test_most_of_a_drift_is_taken_out(corrected: list[Placed | KeptOut]) -> None
     before, after = errors_m(DRIFTED), errors_m(poses_of(corrected))
     assert before[-1] > 0.09
     assert len(after) == NUM_KEYFRAMES
-    assert after.max() < 0.02
-    assert np.sqrt((after**2).mean()) < 0.2 * np.sqrt((before**2).mean())
+    assert after.max() < 0.03
+    assert np.sqrt((after**2).mean()) < 0.3 * np.sqrt((before**2).mean())
 
 
 def test_the_correction_grows_and_never_jumps(corrected: list[Placed | KeptOut]) -> None:

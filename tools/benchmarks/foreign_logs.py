@@ -55,8 +55,12 @@ def worlds_folder(named: Path | None) -> Path:
     return folder.resolve()
 
 
-def foreign_log(worlds: Path, world: str, walk: str, camera: str, seconds: float = 60.0) -> WorldLog:
+def foreign_log(
+    worlds: Path, world: str, walk: str, camera: str, seconds: float = 60.0, *, drift: float = 0.0
+) -> WorldLog:
     """Return the log of a walk, rendered if it is not kept yet; `camera` is `hand` or `robot`.
+
+    `drift` is how often the odometry drifts as much as that of a good camera; 0: its poses are exact.
 
     Raises:
         RecordingError: there is no such world, or it cannot be rendered.
@@ -64,6 +68,8 @@ def foreign_log(worlds: Path, world: str, walk: str, camera: str, seconds: float
     source = worlds / _FOLDERS[world]
     arguments = ["--trajectory", walk, "--seconds", f"{seconds:g}", "--hz", f"{_RATE_HZ:g}"]
     arguments += ["--camera-height", f"{_HEIGHT_M[camera]:g}"]
+    if drift:
+        arguments += ["--drift", f"{drift:g}"]
     try:
         made_from = (worlds / _PROGRAM).read_bytes() + (source / "world.json").read_bytes()
     except OSError as error:

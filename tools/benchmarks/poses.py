@@ -29,6 +29,7 @@ from hickory_stream.worlds.recording import RecordingConfig, make_recording
 from players import open_source
 from players.log_source import LogSource
 from players.mounting import estimated_mounting
+from tools.benchmarks.drift_figures import drift_figures, registration_figures
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.fleet_figures import fleet_figures
 from tools.benchmarks.pose_graph_figures import graph_figures
@@ -90,8 +91,9 @@ def measure(options: Options) -> list[Figure]:
         figures.append(Figure(name="depth_way_fraction_kiss_icp", value=kiss, unit="", better="lower", of=told))
     ms = float(np.mean([room.ms for room in rooms]))
     figures.append(
-        Figure(name="register_ms", value=ms, unit="ms", better="lower", of="processor time of a depth frame")
+        Figure(name="depth_odometry_ms", value=ms, unit="ms", better="lower", of="processor time of a depth frame")
     )
+    figures += registration_figures(logs[0])
     again = _walk("depth", _frames(logs[0]))
     is_same = float(again.poses.tobytes() == rooms[0].poses.tobytes())
     figures.append(Figure(name="poses_identical", value=is_same, unit="", better="higher"))
@@ -99,7 +101,7 @@ def measure(options: Options) -> list[Figure]:
     if (data / "kitti_lidar").is_dir():
         figures += _street(data / "kitti_lidar")
     figures += fleet_figures(options)
-    return figures if options.quick else [*figures, *_mountings((7, 8, 9))]
+    return figures if options.quick else [*figures, *_mountings((7, 8, 9)), *drift_figures(options)]
 
 
 def _kitchen(kitchen: list[Posed], *, quick: bool) -> list[Figure]:
