@@ -68,8 +68,10 @@ class _Walked:
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method.
 
-    `--only fleet` measures fleets alone, `--only graph` the pose graph.
+    `--only fleet` measures fleets alone, `--only graph` the pose graph, `--only drift` logs whose odometry drifts.
     """
+    if options.only == ("drift",):
+        return [*registration_figures(_DEMO), *drift_figures(options)]
     if options.only == ("fleet",):
         return fleet_figures(options)
     figures: list[Figure] = graph_figures(options)
