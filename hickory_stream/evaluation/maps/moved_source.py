@@ -1,4 +1,4 @@
-"""A source whose poses are expressed in another frame, as if the robot had started elsewhere."""
+"""A source with its poses in another world frame, as if the robot had started elsewhere."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 class MovedSource:
-    """The frames of another source, in a frame of its own: `new_from_old` (4, 4) before every pose.
+    """The frames of another source, with `new_from_old` (4, 4) applied to every pose.
 
-    It must not tilt: z stays up.
+    The transform must keep z up.
     """
 
     def __init__(self, source: Source, new_from_old: NDArray[np.float64]) -> None:
@@ -30,7 +30,7 @@ class MovedSource:
 
     @property
     def info(self) -> SourceInfo:
-        """What the other source found."""
+        """The info of the other source."""
         return self._source.info
 
     def frames(self) -> Iterator[RawFrame]:
@@ -43,7 +43,7 @@ class MovedSource:
             )
 
     def ledger(self) -> Mapping[str, int]:
-        """Return what the other source counted so far."""
+        """Return the ledger of the other source."""
         return self._source.ledger()
 
     def close(self) -> None:

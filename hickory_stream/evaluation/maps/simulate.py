@@ -44,7 +44,7 @@ Difficulty = Literal["easy", "hard"]
 
 _AREA_PER_OBJECT_M2, _HEIGHT_M, _NOISE_M = 2.5, 1.5, 0.05
 _EXPONENT_NOISE, _AXIS_NOISE, _LOST = 0.1, 0.06, 0.15
-# Two instances of a class in a hard map: as alike as one object seen twice.
+# Differences between two instances of a class in a hard map: as small as between two views of one object.
 _INSTANCE_EXPONENTS, _INSTANCE_AXES = 0.05, 0.05
 
 
@@ -52,9 +52,9 @@ _INSTANCE_EXPONENTS, _INSTANCE_AXES = 0.05, 0.05
 class SimulationConfig:
     """One pair of maps.
 
-    `num_objects` in each map, of which the share `outliers` has no counterpart in the other; `tilt_deg` between the two
-    ideas of gravity, about a random level axis. `easy`: 25 classes, every object a shape of its own. `hard`: 6 classes
-    of one shape each, instances nearly identical.
+    `num_objects` in each map, of which the share `outliers` has no counterpart in the other; `tilt_deg` is the angle
+    between the verticals of the two maps, about a random horizontal axis. `easy`: 25 classes, in which every object has
+    its own shape. `hard`: 6 classes of one shape each, with nearly identical instances.
     """
 
     num_objects: int = 40
@@ -69,7 +69,7 @@ class SimulationConfig:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SimulatedPair:
-    """Two maps and their truth: `a_from_b` (4, 4), the indices (K, 2) of the common objects, their true places in a."""
+    """Two maps and their truth: `a_from_b` (4, 4), the indices (K, 2) of common objects, their true positions in a."""
 
     map_a: ObjectMap
     map_b: ObjectMap
@@ -80,10 +80,10 @@ class SimulatedPair:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Descriptors:
-    """How descriptors are made: shares of the squared norm that all objects, a class, an instance have in common.
+    """The model of descriptors: the shares of the squared norm common to all objects, to a class, and to an instance.
 
-    The dimensions of a part set the spread of its cosines (1 / sqrt(dimensions)), `noise` is the mean share of an
-    observation's own part and `noise_shape` the shape of its gamma distribution.
+    The number of dimensions of a part sets the spread of its cosines, 1 / sqrt(dimensions). `noise` is the mean share
+    of the part of a single observation, and `noise_shape` the shape parameter of its gamma distribution.
     """
 
     classes: int
@@ -125,7 +125,7 @@ _DESCRIPTORS = {
 
 
 def simulate_pair(config: SimulationConfig, seed: int) -> SimulatedPair:
-    """Return two maps of one place, the same for the same seed."""
+    """Return two maps of one place; the same seed gives the same maps."""
     rng = np.random.default_rng([seed, 8])
     count = config.num_objects
     num_common = round(count * (1 - config.outliers))
@@ -172,7 +172,7 @@ class SimulatedObject:
 
 
 class SimulatedWorld:
-    """The classes of a world, and the generator that everything in it is drawn from."""
+    """The classes of a world, and the random generator of everything in it."""
 
     def __init__(self, difficulty: Difficulty, rng: np.random.Generator) -> None:
         self._difficulty = difficulty
@@ -202,7 +202,7 @@ class SimulatedWorld:
         return SimulatedObject(shape=_centered(turned, place), signal=signal)
 
     def observe(self, objects: list[SimulatedObject], map_from_world: NDArray[np.float64]) -> ObjectMap:
-        """Return the map that one robot makes of the objects."""
+        """Return the map of the objects by one robot."""
         shapes = tuple(self._observed_shape(item, map_from_world) for item in objects)
         features = np.array([self._observed_descriptor(item) for item in objects], dtype=np.float32)
         return ObjectMap(
@@ -232,7 +232,7 @@ class SimulatedWorld:
 
 @cache
 def real_fits() -> tuple[Superquadrics, ...]:
-    """Return layer 3 of the objects of two apartments, as the pipeline fitted them; centroids at the origin."""
+    """Return layer 3 of the objects of two apartments, fitted by the pipeline, with centroids at the origin."""
     with files("hickory_stream.evaluation.maps").joinpath("shapes.npz").open("rb") as file, np.load(file) as data:
         counts, exponents, semi_axes = data["counts"], data["exponents"], data["semi_axes_m"]
         centers, quaternions = data["centers_m"], data["quaternions"]

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.maps.simulate import SimulatedPair
 
 SUCCESS_M, SUCCESS_DEG = 0.5, 5.0
-# The median of the length of a normal vector of three dimensions, and of one, against its root mean square.
+# The median over the RMS of the length of a normally distributed vector, in three dimensions and in one.
 _MEDIAN_3, _MEDIAN_1 = 0.888, 0.6745
 _SIGMA_M = 0.05 * np.sqrt(2.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AlignmentError:
-    """How far an alignment is off: at the centroid of the true common objects, at map b's origin, as an angle."""
+    """The error of an alignment: at the centroid of the true common objects, at map b's origin, and of the rotation."""
 
     translation_m: float
     origin_m: float
@@ -43,7 +43,7 @@ class AlignmentError:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
-    """What came of one pair of maps: the error, or None where it was refused for `refusal`."""
+    """The result for one pair of maps: the error, or None if the alignment was refused for the reason `refusal`."""
 
     error: AlignmentError | None
     refusal: str | None
@@ -53,17 +53,17 @@ class Trial:
 
     @property
     def is_success(self) -> bool:
-        """Whether it was aligned, and rightly."""
+        """Whether it was aligned correctly."""
         return self.error is not None and self.error.is_success
 
     @property
     def is_wrong(self) -> bool:
-        """Whether it was aligned, but wrongly."""
+        """Whether it was aligned incorrectly."""
         return self.error is not None and not self.error.is_success
 
 
 def run_trial(config: SimulationConfig, seed: int, method: Method = "sq") -> Trial:
-    """Return what a method makes of the simulated pair of a seed; those of ROMAN compare clouds, and are given some."""
+    """Return the result of a method for the simulated pair of a seed; the methods of ROMAN are given point clouds."""
     pair = simulate_pair(config, seed)
     map_a, map_b = pair.map_a, pair.map_b
     if method in ("roman-one", "roman-xl"):
@@ -84,7 +84,7 @@ def run_trial(config: SimulationConfig, seed: int, method: Method = "sq") -> Tri
 def error_of(
     a_from_b: NDArray[np.float64], true_a_from_b: NDArray[np.float64], center_b: NDArray[np.float64]
 ) -> AlignmentError:
-    """Return how far a transform is from the true one; `center_b` (3,) is where the maps overlap."""
+    """Return the error of a transform; `center_b` (3,) is the centre of the overlap."""
     return AlignmentError(
         translation_m=float(np.linalg.norm(apply(a_from_b, center_b) - apply(true_a_from_b, center_b))),
         origin_m=float(np.linalg.norm(a_from_b[:3, 3] - true_a_from_b[:3, 3])),
@@ -101,7 +101,7 @@ def normalised_square(answer: Alignment, true_a_from_b: NDArray[np.float64]) -> 
 
 
 def overlap_b(pair: SimulatedPair) -> NDArray[np.float64]:
-    """Return the true centroid (3,) of the common objects in map b; of all of b where there is none."""
+    """Return the true centroid (3,) of the common objects in map b, or of all objects of b if none is common."""
     if not len(pair.common):
         return np.asarray(pair.map_b.centroids.mean(axis=0))
     return np.asarray(apply(invert(pair.a_from_b), pair.common_centroids_a).mean(axis=0))
@@ -110,7 +110,7 @@ def overlap_b(pair: SimulatedPair) -> NDArray[np.float64]:
 def noise_floor(config: SimulationConfig, seed: int) -> tuple[float, float]:
     """Return the median errors (metres at the overlap, degrees) of an efficient estimate that knows all true pairs.
 
-    Cramer-Rao, with gravity known where the maps are level.
+    It is the Cramer-Rao bound, with known gravity if the maps are level.
     """
     pair = simulate_pair(config, seed)
     points = pair.common_centroids_a

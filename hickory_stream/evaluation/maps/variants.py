@@ -22,7 +22,7 @@ _REACH_M = 5.0
 
 
 def random_frame(rng: np.random.Generator, reach_m: float = _REACH_M) -> NDArray[np.float64]:
-    """Return `new_from_old` (4, 4) of any yaw, and a shift of up to `reach_m` along each axis."""
+    """Return `new_from_old` (4, 4) with a random yaw and a translation of up to `reach_m` along each axis."""
     return from_rotation_translation(yaw_rotation(rng.uniform(0, 2 * np.pi)), rng.uniform(-reach_m, reach_m, 3))
 
 
@@ -32,16 +32,16 @@ def moved_map(objects: ObjectMap, new_from_old: NDArray[np.float64]) -> ObjectMa
 
 
 def bent_map(objects: ObjectMap, yaw_deg_per_m: float) -> ObjectMap:
-    """Return the map as odometry would have made it whose heading drifts along x: every object stays rigid.
+    """Return the map as made with odometry whose heading drifts along x; every object stays rigid.
 
-    What lies x metres from the map's first end is turned by x times `yaw_deg_per_m` about the vertical there.
+    An object x metres from the map's first end is rotated by x times `yaw_deg_per_m` about the vertical.
     """
     start = objects.centroids[:, 0].min() if len(objects) else 0.0
     poses = np.empty((len(objects), 4, 4))
     rate = np.radians(yaw_deg_per_m)
     for pose, place in zip(poses, objects.centroids, strict=True):
         x = place[0] - start
-        # The path bends to an arc: its lateral shift is rate x^2 / 2.
+        # The path becomes an arc, with a lateral displacement of rate x^2 / 2.
         turn = yaw_rotation(rate * x)
         shift = np.array([0.0, rate * x**2 / 2, 0.0])
         pose[:] = from_rotation_translation(turn, place - turn @ place + shift)
@@ -49,20 +49,20 @@ def bent_map(objects: ObjectMap, yaw_deg_per_m: float) -> ObjectMap:
 
 
 def mirrored_map(objects: ObjectMap) -> ObjectMap:
-    """Return the map with every object at its mirrored place (x to -x), as it is: no motion leads there."""
+    """Return the map with every object, itself unchanged, at its mirrored position (x to -x)."""
     poses = np.broadcast_to(np.eye(4), (len(objects), 4, 4)).copy()
     poses[:, 0, 3] = -2 * objects.centroids[:, 0]
     return replace(_placed(objects, poses, np.eye(4)), submaps=())
 
 
 def with_points(objects: ObjectMap, count: int = 150) -> ObjectMap:
-    """Return the map with about `count` points on the surface of each shape, for what needs clouds."""
+    """Return the map with about `count` points on the surface of each shape, for methods that need point clouds."""
     points = tuple(None if shape is None else _cloud(shape, count) for shape in objects.shapes)
     return replace(objects, points=points)
 
 
 def _cloud(shape: Superquadrics, count: int) -> NDArray[np.float32]:
-    """Return points of each primitive by about its share of the surface, without those within another one."""
+    """Return points on each primitive, in proportion to its area, without those inside another primitive."""
     shares = shape.semi_axes_m.prod(axis=1) ** (2 / 3)
     counts = np.maximum(np.round(count * shares / shares.sum()), 8).astype(np.int64)
     kept = []
@@ -76,7 +76,7 @@ def _cloud(shape: Superquadrics, count: int) -> NDArray[np.float32]:
 def _placed(
     objects: ObjectMap, new_from_old: NDArray[np.float64], submaps_new_from_old: NDArray[np.float64]
 ) -> ObjectMap:
-    """Return the map with every object moved by its own of (N, 4, 4) transforms."""
+    """Return the map with each object moved by one of (N, 4, 4) transforms."""
     return replace(
         objects,
         centroids=np.array(
