@@ -290,11 +290,13 @@ class Blocker(TypedDict):
 class Planned(TypedDict):
     """A path (points in metres, one posture and heading a leg), or the reason why there is none.
 
-    It rests on layer 4 of the objects, but on boxes of `objects_by_box`; `unproven` is why layer 4 is not, or null.
+    It rests on layer 4 of the objects, but on boxes of `objects_by_box`, and in a live run that goes on on what was
+    seen of `objects_observed_only`; `unproven` is why layer 4 is not, or null.
     """
 
     robot: str
     objects_by_box: list[int]
+    objects_observed_only: list[int]
     objects_uncertified: list[int]
     unproven: str | None
     cell_m: float

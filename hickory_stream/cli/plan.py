@@ -16,9 +16,12 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.commands import Commands
+    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.navigation.free_space import FreeSpace
     from hickory_stream.navigation.search import NoPath
     from hickory_stream.navigation.search import Path as Way
+    from hickory_stream.navigation.stand_ins import SeenSurface
+    from hickory_stream.records import MapSnapshot
 
 PLANNERS = ("rrt", "rrt-connect", "rrt-star")
 
@@ -66,15 +69,20 @@ def run(options: argparse.Namespace) -> int:
     start, goal = (np.array(parse_place(text, option)) for text, option in _ends(options))
     robot = robot_of_option(options.robot, "--robot")
     saved, doubt = open_proven_map_at(options)
-    space = free_space_of(saved.snapshot, robot, cell_m=options.cell, unknown=options.unknown)
+    snapshot, seen = _as_driven(saved, options.at)
+    space = free_space_of(snapshot, robot, cell_m=options.cell, unknown=options.unknown, seen=seen)
     if options.seed < 0:
         raise InputError(f"found --seed {options.seed}, expected 0 or more")
     config = SearchConfig(planner=options.planner)
     answer = plan(space, start, goal, config, np.random.default_rng(options.seed))
-    boxes = without_layer_four(saved.snapshot)
     if options.out is not None:
-        _draw(options.out, saved.snapshot, space, answer, start, goal)
-    proof = Proof(boxes=boxes, uncertified=uncertified(saved.snapshot), doubt=doubt)
+        _draw(options.out, snapshot, space, answer, start, goal)
+    proof = Proof(
+        boxes=without_layer_four(snapshot) if seen is None else [],
+        observed_only=sorted(space.observed_only) if seen is not None else [],
+        uncertified=uncertified(snapshot),
+        doubt=doubt,
+    )
     print(output("plan", _as_json(space, answer, proof), indent=1) if options.json else _as_text(space, answer, proof))
     return NO_PATH if isinstance(answer, NoPath) else 0
 
@@ -83,12 +91,24 @@ def run(options: argparse.Namespace) -> int:
 class Proof:
     """What the answer rests on: objects avoided by `boxes`, those with an `uncertified` layer 4, why none is proven.
 
+    `observed_only`: in a live run, objects that were seen and have no layer 4 yet: what was seen is avoided.
     `doubt` is "" where the map is the one that was saved.
     """
 
     boxes: list[int]
+    observed_only: list[int]
     uncertified: list[int]
     doubt: str
+
+
+def _as_driven(saved: SavedMap, at: str | None) -> tuple[MapSnapshot, SeenSurface | None]:
+    """Return the map that the robot is to keep off, and what was seen and is not sure in a live run that goes on."""
+    from hickory_stream.engine.history.live_map import is_live, live_map
+
+    if not is_live(saved):
+        return saved.snapshot, None
+    found = live_map(saved.folder, saved.snapshot.stamp_ns if at is not None else None)
+    return found if found is not None else (saved.snapshot, None)
 
 
 def _listed(ids: list[int]) -> str:
@@ -105,6 +125,7 @@ def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, 
     told: dict[str, Any] = {
         "robot": space.robot.name,
         "objects_by_box": proof.boxes,
+        "objects_observed_only": proof.observed_only,
         "objects_uncertified": proof.uncertified,
         "unproven": proof.doubt or None,
         "cell_m": space.frame.cell_m,
@@ -129,6 +150,9 @@ def _as_text(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> str:
     if proof.boxes:
         told = f"{len(proof.boxes)} objects have no layer 4 of their own, their box is avoided"
         notes.append(f"note: {told}: {_listed(proof.boxes)}")
+    if proof.observed_only:
+        told = f"{len(proof.observed_only)} objects have no layer 4 yet, what was seen of them is avoided"
+        notes.append(f"note: {told}: {_listed(proof.observed_only)}")
     if proof.uncertified:
         count = len(proof.uncertified)
         notes.append(f"note: {count} objects have a layer 4 that is not certified: {_listed(proof.uncertified)}")

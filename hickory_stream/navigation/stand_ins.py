@@ -207,12 +207,15 @@ class SeenSurface:
 
     def add(self, seen: SpaceObservation, snapshot: MapSnapshot) -> None:
         """Add the surface seen by a keyframe; `snapshot` is the map after it."""
-        if not snapshot.submaps:
-            return
-        submap = snapshot.submaps[-1]
-        if submap.observed_space.voxel_m != self._voxel_m:
-            self._seen, self._voxel_m = {}, submap.observed_space.voxel_m
-        self._seen.setdefault(submap.id, (np.empty(0, np.int64), np.empty(0, np.uint8)))
+        if snapshot.submaps:
+            submap = snapshot.submaps[-1]
+            self.add_to(submap.id, seen, submap.observed_space.voxel_m)
+
+    def add_to(self, open_id: int, seen: SpaceObservation, voxel_m: float) -> None:
+        """Add the surface seen by a keyframe while this submap was open."""
+        if voxel_m != self._voxel_m:
+            self._seen, self._voxel_m = {}, voxel_m
+        self._seen.setdefault(open_id, (np.empty(0, np.int64), np.empty(0, np.uint8)))
         against = union(seen.free_keys, seen.structure_keys)
         new = seen.surface_keys
         # All keys are in the odometry's world: a later submap may see free space at the surface of an earlier one.
@@ -222,11 +225,11 @@ class SeenSurface:
             stays = counted < _GONE
             self._seen[submap_id] = (keys[stays], counted[stays].astype(np.uint8))
             new = difference(new, keys)
-        keys, misses = self._seen[submap.id]
+        keys, misses = self._seen[open_id]
         merged = union(keys, new)
         counts = np.zeros(len(merged), np.uint8)
         counts[np.searchsorted(merged, keys)] = misses
-        self._seen[submap.id] = (merged, counts)
+        self._seen[open_id] = (merged, counts)
 
     def keys(self) -> NDArray[np.int64]:
         """Return the sorted keys of all voxels, in the odometry's world."""

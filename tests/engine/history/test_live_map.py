@@ -1,0 +1,77 @@
+"""The map of a live run while it goes on."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.box_scene import SCENE_BOXES
+from hickory_stream.cli import main
+from hickory_stream.engine.history.live_map import is_live, live_map
+from hickory_stream.engine.saved_map import open_map
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.navigation.free_space import obstacles_of
+from tests.engine.run_fixtures import NO_SHAPES, map_scene
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.engine.mapper import Mapper
+    from hickory_stream.records import MapSnapshot
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def plan(folder: Path, revision: int) -> int:
+    """Ask for a way into the first box of the scene, as JSON, once the journal has a revision: it is behind the run."""
+    while (found := live_map(folder)) is None or found[0].revision < revision:
+        time.sleep(0.02)
+    box = SCENE_BOXES[0]
+    x, y = (np.array(box.low) + np.array(box.high))[:2] / 2
+    goal = f"--goal={x:.3f},{y:.3f}"
+    return main(["plan", str(folder), "--start=0,-1", goal, "--robot", "point", "--unknown", "free", "--json"])
+
+
+def test_a_plan_in_a_map_that_is_being_made_keeps_off_what_was_hardly_seen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers: list[int] = []
+    sure: list[int] = []
+
+    async def asked(mapper: Mapper, snapshot: MapSnapshot) -> None:
+        assert mapper.folder is not None
+        if not answers and len(snapshot.objects):
+            sure.append(len(obstacles_of(snapshot)))
+            answers.append(await asyncio.to_thread(plan, mapper.folder.path, snapshot.revision))
+
+    options = (*NO_SHAPES, "journal.flush_s=0")
+    map_scene(tmp_path, *options, mode="live", rate=0.5, on_snapshot=asked)
+    printed = capsys.readouterr()
+    assert sure == [0]
+    assert answers == [3]
+    assert "is still being made" in printed.err
+    found = json.loads(printed.out)
+    assert found["reason"] == "goal-in-collision"
+    assert found["objects_by_box"] == []
+    assert {blocker["object"] for blocker in found["blockers"]} <= {*found["objects_observed_only"], -1}
+    # The finished map is one like any other.
+    assert not is_live(open_map(tmp_path / "map"))
+
+
+def test_the_surface_that_was_seen_is_that_of_the_keyframes_until_then(tmp_path: Path) -> None:
+    run = map_scene(tmp_path, *NO_SHAPES, mode="live", rate=3.0)
+    first = run.snapshots[0]
+    found = live_map(run.folder.path, first.stamp_ns)
+    assert found is not None
+    snapshot, seen = found
+    assert snapshot.revision == first.revision
+    (submap,) = snapshot.submaps
+    points = np.concatenate([tracked.points_world for tracked in snapshot.objects])
+    keys = keys_of_points(points, submap.observed_space.voxel_m)
+    assert np.isin(seen.keys(), keys).mean() > 0.8
+    assert live_map(run.folder.path, first.stamp_ns - 1) is None
