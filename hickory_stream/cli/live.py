@@ -102,6 +102,9 @@ def run(options: argparse.Namespace) -> int:
     recorder: Recorder | None = None
     source: LiveMapSource | None = None
     try:
+        mapper = Mapper(settings.mapper, out=out, overwrite=options.overwrite)
+        # The robot may keep us waiting.
+        threading.Thread(target=mapper.rehearse, name="rehearse").start()
         recorder = _recorder(options)
         source = open_live(
             options.uri,
@@ -123,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
         options.resumed_by = resume_command(out)
         with _StatusPrinter(source, options.status, as_json=options.json):
             played = play(
-                Mapper(settings.mapper, out=out, overwrite=options.overwrite),
+                mapper,
                 source,
                 sinks=all_sinks(options, settings, viewer, beside, status=partial(_status_text, source)),
                 mode="playback" if is_recording(options.uri) else "live",

@@ -9,6 +9,7 @@ import asyncio
 import dataclasses
 import shutil
 import tempfile
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from hickory_stream import caches
 from hickory_stream.config import MapperConfig, RunConfig
+from hickory_stream.engine.first_run import are_compiled
 from hickory_stream.engine.history.recorded_config import resumed_config
 from hickory_stream.engine.history.resume import reopen
 from hickory_stream.engine.journal_writer import JournalWriter
@@ -25,6 +27,7 @@ from hickory_stream.engine.run import Run
 from hickory_stream.engine.run_closing import MapSaver, close_run, why_empty
 from hickory_stream.engine.run_parts import RunParts
 from hickory_stream.engine.sink_threads import SinkThread
+from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.engine.worker_choice import make_workers
 from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers
 from hickory_stream.errors import InputError, MapFolderError, RecordingError
@@ -90,6 +93,8 @@ class Mapper:
         self._processor = processor_of_run(self.config.perception, is_own=self._is_own)
         self._core = core or MapperCore(self.config.mapping)
         self._workers = workers or make_workers(self.config)
+        self._rehearsing = threading.Lock()
+        self._is_rehearsed = False
         self._resumes = False
         self._temporary: Path | None = None
         self._threads: threadpool_limits | None = None
@@ -156,6 +161,17 @@ class Mapper:
         else:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
+
+    def rehearse(self) -> None:
+        """Try perception and core out on a small scene; a live run does it once, before its first frame.
+
+        Whoever still waits for a robot can do it meanwhile, on another thread. Perception of one's own is left alone,
+        and so are kernels that are not compiled yet: the run compiles them first.
+        """
+        with self._rehearsing:
+            if self._is_own and not self._is_rehearsed and are_compiled():
+                rehearse(self._segmenter, self._extractor, self.config)
+                self._is_rehearsed = True
 
     @property
     def was_stopped(self) -> bool:
@@ -238,7 +254,7 @@ class Mapper:
                     publish=publish,
                     progress=progress,
                     resumes=continued,
-                    rehearses=mode == "live" and self._is_own,
+                    rehearse=self.rehearse if mode == "live" else None,
                 )
                 run = self._run = Run(parts)
                 await self._play(run, source, folder, journal, threads, rate, loops)

@@ -49,7 +49,6 @@ from hickory_stream.engine.step import StepKind
 from hickory_stream.engine.step_writer import StepWriter
 from hickory_stream.engine.stopping import Stop
 from hickory_stream.engine.threads import on_thread
-from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import RecordingError
 from hickory_stream.events import KeyframeKeptOut, PoseJumped, SourceEnded, WayEnded
 from hickory_stream.perception.perceive import Perceived, perceive
@@ -184,9 +183,8 @@ class Run:
         total = source.info.num_frames
         self._announcer.total = total * loops if total is not None else None
         await self._stop.within_grace(compile_kernels(self._tell_compiling), "compile")
-        if self._parts.rehearses and not self._stop.is_requested:
-            parts = self._parts
-            await on_thread(self._thinker, rehearse, parts.segmenter, parts.extractor, parts.config)
+        if self._parts.rehearse is not None and not self._stop.is_requested:
+            await on_thread(self._thinker, self._parts.rehearse)
         try:
             async with asyncio.TaskGroup() as group:
                 watching = group.create_task(self._loop_delay.watch(), name="loop-delay")

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 class RunParts:
     """The source, the components that map it, the destination of the map, and the receivers of snapshots and progress.
 
-    `resumes` is the state of an interrupted run that this one continues, with its core. `rehearses`: perception and
-    core process a made-up frame before the first one is read, which then takes no longer than the others.
+    `resumes` is the state of an interrupted run that this one continues, with its core. `rehearse` has
+    perception and core process a made-up scene before the first frame is read, which then takes no longer than others.
     """
 
     config: MapperConfig
@@ -42,4 +42,4 @@ class RunParts:
     publish: Callable[[MapSnapshot], None]
     progress: Callable[[Progress], None]
     resumes: ResumePoint | None = None
-    rehearses: bool = False
+    rehearse: Callable[[], None] | None = None

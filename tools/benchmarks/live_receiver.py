@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import os
 import sys
 import threading
 import time
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.mapper import Mapper
     from hickory_stream.ports import Sink
     from hickory_stream.records import RawFrame
     from players.containers import LogMessage, Topic
@@ -80,23 +80,27 @@ def main() -> None:
         if recorder is not None:
             recorder.take(topic, message)
 
+    mapper = _mapper(options.out, has_shapes=not options.no_shapes) if options.out is not None else None
     inbox = Inbox(tap=tap)
     source = open_live(options.uri, inbox=inbox, attempt_s=0.5)
     watched = Watched(source, arrivals, inbox)
     peak_mb = [0.0]
     threading.Thread(target=_watch_memory, args=(peak_mb,), daemon=True).start()
     threading.Thread(target=_end_with_input, args=(source, inbox), daemon=True).start()
-    if options.out is None:
-        for _ in watched.frames():
-            pass
-    else:
-        published = _publisher(source) if options.publish else None
-        asyncio.run(_map(watched, options.out, published, has_shapes=not options.no_shapes))
-    account = source.account()
-    status = source.status()
-    source.close()
-    if recorder is not None:
-        recorder.close()
+    try:
+        if mapper is None:
+            for _ in watched.frames():
+                pass
+        else:
+            published = _publisher(source) if options.publish else None
+            asyncio.run(_map(mapper, watched, published))
+        account = source.account()
+        status = source.status()
+    finally:
+        # Zenoh's threads live until their subscribers are undeclared, and Python waits for them.
+        source.close()
+        if recorder is not None:
+            recorder.close()
     print(
         dumps(
             {
@@ -114,9 +118,6 @@ def main() -> None:
             }
         )
     )
-    # A thread of Zenoh's now and then aborts a process that ends ("exception not rethrown"): all is said by now.
-    sys.stdout.flush()
-    os._exit(0)
 
 
 def _publisher(source: LiveMapSource) -> Sink:
@@ -127,22 +128,28 @@ def _publisher(source: LiveMapSource) -> Sink:
     return PublishSink(load_robot("point"), source.return_link, odom_frame=source.odom_frame)
 
 
-async def _map(source: Watched, out: Path, published: Sink | None, *, has_shapes: bool) -> None:
+def _mapper(out: Path, *, has_shapes: bool) -> Mapper:
     # Imported here: whoever does not map is there sooner.
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.mapper import Mapper
-    from hickory_stream.sinks.disk_sink import DiskSink
 
     config = MapperConfig()
     if not has_shapes:
         requests = replace(config.mapping.requests, max_failures=0)
         config = replace(config, mapping=replace(config.mapping, requests=requests))
-    config = replace(config, run=replace(config.run, workers=1))
+    mapper = Mapper(replace(config, run=replace(config.run, workers=1)), out=out, overwrite=True)
+    # A robot that waits for a listener begins as soon as there is one.
+    mapper.rehearse()
+    return mapper
+
+
+async def _map(mapper: Mapper, source: Watched, published: Sink | None) -> None:
+    from hickory_stream.sinks.disk_sink import DiskSink
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
         return [(DiskSink(folder), True), *([(published, False)] if published is not None else [])]
 
-    async with Mapper(config, out=out, overwrite=True) as mapper:
+    async with mapper:
         async for _ in mapper.run(source, sinks=sinks, mode="live"):
             pass
 
