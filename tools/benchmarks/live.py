@@ -2,8 +2,8 @@
 
 Five parts. Transport: 1280x720 JPEG colour and raw 16-bit depth at 30 Hz over each route, read and paired but not
 mapped. Map: the embedded recording as a robot, mapped, recorded, and compared with the map of the recording; the robot
-goes away once. Storm: losses, jitter, disconnections and a restart at once, mapped. Publish: goals of the robot,
-answered with paths. Safety: how soon a robot keeps off what it sees.
+goes away once. Storm: losses, jitter, disconnections and a restart at once, mapped. Goals of the robot are answered
+with paths. Safety: how soon a robot keeps off what it sees.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ import socket
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -30,16 +32,25 @@ from tools.benchmarks.processes import ROOT, play
 
 _DEMO = ROOT / "recordings" / "demo.mcap"
 _ROUTES = ("zenoh-bridge", "rmw-zenoh", "foxglove", "mcap")
+_EXTRA_ROUTES = {"dds": "cyclonedds"}
+"""Routes that need a package of an extra: measured where it is installed, and not when quick."""
 _SCHEMES = {"zenoh-bridge": "zenoh", "rmw-zenoh": "zenoh", "foxglove": "foxglove"}
 _TIMEOUT_S = 900.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sample:
-    """How much is measured: loops of a log over each route, seconds that are mapped; what the robot is told."""
+    """How much is measured: loops of a log over each route, seconds that are mapped; what the robot is told.
+
+    `at_once` routes are measured at the same time. Goals are asked for in the run that is mapped and recorded, or in
+    one of their own (`has_own_goals`), so that latencies are those of mapping alone.
+    """
 
     log_s: float
     loops: int
+    at_once: int
+    extras: bool
+    has_own_goals: bool
     map_s: float
     away: tuple[str, ...]
     storm: tuple[str, ...]
@@ -52,6 +63,9 @@ _STORM = ("--loss", "0.1", "--jitter", "150", "--delay", "40", "--bandwidth", "1
 _FULL = Sample(
     log_s=2.0,
     loops=30,
+    at_once=1,
+    extras=True,
+    has_own_goals=True,
     map_s=20.0,
     away=("--seconds", "15", "--loop", "3", "--disconnect", "8:30"),
     storm=(*_STORM, "--disconnect", "40:60", "--disconnect", "150:5", "--restart", "200", "--loop", "15"),
@@ -61,13 +75,16 @@ _FULL = Sample(
 )
 _QUICK = Sample(
     log_s=1.0,
-    loops=4,
-    map_s=5.0,
-    away=("--seconds", "4", "--disconnect", "1.5:1"),
-    storm=(*_STORM, "--disconnect", "2:1", "--restart", "4", "--seconds", "6"),
+    loops=3,
+    at_once=2,
+    extras=False,
+    has_own_goals=False,
+    map_s=4.5,
+    away=("--seconds", "3.5", "--disconnect", "1.5:1"),
+    storm=(*_STORM, "--disconnect", "1.5:1", "--restart", "3", "--seconds", "4.5"),
     map_options=("--no-shapes",),
     mapped_720p_s=0.0,
-    safety_s=3.0,
+    safety_s=2.0,
 )
 
 
@@ -78,7 +95,11 @@ def measure(options: Options) -> list[Figure]:
         folder = Path(name)
         figures = _transport(sample, options.seed, folder)
         figures += _map(sample, options.seed, folder)
-        figures += _publish(sample, folder)
+        if sample.has_own_goals:
+            to = ("--out", folder / "told", "--publish", *sample.map_options)
+            seconds = ("--seconds", str(sample.map_s))
+            sent, _ = _run("zenoh-bridge", [_DEMO], folder, *seconds, *_goals(sample), to=to)
+            figures += _published(sample, sent)
         figures += _storm(sample, options.seed, folder)
         figures += _safety(sample, folder)
     return figures
@@ -88,26 +109,32 @@ def _transport(sample: Sample, seed: int, folder: Path) -> list[Figure]:
     log = write_720p(_DEMO, folder / "720p.mcap", seconds=sample.log_s)
     unaccounted, shares, robots, lost, waits = 0, [], [], [], []
     figures: list[Figure] = []
-    for via in _ROUTES:
-        sent, came = _run(via, [log], folder, "--loop", str(sample.loops), "--seed", str(seed))
+    extra = [via for via, needed in _EXTRA_ROUTES.items() if sample.extras and find_spec(needed) is not None]
+    routes = (*_ROUTES, *extra)
+
+    def measured(via: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        return _run(via, [log], folder, "--loop", str(sample.loops), "--seed", str(seed))
+
+    with ThreadPoolExecutor(sample.at_once) as pool:
+        found_by_route = list(pool.map(measured, routes))
+    for via, (sent, came) in zip(routes, found_by_route, strict=True):
         unaccounted += _unaccounted(sent, came)
         lost.append(1.0 - sum(came["totals"].values()) / sum(sent["sent"].values()))
         robots.append(sent["cpu_s"] / sent["wall_s"])
         waits += came["wait_s"]
-        if came["cpu_share"] is not None:
-            shares.append(came["cpu_share"])
-            name = f"live_transport_core_share_{via.replace('-', '_')}"
-            figures.append(_figure(name, came["cpu_share"], "cores", "lower"))
+        shares.append(came["cpu_share"])
+        name = f"live_transport_core_share_{via.replace('-', '_')}"
+        figures.append(_figure(name, came["cpu_share"], "cores", "lower"))
     of = "1280x720 JPEG and raw 16-bit depth at 30 Hz, not mapped; the worst route"
     injected = 0.1
     sent, came = _run("rmw-zenoh", [_DEMO], folder, "--loss", str(injected), "--seconds", "4", "--seed", str(seed))
     gone = sum(number for reasons in sent["lost"].values() for number in reasons.values())
     found = sum(came["lost"].values())
     return [
-        _figure("live_routes", len(_ROUTES), "routes", "higher"),
+        _figure("live_routes", len(routes), "routes", "higher", ", ".join(routes)),
         _figure("live_unaccounted_messages", unaccounted + _unaccounted(sent, came), "messages", "lower"),
         _figure("live_lost_fraction", max(lost), "share", "lower", "no loss injected; the worst route"),
-        *([_figure("live_transport_core_share", max(shares), "cores", "lower", of)] if shares else []),
+        _figure("live_transport_core_share", max(shares), "cores", "lower", of),
         *figures,
         _figure("live_robot_core_share", max(robots), "cores", "same", "the fake robot's own"),
         _figure("live_pairing_p95_ms", 1e3 * _p95(waits), "ms", "lower", "from a frame's last image to the frame"),
@@ -118,10 +145,9 @@ def _transport(sample: Sample, seed: int, folder: Path) -> list[Figure]:
 
 def _map(sample: Sample, seed: int, folder: Path) -> list[Figure]:
     out, record = folder / "live", folder / "session.mcap"
-    seconds = ("--seconds", str(sample.map_s))
-    sent, came = _run(
-        "zenoh-bridge", [_DEMO], folder, *seconds, to=("--out", out, "--record", record, *sample.map_options)
-    )
+    asked = () if sample.has_own_goals else _goals(sample)
+    to = ("--out", out, "--record", record, *sample.map_options, *(("--publish",) if asked else ()))
+    sent, came = _run("zenoh-bridge", [_DEMO], folder, "--seconds", str(sample.map_s), *asked, to=to)
     again = folder / "again"
     play(record, again, *(("--set", "mapper.mapping.requests.max_failures=0") if sample.map_options else ()))
     live, recorded = ([t.box for t in open_map(path).snapshot.objects] for path in (out, again))
@@ -144,6 +170,8 @@ def _map(sample: Sample, seed: int, folder: Path) -> list[Figure]:
             f"{len(recorded)} objects of the recording's map in the live one",
         ),
     ]
+    if asked:
+        figures += _published(sample, sent)
     if sample.mapped_720p_s:
         large = write_720p(_DEMO, folder / "mapped.mcap", seconds=sample.mapped_720p_s)
         _, slow = _run("zenoh-bridge", [large], folder, "--loop", "2", to=("--out", folder / "large"))
@@ -158,13 +186,14 @@ def _map(sample: Sample, seed: int, folder: Path) -> list[Figure]:
     return figures
 
 
-def _publish(sample: Sample, folder: Path) -> list[Figure]:
-    """Measure from a robot's goal to its path, while the map is made; goals that have no path are answered, too."""
-    goals = [word for at in np.arange(2.0, sample.map_s, 0.25).tolist() for word in ("--goal", f"{at}:0.5,0.5")]
-    to = ("--out", folder / "told", "--publish", *sample.map_options)
-    sent, _ = _run("zenoh-bridge", [_DEMO], folder, "--seconds", str(sample.map_s), *goals, to=to)
+def _goals(sample: Sample) -> list[str]:
+    """Return what the robot is told to ask for while the map is made; goals that have no path are answered, too."""
+    return [word for at in np.arange(2.0, sample.map_s, 0.25).tolist() for word in ("--goal", f"{at}:0.5,0.5")]
+
+
+def _published(sample: Sample, sent: dict[str, Any]) -> list[Figure]:
     trips_s, heard = sent["round_trips_s"], sent["heard"]
-    told = f"p95 of {len(trips_s)} of {len(goals) // 2} goals, while the map is made"
+    told = f"p95 of {len(trips_s)} of {len(_goals(sample)) // 2} goals, while the map is made"
     return [
         *([_figure("plan_round_trip_ms", 1e3 * _p95(trips_s), "ms", "lower", told)] if trips_s else []),
         _figure("published_messages", sum(heard.values()), "messages", "higher", ", ".join(sorted(heard))),
@@ -188,7 +217,7 @@ def _storm(sample: Sample, seed: int, folder: Path) -> list[Figure]:
 
 
 def _safety(sample: Sample, folder: Path) -> list[Figure]:
-    found = early_safety(_DEMO, folder / "safety", seconds=sample.safety_s)
+    found = early_safety(_DEMO, folder / "safety", seconds=sample.safety_s, has_shapes=not sample.map_options)
     things = f"{len(found.shown_s)} things within 3 m"
     never = len(found.shown_s) - len(found.safe_s)
     return [
@@ -203,7 +232,11 @@ def _safety(sample: Sample, folder: Path) -> list[Figure]:
         _figure("never_safe_things", never, "things", "lower", f"of {things}, in {sample.safety_s:g} s"),
         _figure("stand_in_contained_p5", _p5(found.contained), "share", "higher", "of the surface seen so far"),
         _figure("avoided_p5", _p5(found.avoided), "share", "higher", "the same with occupied space"),
-        _figure("stand_in_volume_ratio_p95", _p95(found.volumes), "ratio", "lower", "to the final layer 4"),
+        *(
+            [_figure("stand_in_volume_ratio_p95", _p95(found.volumes), "ratio", "lower", "to the final layer 4")]
+            if found.volumes
+            else []
+        ),
     ]
 
 
@@ -217,13 +250,18 @@ def _run(
     """
     if via == "mcap":
         place = str(folder / "pipe")
+        where = ("--listen", place)
         if not Path(place).exists():
             os.mkfifo(place)
         uri = f"mcap:{place}"
+    elif via == "dds":
+        # Ports are those of the domain; runs at the same time are not to hear one another.
+        domain = 1 + os.getpid() % 100
+        where, uri = ("--domain", str(domain)), f"dds://{domain}"
     else:
         place = f"127.0.0.1:{_free_port()}"
-        uri = f"{_SCHEMES[via]}://{place}"
-    robot = [sys.executable, "-m", "tools.robot.command", *map(str, logs), "--via", via, "--listen", place, "--wait"]
+        where, uri = ("--listen", place), f"{_SCHEMES[via]}://{place}"
+    robot = [sys.executable, "-m", "tools.robot.command", *map(str, logs), "--via", via, *where, "--wait"]
     receiver = [sys.executable, "-m", "tools.benchmarks.live_receiver", uri]
     receiver += [str(word) for word in to]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": ROOT}

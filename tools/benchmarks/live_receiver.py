@@ -45,16 +45,19 @@ class Watched(SourceAround):
         self.came_s: list[float] = []
         self.stamps_ns: list[int] = []
         self.used_s: list[tuple[float, float]] = []
+        self.began_s = self.ended_s = (0.0, 0.0)
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames of the other one."""
         began_ns = self._inbox.clock()
+        self.began_s = self.ended_s = (time.monotonic(), time.process_time())
         for frame in self._source.frames():
             arrived_ns = self._arrivals.pop(frame.stamp_ns, None)
             # What came while the route was being opened has waited for that.
             if arrived_ns is not None and arrived_ns > began_ns:
                 self.waits_s[frame.stamp_ns] = (self._inbox.clock() - arrived_ns) / 1e9
                 self.used_s.append((time.monotonic(), time.process_time()))
+            self.ended_s = (time.monotonic(), time.process_time())
             self.came_s.append(time.time())
             self.stamps_ns.append(frame.stamp_ns)
             yield frame
@@ -168,12 +171,11 @@ def _latencies(out: Path, watched: Watched) -> list[float]:
     return found
 
 
-def _share(watched: Watched) -> float | None:
-    """Return the share of a core while frames came one by one; None where they were too few."""
-    if len(watched.used_s) < _LEAST_FRAMES:
-        return None
-    (began_s, cpu_before_s), (ended_s, cpu_after_s) = watched.used_s[0], watched.used_s[-1]
-    return (cpu_after_s - cpu_before_s) / (ended_s - began_s)
+def _share(watched: Watched) -> float:
+    """Return the share of a core while frames came one by one; while any did, where those were too few."""
+    came = watched.used_s if len(watched.used_s) >= _LEAST_FRAMES else [watched.began_s, watched.ended_s]
+    (began_s, cpu_before_s), (ended_s, cpu_after_s) = came[0], came[-1]
+    return (cpu_after_s - cpu_before_s) / max(ended_s - began_s, 1e-3)
 
 
 def _end_with_input(source: LiveMapSource, inbox: Inbox) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -146,12 +146,15 @@ class Judge:
         return is_held
 
 
-def early_safety(log: Path, out: Path, *, seconds: float, rate: float = 1.0) -> Safety:
+def early_safety(log: Path, out: Path, *, seconds: float, has_shapes: bool = True) -> Safety:
     """Map the beginning of a log live, and return how soon and how well its things were avoided."""
     noted = Noted()
     config = MapperConfig()
+    if not has_shapes:
+        requests = replace(config.mapping.requests, max_failures=0)
+        config = replace(config, mapping=replace(config.mapping, requests=requests))
     note = note_of([str(log)], SourceOptions(), end_s=seconds)
-    source = open_noted(note, PlaybackClock(rate), config.keyframes)
+    source = open_noted(note, PlaybackClock(1.0), config.keyframes)
 
     async def run() -> None:
         async with Mapper(config, out=out, overwrite=True) as mapper:

@@ -22,7 +22,7 @@ _LATCHED = (GRID, MARKERS)
 
 
 class DdsPublisher:
-    """Publishes in a domain: latched topics transient-local, images best effort as sensors do, the rest reliable."""
+    """Publishes in a domain: all reliable, latched topics transient-local."""
 
     def __init__(self, domain: int) -> None:
         check_installed()
