@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.box_scene import SCENE_BOXES
 from hickory_stream.cli import main
 from hickory_stream.engine.history.live_map import is_live, live_map
 from hickory_stream.engine.saved_map import open_map
@@ -27,12 +26,13 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.timeout(120)
 
 
-def plan(folder: Path, revision: int) -> int:
-    """Ask for a way into the first box of the scene, as JSON, once the journal has a revision: it is behind the run."""
-    while (found := live_map(folder)) is None or found[0].revision < revision:
+def plan(folder: Path, snapshot: MapSnapshot) -> int:
+    """Ask for a way to where a side of an object was seen, as JSON, once the journal, which is behind, has that."""
+    while (found := live_map(folder)) is None or found[0].revision < snapshot.revision:
         time.sleep(0.02)
-    box = SCENE_BOXES[0]
-    x, y = (np.array(box.low) + np.array(box.high))[:2] / 2
+    points = snapshot.objects[0].points_world
+    # At the height of the robot's body.
+    x, y = points[np.abs(points[:, 2] - 0.12).argmin(), :2]
     goal = f"--goal={x:.3f},{y:.3f}"
     return main(["plan", str(folder), "--start=0,-1", goal, "--robot", "point", "--unknown", "free", "--json"])
 
@@ -47,7 +47,7 @@ def test_a_plan_in_a_map_that_is_being_made_keeps_off_what_was_hardly_seen(
         assert mapper.folder is not None
         if not answers and len(snapshot.objects):
             sure.append(len(obstacles_of(snapshot)))
-            answers.append(await asyncio.to_thread(plan, mapper.folder.path, snapshot.revision))
+            answers.append(await asyncio.to_thread(plan, mapper.folder.path, snapshot))
 
     options = (*NO_SHAPES, "journal.flush_s=0")
     map_scene(tmp_path, *options, mode="live", rate=0.5, on_snapshot=asked)
