@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import struct
 import threading
+import time
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ _AGAIN_S = 0.5
 _OPEN_MS = 3000
 _TOKENLESS_S = 3.0
 _ADDRESS = re.compile(r"zenoh://(?P<host>\[[^]]+\]|[^:/]*)(?::(?P<port>\d+))?(?:/(?P<namespace>.*))?")
+_JOINED_S = 2.0
 _ATTACHMENT = struct.Struct("<qqB16s")
 
 
@@ -115,11 +117,15 @@ class ZenohRoute:
                     *(one for made in self._declared.values() for one in made),
                 ]
                 self._watching, self._listening, self._declared = [], [], {}
-            # One by one, so that none of their callbacks runs while the process ends.
+            callers = _callback_threads()
             for one in declared:
                 one.undeclare()
             self._return.detach()
             session.close()
+            # A daemon thread that ends while Python does aborts the process: Rust is on its stack.
+            ends_s = time.monotonic() + _JOINED_S
+            for thread in callers:
+                thread.join(max(0.0, ends_s - time.monotonic()))
 
     # ---- the way back ------------------------------------------------------------------------------------------------
 
@@ -296,3 +302,16 @@ class ZenohRoute:
             self._inbox.lost(name, sequence - last - 1)
         elif last is not None and sequence < last:
             self._inbox.found(name)
+
+
+def _callback_threads() -> list[threading.Thread]:
+    """Return the threads in which Zenoh (1.10) calls us, one a subscriber; they end once nothing is declared.
+
+    They are daemons where a daemon thread declared the subscriber, as ours does, and nobody else waits for them.
+    """
+    own = threading.current_thread()
+    return [
+        thread
+        for thread in threading.enumerate()
+        if thread.daemon and "pyo3-closure" in thread.name and thread is not own
+    ]

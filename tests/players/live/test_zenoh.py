@@ -15,7 +15,7 @@ from hickory_stream.errors import RecordingError
 from players.live import open_live
 from players.live.inbox import Inbox
 from players.live.zenoh_keys import own_token, publication_of_key, publication_of_token, within
-from players.live.zenoh_route import ZenohRoute
+from players.live.zenoh_route import ZenohRoute, _callback_threads
 from players.opening import open_source
 from tests.players.live.robot_fixtures import eventually, free_port, mapped, scene_log
 from tools.robot.drive import drive
@@ -127,6 +127,8 @@ def test_a_robot_is_mapped_with_what_it_sent_before_we_came_and_nothing_is_unacc
     assert np.allclose(found.frames[-1].world_from_camera, expected[-1].world_from_camera)
     assert found.unaccounted() == {}
     assert sum(found.report.sent.values()) == sum(topic.num_messages or 0 for topic in open_source(log)._log.topics)
+    # A thread of Zenoh's that is left aborts the process when it ends.
+    assert _callback_threads() == []
 
 
 def test_losses_are_counted_by_their_sequence_numbers_and_the_rest_is_mapped(tmp_path: Path, address: str) -> None:
