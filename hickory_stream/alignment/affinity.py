@@ -33,7 +33,7 @@ class AffinityConfig(Ranged):
         gate: two pairs disagree beyond this many standard deviations of a distance.
         level_tilt_deg: standard deviation of the tilt between two maps that both know gravity.
         candidate_share: the share of all pairs of objects, the best ones, that are candidates ...
-        max_candidates: ... and their maximum number.
+        max_candidates: ... and their maximum number, or one for each object of both maps where that is more.
     """
 
     centroid_m: float = number(0.05, 0.0001, 10, "m")
@@ -133,13 +133,16 @@ def _row_log_ranks(log_ranks: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _log_ranks(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the logarithm of the share of known scores that are at least as high; 0 for the lowest score."""
+    logs = np.full(scores.shape, -1.0)  # The mean of the logarithm of a uniform number.
     is_known = np.isfinite(scores)
-    ascending = np.sort(scores[is_known])
-    # Slightly below the score: scores that differ by rounding only are ties.
-    at_least = len(ascending) - np.searchsorted(ascending, scores - 1e-12, side="left")
-    logs = np.log(np.maximum(at_least, 1) / max(len(ascending), 1))
-    # The mean of the logarithm of a uniform number is -1.
-    return np.where(is_known, logs, -1.0)
+    known = scores[is_known]
+    order = np.argsort(known, kind="stable")
+    ascending = known[order]
+    # Slightly below the score: scores that differ by rounding only are ties. In order, a search is near the last one.
+    at_least = np.empty(len(known))
+    at_least[order] = len(known) - np.searchsorted(ascending, ascending - 1e-12, side="left")
+    logs[is_known] = np.log(at_least / max(len(known), 1))
+    return logs
 
 
 def build_affinity(
@@ -182,7 +185,8 @@ def build_affinity(
 
 def _candidates(ranks: NDArray[np.float64], config: AffinityConfig) -> NDArray[np.int64]:
     """Return the (C, 2) best pairs by rank, in the order of their indices."""
-    wanted = min(max(int(config.candidate_share * ranks.size), min(ranks.size, 400)), config.max_candidates)
+    most = max(config.max_candidates, sum(ranks.shape))
+    wanted = min(max(int(config.candidate_share * ranks.size), min(ranks.size, 400)), most)
     flat = ranks.ravel()
     if wanted < flat.size:
         # The index breaks ties: the same pairs whatever the sort does.

@@ -161,10 +161,10 @@ def _amid(outline: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[
 
 
 def _beside(known: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of (N, 2) places are no further from one of (K, 2) than those usually are from one another."""
+    """Return which of (N, 2) places are no further from one of (K, 2) than two of the usual steps between those."""
     tree = cKDTree(known)
     spacing_m = np.median(tree.query(known, k=2)[0][:, 1])
-    return np.asarray(tree.query(places)[0] <= spacing_m)
+    return np.asarray(tree.query(places)[0] <= 2 * spacing_m)
 
 
 def _log_decisive(

@@ -27,6 +27,14 @@ from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_p
 from hickory_stream.evaluation.maps.trial import error_of, noise_floor, run_trial
 from hickory_stream.evaluation.maps.variants import bent_map
 from hickory_stream.geometry.rigid import apply, invert
+from tools.benchmarks.align_unknown import (
+    ambiguous_trial,
+    jobs_of_ambiguous,
+    jobs_of_squares,
+    of_ambiguous,
+    of_squares,
+    square_trial,
+)
 from tools.benchmarks.apartment_maps import apartment_map, frame_of
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT
@@ -55,6 +63,23 @@ pair = simulate_pair(SimulationConfig(num_objects=320, difficulty="hard"), int(s
 align(pair.map_a, pair.map_b)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
+
+
+# Three thousand objects in each map, of which 750 are in both: whether they are aligned, in what time and memory.
+_LARGE = """
+import resource, sys, time
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
+from hickory_stream.evaluation.maps.trial import error_of, overlap_b
+pair = simulate_pair(SimulationConfig(num_objects=3000, outliers=0.75), int(sys.argv[1]))
+started = time.process_time()
+answer = align(pair.map_a, pair.map_b)
+seconds = time.process_time() - started
+found = isinstance(answer, Alignment) and error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)).is_success
+print(int(found), seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+_LARGE_TRIALS = 3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -97,6 +122,8 @@ def measure(options: Options) -> list[Figure]:
     figures, trials = _of_sets(options)
     figures += _of_unrelated(options)
     figures += _of_confidence(trials)
+    figures += of_ambiguous(_in_processes(ambiguous_trial, jobs_of_ambiguous(options.seed, 2 if options.quick else 40)))
+    figures += of_squares(_in_processes(square_trial, jobs_of_squares(options.seed, 8 if options.quick else 100)))
     figures += _of_times(options)
     figures += _of_ablation(options)
     figures += _of_apartments(options)
@@ -207,7 +234,25 @@ def _of_times(options: Options) -> list[Figure]:
     told = subprocess.run(
         [sys.executable, "-c", _PEAK, str(_seed(options.seed, 0))], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout
-    return [*figures, _figure("rss_320_mb", float(told), "MB", "lower")]
+    figures.append(_figure("rss_320_mb", float(told), "MB", "lower"))
+    return figures if options.quick else [*figures, *_of_large_maps(options)]
+
+
+def _of_large_maps(options: Options) -> list[Figure]:
+    """Return how often maps of 3,000 objects are aligned, and the most processor time and memory that it took."""
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", _LARGE, str(_seed(options.seed, i))],
+            cwd=ROOT, check=True, capture_output=True, text=True,
+        ).stdout.split()
+        for i in range(_LARGE_TRIALS)
+    ]  # fmt: skip
+    found, seconds, megabytes = zip(*told, strict=True)
+    return [
+        _figure("align_3000_success", np.mean([int(one) for one in found]), "", "higher"),
+        _figure("align_3000_seconds", max(float(one) for one in seconds), "s", "lower"),
+        _figure("align_3000_rss_mb", max(float(one) for one in megabytes), "MB", "lower"),
+    ]
 
 
 def _seconds(size: int, seed: int) -> float:
