@@ -9,47 +9,18 @@ import numpy as np
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
 from hickory_stream.loops.surfaces import Surface
+from tools.benchmarks.loop_rooms import STEP_M, Patch, bare_room, box
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-STEP_M, VOXEL_M = 0.08, 0.05
+VOXEL_M = 0.05
 ANCHOR = from_rotation_translation(yaw_rotation(0.4), np.array([2.0, 1.5, 1.2]))
-Patch = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
 
-def patch(corner: list[float], u: list[float], v: list[float], normal: list[float], step_m: float = STEP_M) -> Patch:
-    """Points of a parallelogram from a corner along u and v, with one normal."""
-    along, across = np.array(u), np.array(v)
-    counts = [max(2, round(float(np.linalg.norm(side)) / step_m)) for side in (along, across)]
-    s, t = (grid.ravel() for grid in np.meshgrid(*(np.linspace(0, 1, n, endpoint=False) for n in counts)))
-    points = np.array(corner) + s[:, None] * along + t[:, None] * across
-    return points, np.tile(normal, (len(points), 1)).astype(float)
-
-
-def box(x: float, y: float, side: float, height: float) -> list[Patch]:
-    """The four sides and the top of a box on the floor."""
-    a, b = x + side, y + side
-    return [
-        patch([x, y, 0], [side, 0, 0], [0, 0, height], [0, -1, 0]),
-        patch([x, b, 0], [side, 0, 0], [0, 0, height], [0, 1, 0]),
-        patch([x, y, 0], [0, side, 0], [0, 0, height], [-1, 0, 0]),
-        patch([a, y, 0], [0, side, 0], [0, 0, height], [1, 0, 0]),
-        patch([x, y, height], [side, 0, 0], [0, side, 0], [0, 0, 1]),
-    ]
-
-
-def room(width: float = 4.0, depth: float = 3.0) -> list[Patch]:
-    """A floor and four walls of 2 m, seen from inside, with two boxes."""
-    return [
-        patch([0, 0, 0], [width, 0, 0], [0, depth, 0], [0, 0, 1]),
-        patch([0, 0, 0], [width, 0, 0], [0, 0, 2], [0, 1, 0]),
-        patch([0, depth, 0], [width, 0, 0], [0, 0, 2], [0, -1, 0]),
-        patch([0, 0, 0], [0, depth, 0], [0, 0, 2], [1, 0, 0]),
-        patch([width, 0, 0], [0, depth, 0], [0, 0, 2], [-1, 0, 0]),
-        *box(0.5, 0.6, 0.6, 0.7),
-        *box(2.6, 1.7, 0.9, 0.4),
-    ]
+def room() -> list[Patch]:
+    """A floor of 4 m by 3 m and four walls of 2 m, seen from inside, with two boxes."""
+    return [*bare_room(0.0), *box(0.5, 0.6, 0.6, 0.7), *box(2.6, 1.7, 0.9, 0.4)]
 
 
 def air(low: tuple[float, float, float] = (0, 0, 0), high: tuple[float, float, float] = (4, 3, 2)) -> NDArray[np.int64]:

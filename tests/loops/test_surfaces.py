@@ -3,7 +3,8 @@
 import numpy as np
 
 from hickory_stream.loops.surfaces import registered
-from tests.loops.loop_fixtures import air, off, patch, room, shift, surface
+from tests.loops.loop_fixtures import air, off, room, shift, surface
+from tools.benchmarks.loop_rooms import patch
 
 DRIFT = shift(0.12, -0.08, 0.02, yaw_deg=3.0)
 

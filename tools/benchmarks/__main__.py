@@ -38,6 +38,8 @@ _HELPERS = {
     "live_receiver",
     "live_safety",
     "live_scene",
+    "loop_figures",
+    "loop_rooms",
     "map_changes",
     "map_damage",
     "mask_scores",
@@ -107,7 +109,7 @@ def main() -> int:
         default=[],
         metavar="PART",
         help="engine: digests, kills, stops, live, soak; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen, clouds, own;"
-        " rules: rules, mapping, perception; poses: fleet, graph",
+        " rules: rules, mapping, perception; poses: fleet, graph, loops",
     )
     parser.add_argument("--minutes", type=float, default=math.inf, help="what goes on later: begin nothing after this")
     parser.add_argument("--fresh", action="store_true", help="what goes on later: forget what is kept")

@@ -32,6 +32,7 @@ from players.mounting import estimated_mounting
 from tools.benchmarks.drift_figures import drift_figures, registration_figures
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.fleet_figures import fleet_figures
+from tools.benchmarks.loop_figures import loop_figures
 from tools.benchmarks.pose_graph_figures import graph_figures
 from tools.benchmarks.processes import ROOT
 
@@ -68,12 +69,15 @@ class _Walked:
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method.
 
-    `--only fleet` measures fleets alone, `--only graph` the pose graph, `--only drift` logs whose odometry drifts.
+    `--only fleet` measures fleets alone, `--only graph` the pose graph, `--only loops` the search for loops, `--only
+    drift` logs whose odometry drifts.
     """
     if options.only == ("drift",):
         return [*registration_figures(_DEMO), *drift_figures(options)]
     if options.only == ("fleet",):
         return fleet_figures(options)
+    if options.only == ("loops",):
+        return loop_figures(options)
     figures: list[Figure] = graph_figures(options)
     if options.only == ("graph",):
         return figures
@@ -102,7 +106,7 @@ def measure(options: Options) -> list[Figure]:
     figures += _corridors(rooms, quick=options.quick)
     if (data / "kitti_lidar").is_dir():
         figures += _street(data / "kitti_lidar")
-    figures += fleet_figures(options)
+    figures += [*loop_figures(options), *fleet_figures(options)]
     return figures if options.quick else [*figures, *_mountings((7, 8, 9)), *drift_figures(options)]
 
 
