@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,9 +12,10 @@ import pytest
 from hickory_stream.box_scene import SCENE_CAMERA, SceneSource
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.replay import replay
+from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
-from hickory_stream.testing import InstanceSegmenter
+from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
 
 if TYPE_CHECKING:
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.records import Frame, RawFrame
+    from hickory_stream.records import Frame, MapSnapshot, RawFrame
 
 pytestmark = pytest.mark.timeout(240)
 
@@ -35,7 +37,8 @@ def step_of(index: int) -> int:
     return 2 * index
 
 
-SHORT = ("mapping.submaps.travel_m=3.0", "mapping.submaps.loop_latency_s=0.6")
+# Keyframes are left where the odometry has them: what is tested is what loops make of that.
+SHORT = ("mapping.submaps.travel_m=3.0", "mapping.submaps.loop_latency_s=0.6", "registration.enabled=false")
 
 
 def drift(index: int) -> NDArray[np.float64]:
@@ -94,6 +97,28 @@ def test_the_map_is_reproducible_and_its_journal_replays_it(closed: SceneRun, tm
     assert map_digest(saved.snapshot) == closed.digest
     assert map_digest(replay(closed.folder.path)) == closed.digest
     assert run(tmp_path).digest == closed.digest
+
+
+def test_a_run_that_was_stopped_while_a_loop_was_searched_comes_to_the_same_map(
+    closed: SceneRun, tmp_path: Path
+) -> None:
+    async def stop(mapper: Mapper, snapshot: MapSnapshot) -> None:
+        if len(snapshot.submaps) == 4:  # the third has ended, and is searched
+            mapper.stop()
+
+    source = DriftingSource(NUM_FRAMES, camera=CAMERA, step_of=step_of)
+    segmenter = InstanceSegmenter(source.instances)
+    map_scene(tmp_path, *NO_SHAPES, *SHORT, source=source, segmenter=segmenter, on_snapshot=stop, rate=20.0)
+
+    async def resume() -> MapSnapshot:
+        again = DriftingSource(NUM_FRAMES, camera=CAMERA, step_of=step_of)
+        async with Mapper.resuming(
+            tmp_path / "map", segmenter=InstanceSegmenter(again.instances), extractor=MeanColorExtractor()
+        ) as mapper:
+            *_, last = [snapshot async for snapshot in mapper.run(again)]
+            return last
+
+    assert map_digest(asyncio.run(resume())) == closed.digest
 
 
 def test_without_loops_the_map_stays_as_the_odometry_has_it_and_has_things_twice(
