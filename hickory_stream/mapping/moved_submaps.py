@@ -141,7 +141,8 @@ def _met(state: MapState, before: Submaps, config: MappingConfig) -> Iterator[tu
     reach = np.array([portable.norm(track.box.half_extents_m) for track in tracks])
     for i, a in enumerate(tracks):
         off = centers[i + 1 :] - centers[i]
-        near = np.flatnonzero((off * off).sum(axis=1) < (reach[i + 1 :] + reach[i]) ** 2)
+        both = reach[i + 1 :] + reach[i]
+        near = np.flatnonzero((off * off).sum(axis=1) < both * both)
         for b in (tracks[i + 1 + j] for j in near):
             a_from_b = state.submaps.between(a.submap_id, b.submap_id)
             then = before.between(a.submap_id, b.submap_id)

@@ -91,12 +91,11 @@ def test_the_way_back_is_found_and_the_last_submap_lies_where_it_is(closed: Scen
     assert ledger["loop_corrections"] >= 1
 
 
-def test_the_map_is_reproducible_and_its_journal_replays_it(closed: SceneRun, tmp_path: Path) -> None:
+def test_the_map_is_reproducible_and_its_journal_replays_it(closed: SceneRun) -> None:
     saved = open_map(closed.folder.path)
     assert saved.manifest.is_reproducible
     assert map_digest(saved.snapshot) == closed.digest
     assert map_digest(replay(closed.folder.path)) == closed.digest
-    assert run(tmp_path).digest == closed.digest
 
 
 def test_a_run_that_was_stopped_while_a_loop_was_searched_comes_to_the_same_map(

@@ -217,5 +217,5 @@ def test_play_checks_the_state_with_debug_alone_and_ends_in_one_line_that_names_
     command = [sys.executable, "-c", script, *play, *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == (1 if options else 0), done.stderr
-    told = "hickory-stream: the map's state is broken after keyframe 1: it is on purpose; found this"
+    told = "hickory-stream: the map's state is broken after keyframe 0: it is on purpose; found this"
     assert (told in done.stderr.splitlines()) == bool(options)
