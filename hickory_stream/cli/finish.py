@@ -25,6 +25,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     from hickory_stream.engine.failures import failed_shapes
     from hickory_stream.engine.history.registration_summary import registration_summary
     from hickory_stream.engine.manifest import read_json
+    from hickory_stream.evaluation.graph_summary import summary_of, told
     from hickory_stream.mapping.floor_notes import floor_notes
 
     objects = played.snapshot.objects if played.snapshot is not None else ()
@@ -64,8 +65,10 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             print(f"stopped, and saved; go on with: {resume_command(out)}")
         if registration is not None and registration.text():
             print(registration.text())
-        told = (*notes, _damage(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
-        sys.stderr.writelines(f"{line}\n" for line in told if line)
+        if played.snapshot is not None and played.snapshot.graph is not None:
+            print(told(summary_of(played.snapshot.graph)))
+        lines = (*notes, _damage(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
+        sys.stderr.writelines(f"{line}\n" for line in lines if line)
     if played.was_stopped:
         return STOPPED
     return INCOMPLETE if played.lost_outputs or (failures and num_shaped == 0) else 0
