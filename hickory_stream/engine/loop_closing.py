@@ -17,7 +17,7 @@ import numpy as np
 from hickory_stream.events import LoopsSearched, PosesCorrected
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.graph.solution import NoSolution
-from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places
+from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places, world_from_submaps
 from hickory_stream.loops.search import LoopQuery, Predicted, search_loops
 from hickory_stream.loops.surfaces import Surface
 
@@ -44,7 +44,6 @@ class LoopCloser:
         self._mode = mode
         self._open: dict[int, tuple[SearchLoops, asyncio.Future[tuple[Loop, ...]]]] = {}
         self._thread = ThreadPoolExecutor(1, "loops")
-        self.seconds = 0.0
 
     def request(self, search: SearchLoops) -> None:
         """Begin a search, once those before it have ended."""
@@ -134,9 +133,7 @@ class LoopCloser:
             return {}
         earlier_ids = [submap.id for submap in submaps if submap.id + self._loops.least_apart <= later.id]
         covariances = relative_covariances(graph, solution, [(i, later.id) for i in earlier_ids])
-        world_from = [
-            compose(pose, invert(submap.anchor)) for submap, pose in zip(submaps, solution.world_from_node, strict=True)
-        ]
+        world_from = world_from_submaps(submaps, solution.world_from_node)
         return {
             i: Predicted(
                 earlier_from_later=compose(invert(world_from[i]), world_from[later.id]),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
 from hickory_stream.graph.record import record_of
@@ -105,6 +106,11 @@ def graph_record(
     return PoseGraphRecord(nodes=solved.nodes, edges=(*solved.edges, *unbelieved))
 
 
+def world_from_submaps(submaps: Sequence[Node], world_from_node: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return world_from_submap (4, 4) of each submap whose node has a pose of (N, 4, 4)."""
+    return [compose(pose, invert(_anchor(submap))) for submap, pose in zip(submaps, world_from_node, strict=True)]
+
+
 def submap_places(
     submaps: Sequence[Node], world_from_node: NDArray[np.float64], config: LoopConfig
 ) -> list[NDArray[np.float64]]:
@@ -113,7 +119,7 @@ def submap_places(
     From the last one back, a submap that the solution moves against the one after it by less than the map resolves has
     the very pose of that one: what was mapped in a row stays in one piece.
     """
-    places = [compose(pose, invert(_anchor(submap))) for submap, pose in zip(submaps, world_from_node, strict=True)]
+    places = world_from_submaps(submaps, world_from_node)
     for i in range(len(places) - 2, -1, -1):
         if _is_same(places[i], places[i + 1], _anchor(submaps[i + 1]), config):
             places[i] = places[i + 1]
@@ -135,8 +141,9 @@ def is_correction(
 
 def _is_same(a: NDArray[np.float64], b: NDArray[np.float64], anchor: NDArray[np.float64], config: LoopConfig) -> bool:
     step = compose(invert(compose(a, anchor)), compose(b, anchor))
-    way_m = float(np.sqrt((step[:3, 3] * step[:3, 3]).sum()))
-    return way_m < config.correct_m and rotation_angle_rad(step[:3, :3]) < np.radians(config.correct_deg)
+    return portable.norm(step[:3, 3]) < config.correct_m and rotation_angle_rad(step[:3, :3]) < np.radians(
+        config.correct_deg
+    )
 
 
 def _anchor(submap: Node) -> NDArray[np.float64]:

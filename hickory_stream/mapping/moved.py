@@ -13,24 +13,32 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.records import ObjectShape, TrackedObject
+    from hickory_stream.records import ObjectShape, TrackedObject, View
 
 
 def moved_object(item: TrackedObject, new_from_old: NDArray[np.float64]) -> TrackedObject:
     """Return an object with all its data in another world frame; `new_from_old` (4, 4) is rigid."""
-    views = tuple(replace(view, world_from_camera=compose(new_from_old, view.world_from_camera)) for view in item.views)
+    views = tuple(moved_view(view, new_from_old) for view in item.views)
     best = None if item.best_view is None else views[[v.name for v in item.views].index(item.best_view.name)]
     return replace(
         item,
         points_world=apply(new_from_old, item.points_world),
-        box=OrientedBox(
-            world_from_box=compose(new_from_old, item.box.world_from_box), half_extents_m=item.box.half_extents_m
-        ),
+        box=moved_box(item.box, new_from_old),
         views=views,
         best_view=best,
         shape=None if item.shape is None else moved_shape(item.shape, new_from_old),
         sketch=None if item.sketch is None else moved(item.sketch, new_from_old),
     )
+
+
+def moved_box(box: OrientedBox, new_from_old: NDArray[np.float64]) -> OrientedBox:
+    """Return a box in another world frame; `new_from_old` (4, 4) is rigid."""
+    return OrientedBox(world_from_box=compose(new_from_old, box.world_from_box), half_extents_m=box.half_extents_m)
+
+
+def moved_view(view: View, new_from_old: NDArray[np.float64]) -> View:
+    """Return a view with its camera in another world frame; `new_from_old` (4, 4) is rigid."""
+    return replace(view, world_from_camera=compose(new_from_old, view.world_from_camera))
 
 
 def moved_shape(shape: ObjectShape, new_from_old: NDArray[np.float64]) -> ObjectShape:

@@ -17,12 +17,12 @@ from hickory_stream.events import CancelShape
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
-from hickory_stream.geometry.rigid import apply, compose
+from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import moved
 from hickory_stream.mapping.associate import associate
 from hickory_stream.mapping.cloud import moved_cloud, share_near
 from hickory_stream.mapping.existence import Existence
-from hickory_stream.mapping.moved import moved_shape
+from hickory_stream.mapping.moved import moved_box, moved_shape, moved_view
 from hickory_stream.mapping.submaps import placed_at
 from hickory_stream.mapping.track import is_object, with_cloud
 from hickory_stream.mapping.track_endings import drop, unite
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.submaps import Submaps
     from hickory_stream.mapping.track import Track
-    from hickory_stream.records import View
 
 _MIN_SIGHTINGS = 2
 _SURE = 1.4
@@ -83,8 +82,7 @@ def recognise(state: MapState, event: FrameObserved, config: MappingConfig) -> l
         return []
     matches = associate(event.observations, {**state.tracks, **near}, config.lattice.points_m, config.associate)
     effects: list[Effect] = []
-    for track_id in sorted({match.track_id for match in matches if match.track_id in near} - {None}):
-        assert track_id is not None
+    for track_id in sorted(near.keys() & {match.track_id for match in matches}):
         effects += _brought_back(state, near[track_id], "a keyframe sees it again")
     return effects
 
@@ -164,7 +162,7 @@ def end_elsewhere(state: MapState) -> list[Effect]:
 
 def moved_track(track: Track, new_from_old: NDArray[np.float64], voxel_m: float) -> Track:
     """Return a track in another frame, its cloud on the lattice there; `new_from_old` (4, 4) is rigid."""
-    views = {view.name: _moved_view(view, new_from_old) for view in track.views}
+    views = {view.name: moved_view(view, new_from_old) for view in track.views}
     known = track.existence
     there = replace(
         with_cloud(track, moved_cloud(track.cloud, new_from_old, voxel_m), track.sightings, voxel_m),
@@ -202,7 +200,7 @@ def _can_meet(track: Track) -> bool:
 def _sameness(a: Track, b: Track, a_from_b: NDArray[np.float64], config: MappingConfig) -> float:
     """Return how surely two tracks at one place are the same object: 1 to 2 by boxes, up to 1 by points, 0 not."""
     associate_config = config.associate
-    there = replace(b.box, world_from_box=compose(a_from_b, b.box.world_from_box))
+    there = moved_box(b.box, a_from_b)
     iou = box_iou(a.box, there)
     if iou >= associate_config.min_iou:
         return 1.0 + iou
@@ -223,7 +221,3 @@ def _brought_back(state: MapState, track: Track, why: str) -> list[Effect]:
     state.tracks[track.id] = replace(track, shape_state=replace(track.shape_state, open_ticket=None))
     state.decide("pose_correction", track.id, f"recognised in submap {state.submaps.open_id}: {why}")
     return [] if ticket is None else [CancelShape(ticket=ticket)]
-
-
-def _moved_view(view: View, new_from_old: NDArray[np.float64]) -> View:
-    return replace(view, world_from_camera=compose(new_from_old, view.world_from_camera))

@@ -13,6 +13,7 @@ import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.graph.factors import tangent_covariance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,16 +102,10 @@ def solve(num_nodes: int, odometries: Sequence[Relation], alignments: Sequence[R
 def _factor(relation: Relation) -> Any:
     import gtsam
 
-    a_from_b = gtsam.Pose3(relation.a_from_b)
-    x, y, z = relation.center_a
-    # A turn about the centre, seen from the origin of a, then from b: the tangent that GTSAM has.
-    at_origin = np.eye(6)
-    at_origin[3:, :3] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    to_tangent = gtsam.Pose3(invert(relation.a_from_b)).AdjointMap() @ at_origin
     floor = np.diag([_MIN_SIGMA_RAD**2] * 3 + [_MIN_SIGMA_M**2] * 3)
-    covariance = to_tangent @ (relation.covariance + floor) @ to_tangent.T
-    noise = gtsam.noiseModel.Gaussian.Covariance((covariance + covariance.T) / 2)
-    return gtsam.BetweenFactorPose3(relation.a, relation.b, a_from_b, noise)
+    covariance = tangent_covariance(relation.a_from_b, relation.covariance + floor, relation.center_a)
+    noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
+    return gtsam.BetweenFactorPose3(relation.a, relation.b, gtsam.Pose3(relation.a_from_b), noise)
 
 
 def _spanned(
