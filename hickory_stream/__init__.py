@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from hickory_stream.navigation.robot import load_robot
     from hickory_stream.navigation.search import NoPath, Path, plan
     from hickory_stream.ports import NoShape, Reconstruction, Reconstructor, ShapeInputs, Source
+    from hickory_stream.query.answers import ask
+    from hickory_stream.query.map_index import index_of
     from hickory_stream.records import RawFrame
     from hickory_stream.sinks.costmap_sink import CostmapSink
 
@@ -36,7 +38,9 @@ __all__ = [
     "ShapeInputs",
     "Source",
     "__version__",
+    "ask",
     "free_space_of",
+    "index_of",
     "load_robot",
     "open_map",
     "plan",
@@ -52,6 +56,8 @@ _HOMES = {
     "hickory_stream.navigation.robot": ("load_robot",),
     "hickory_stream.navigation.search": ("NoPath", "Path", "plan"),
     "hickory_stream.ports": ("NoShape", "Reconstruction", "Reconstructor", "ShapeInputs", "Source"),
+    "hickory_stream.query.answers": ("ask",),
+    "hickory_stream.query.map_index": ("index_of",),
     "hickory_stream.records": ("RawFrame",),
     "hickory_stream.sinks.costmap_sink": ("CostmapSink",),
 }

@@ -311,6 +311,33 @@ class Planned(TypedDict):
     blockers: NotRequired[list[Blocker]]
 
 
+class QueryAnswer(TypedDict):
+    """An object that answers; `plan --goal` takes `goal`. `why` has each condition in words with its score in 0..1.
+
+    `score` is the least of them; `size_m` are the longer and the shorter horizontal side, and the height.
+    """
+
+    object: int
+    goal: str
+    score: float
+    center_m: list[float]
+    size_m: list[float]
+    why: dict[str, float]
+
+
+class Queried(TypedDict):
+    """What answers a question, best first: `count` objects, the first of them in `answers`.
+
+    `counts`: the question was how many there are. `nearly` are the best of those that do not answer.
+    """
+
+    question: str
+    counts: bool
+    count: int
+    answers: list[QueryAnswer]
+    nearly: list[QueryAnswer]
+
+
 class Pair(TypedDict):
     """One object in both maps."""
 
@@ -677,6 +704,7 @@ OUTPUTS: dict[str, Any] = {
     "export": Exported,
     "diff": Differences,
     "diff-maps": MapDifferences,
+    "query": Queried,
     "plan": Planned,
     "align": Aligned,
     "merge": Merged,

@@ -3,8 +3,9 @@
 A command imports what it needs only when it runs, so that `--help` answers at once.
 
 Exit status: 0 done; 1 an internal failure; 2 something outside is not as it must be; 3 the answer is no: two maps
-were not aligned, or there is no path; or the run is done but something that was asked for is missing: every shape job
-failed, or a recording or costmap could not be written to its end; 130 stopped by a signal (the map is saved).
+were not aligned, there is no path, nothing answers a question; or the run is done but something that was asked for is
+missing: every shape job failed, or a recording or costmap could not be written to its end; 130 stopped by a signal (the
+map is saved).
 """
 
 from __future__ import annotations

@@ -50,6 +50,11 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Tell what happened to the objects between two moments of a run.",
         "diff demo.map 5 12.5",
     ),
+    "query": (
+        "Find the objects of a map that a question asks for, or count them: by size, shape, colour, height and how "
+        "they lie to one another.",
+        'query demo.map "something to sit on near object 7" -o answer.png',
+    ),
     "plan": (
         "Plan a path through a map for a robot, or say why there is none.",
         "plan demo.map --start 1,1 --goal -1,-1 --robot jackal -o plan.png",

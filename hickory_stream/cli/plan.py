@@ -15,6 +15,9 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.navigation.free_space import FreeSpace
@@ -34,7 +37,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     plan.set_defaults(run=run)
     plan.add_argument("map", type=Path, metavar="MAP")
     plan.add_argument("--start", required=True, metavar="X,Y", help="metres in the map, e.g. -1,0.5")
-    plan.add_argument("--goal", required=True, metavar="X,Y")
+    plan.add_argument(
+        "--goal", required=True, metavar="X,Y|object:ID", help="a place, or the nearest one beside an object of the map"
+    )
     add_robot_arguments(plan)
     plan.add_argument("--planner", choices=PLANNERS, default="rrt-connect")
     plan.add_argument("--seed", type=int, default=0, help="the same seed gives the same path")
@@ -66,7 +71,9 @@ def run(options: argparse.Namespace) -> int:
 
     if options.out is not None and options.out.suffix not in (".png", ".rrd"):
         raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
-    start, goal = (np.array(parse_place(text, option)) for text, option in _ends(options))
+    start = np.array(parse_place(options.start, "--start"))
+    wanted = _object_id(options.goal)
+    place = None if wanted is not None else np.array(parse_place(options.goal, "--goal"))
     robot = robot_of_option(options.robot, "--robot")
     saved, doubt = open_proven_map_at(options)
     snapshot, seen = _as_driven(saved, options.at)
@@ -74,9 +81,10 @@ def run(options: argparse.Namespace) -> int:
     if options.seed < 0:
         raise InputError(f"found --seed {options.seed}, expected 0 or more")
     config = SearchConfig(planner=options.planner)
-    answer = plan(space, start, goal, config, np.random.default_rng(options.seed))
+    goal = place if place is not None else _beside(space, snapshot, start, wanted)
+    answer = goal if isinstance(goal, NoPath) else plan(space, start, goal, config, np.random.default_rng(options.seed))
     if options.out is not None:
-        _draw(options.out, snapshot, space, answer, start, goal)
+        _draw(options.out, snapshot, space, answer, start, start if isinstance(goal, NoPath) else goal)
     proof = Proof(
         boxes=without_layer_four(snapshot) if seen is None else [],
         observed_only=sorted(space.observed_only) if seen is not None else [],
@@ -115,8 +123,34 @@ def _listed(ids: list[int]) -> str:
     return ", ".join(map(str, ids[:10])) + (", ..." if len(ids) > 10 else "")
 
 
-def _ends(options: argparse.Namespace) -> tuple[tuple[str, str], tuple[str, str]]:
-    return (options.start, "--start"), (options.goal, "--goal")
+def _object_id(goal: str) -> int | None:
+    """Return the id of a goal like object:12, None where it is a place; raises `InputError`."""
+    kind, colon, number = goal.partition(":")
+    if not colon:
+        return None
+    if kind != "object" or not number.isdecimal():
+        raise InputError(f"found --goal {goal}, expected X,Y in metres, or object:ID, e.g. --goal object:12")
+    return int(number)
+
+
+def _beside(
+    space: FreeSpace, snapshot: MapSnapshot, start: NDArray[np.float64], object_id: int | None
+) -> NDArray[np.float64] | NoPath:
+    """Return where the robot can stand beside an object, or why it cannot; raises `InputError` where it is unknown."""
+    from hickory_stream.navigation.approach import place_beside
+    from hickory_stream.navigation.search import NoPath, NoPathReason, refused_start
+
+    box = next((item.box for item in snapshot.objects if item.id == object_id), None)
+    if box is None:
+        raise InputError(f"the map has no object {object_id}; `hickory-stream inspect` lists its objects")
+    refused = refused_start(space, start)
+    if refused is not None:
+        return refused
+    place = place_beside(space, start, box)
+    if place is not None:
+        return place
+    text = f"no place beside object {object_id} can be reached from the start by this robot"
+    return NoPath(reason=NoPathReason.UNREACHABLE, text=text)
 
 
 def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, Any]:

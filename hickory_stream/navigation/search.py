@@ -161,6 +161,16 @@ def plan(
     )
 
 
+def refused_start(space: FreeSpace, start: NDArray[np.float64]) -> NoPath | None:
+    """Return why no path begins at a place, (2,) metres; None if one may.
+
+    Raises:
+        InputError: it is not finite, or outside of the map.
+    """
+    place = _place("start", start, space)
+    return _refused(space, np.array([place, place]))
+
+
 def first_path(
     space: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64] | None:

@@ -1,0 +1,218 @@
+"""The answer to a question: every object's degree of fulfilling it, and the objects that do, best first.
+
+A degree is in 0..1, and that of several conditions is the least of theirs (Zadeh, 1965): an object answers that fulfils
+each at least halfway. Of equal ones the product decides, then the id.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, assert_never
+
+import numpy as np
+
+from hickory_stream.errors import InputError
+from hickory_stream.query.colors import COLOR_NAMES
+from hickory_stream.query.grammar import question_of
+from hickory_stream.query.question import (
+    HasColor,
+    HasMeasure,
+    HasShape,
+    Most,
+    Not,
+    ObjectOfId,
+    Place,
+    Quantity,
+    Related,
+    Serves,
+    Thing,
+    Use,
+    told,
+)
+from hickory_stream.query.ramps import ramp
+from hickory_stream.query.relations import (
+    distances_to,
+    distances_to_place,
+    related,
+    related_to_place,
+    related_to_room,
+)
+from hickory_stream.query.shape_scores import SHAPE_WORDS
+from hickory_stream.query.top_map import LEVEL_M, NUM_LEVELS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.query.map_index import MapIndex
+    from hickory_stream.query.question import Condition
+
+ENOUGH = 0.5
+# The share of an object's points that has a colour.
+_COLOR_SHARE = (0.2, 0.5)
+# Heights of a level surface above the floor, and its area: not at all, fully.
+_SEAT_M, _SEAT_M2 = (0.3, 0.6), (0.04, 0.09)
+# Things are put on a top that is level and covers this share of the footprint.
+_TOP_SHARE = (0.3, 0.6)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Answer:
+    """An object that answers, by id; `score` in 0..1, and `why`: each condition in words with its own score."""
+
+    id: int
+    score: float
+    why: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Answers:
+    """All objects that answer, best first; `nearly` are the best of the others, for who wants to know why not."""
+
+    question: str
+    counts: bool
+    found: tuple[Answer, ...]
+    nearly: tuple[Answer, ...]
+
+
+def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None) -> Answers:
+    """Return what answers a question in the grammar of `grammar.py`.
+
+    Args:
+        index: of the map.
+        text: the question, e.g. "a red box on a table".
+        viewer: from where "in front of" is meant, metres in the map; None: from where the landmark was seen best.
+
+    Raises:
+        InputError: a word is not known, a landmark is no object of the map, or a relation to it has no meaning.
+    """
+    question = question_of(text)
+    parts = _parts(index, question.thing, viewer)
+    scores, products = _together(parts, len(index))
+    order = np.lexsort((index.ids, -products, -scores))
+    ranked = [
+        Answer(
+            id=int(index.ids[i]),
+            score=round(float(scores[i]), 4),
+            why=tuple((told(condition), round(float(degrees[i]), 4)) for condition, degrees in parts),
+        )
+        for i in order
+    ]
+    count = int((scores >= ENOUGH).sum())
+    return Answers(
+        question=told(question.thing),
+        counts=question.counts,
+        found=tuple(ranked[:count]),
+        nearly=tuple(answer for answer in ranked[count : count + 3] if answer.score > 0),
+    )
+
+
+def _parts(
+    index: MapIndex, thing: Thing, viewer: tuple[float, float] | None
+) -> list[tuple[Condition, NDArray[np.float64]]]:
+    """Return each condition with (N,) degrees; superlatives come last: they are among what fulfils the others."""
+    plain = [condition for condition in thing.conditions if not isinstance(condition, Most)]
+    parts: list[tuple[Condition, NDArray[np.float64]]]
+    parts = [(condition, _degrees(index, condition, viewer)) for condition in plain]
+    for condition in thing.conditions:
+        if isinstance(condition, Most):
+            scores, _ = _together(parts, len(index))
+            parts.append((condition, _foremost(index, condition, scores >= ENOUGH, viewer)))
+    return parts
+
+
+def _together(
+    parts: list[tuple[Condition, NDArray[np.float64]]], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    degrees = np.array([np.ones(count), *(degrees for _, degrees in parts)])
+    return degrees.min(axis=0), degrees.prod(axis=0)
+
+
+def _degrees(index: MapIndex, condition: Condition, viewer: tuple[float, float] | None) -> NDArray[np.float64]:
+    if isinstance(condition, HasColor):
+        return ramp(index.colors[:, COLOR_NAMES.index(condition.name)], *_COLOR_SHARE)
+    if isinstance(condition, HasShape):
+        return index.shapes[:, SHAPE_WORDS.index(condition.name)]
+    if isinstance(condition, HasMeasure):
+        return ramp(_quantity_m(index, condition.quantity), condition.zero_at, condition.one_at)
+    if isinstance(condition, Serves):
+        return _serves(index, condition.use)
+    if isinstance(condition, Related):
+        return _related(index, condition, viewer)
+    if isinstance(condition, Not):
+        return 1.0 - _together(_parts(index, condition.thing, viewer), len(index))[0]
+    if isinstance(condition, Most):
+        return _foremost(index, condition, np.ones(len(index), bool), viewer)
+    assert_never(condition)
+
+
+def _quantity_m(index: MapIndex, quantity: Quantity) -> NDArray[np.float64]:
+    if quantity is Quantity.SIZE:
+        return np.asarray(index.sides_m.max(axis=1, initial=0.0))
+    if quantity is Quantity.UNDERSIDE:
+        return index.bottom_m
+    return index.sides_m[:, (Quantity.LENGTH, Quantity.WIDTH, Quantity.HEIGHT).index(quantity)]
+
+
+def _serves(index: MapIndex, use: Use) -> NDArray[np.float64]:
+    if use is Use.PUT_IN:
+        return index.shapes[:, SHAPE_WORDS.index("hollow")]
+    # What is level to within two steps is one surface.
+    areas_m2 = index.levels_m2 + np.pad(index.levels_m2, ((0, 0), (0, 1)))[:, 1:]
+    middles_m = (np.arange(NUM_LEVELS) + 0.5) * LEVEL_M
+    if use is Use.SIT_ON:
+        is_there = (middles_m > _SEAT_M[0]) & (middles_m < _SEAT_M[1])
+        return ramp(np.max(areas_m2, axis=1, where=is_there, initial=0.0), *_SEAT_M2)
+    below_top_m = (index.bottom_m + index.sides_m[:, 2])[:, None] - middles_m
+    top_m2 = np.max(areas_m2, axis=1, where=np.abs(below_top_m) < 2 * LEVEL_M, initial=0.0)
+    footprint_m2 = np.maximum(index.sides_m[:, 0] * index.sides_m[:, 1], 1e-6)
+    return np.minimum(ramp(top_m2, *_SEAT_M2), ramp(top_m2 / footprint_m2, *_TOP_SHARE))
+
+
+def _related(index: MapIndex, condition: Related, viewer: tuple[float, float] | None) -> NDArray[np.float64]:
+    relation, to = condition.relation, condition.to
+    if isinstance(to, Thing | ObjectOfId):
+        landmarks = _landmarks(index, to, viewer)
+        pairs = index.pairs
+        degrees = np.minimum(related(index, pairs, relation, viewer), landmarks[pairs.j])
+        best = np.zeros(len(index))
+        np.maximum.at(best, pairs.i, degrees)
+        return best
+    found = (
+        related_to_place(index, relation, to.x, to.y) if isinstance(to, Place) else related_to_room(index, relation, to)
+    )
+    if found is None:
+        raise InputError(f'found "{told(condition)}", expected near or beside {told(to)}, or on the floor')
+    return found
+
+
+def _foremost(
+    index: MapIndex, condition: Most, is_among: NDArray[np.bool_], viewer: tuple[float, float] | None
+) -> NDArray[np.float64]:
+    """Return 1 for the foremost of those that are among them, and less for others, by how far they are behind it."""
+    if condition.quantity is not None:
+        values = np.maximum(_quantity_m(index, condition.quantity), 1e-3)
+    else:
+        values = np.maximum(_distances_m(index, condition, viewer), 1e-3)
+    if not is_among.any():
+        return np.zeros(len(index))
+    if condition.is_least or condition.quantity is None:
+        return np.asarray(np.where(is_among, values[is_among].min() / values, 0.0))
+    return np.asarray(np.where(is_among, values / values[is_among].max(), 0.0))
+
+
+def _distances_m(index: MapIndex, condition: Most, viewer: tuple[float, float] | None) -> NDArray[np.float64]:
+    to = condition.nearest_to
+    if isinstance(to, Place):
+        return distances_to_place(index, to.x, to.y)
+    assert to is not None
+    return distances_to(index, np.flatnonzero(_landmarks(index, to, viewer) >= ENOUGH))
+
+
+def _landmarks(index: MapIndex, to: Thing | ObjectOfId, viewer: tuple[float, float] | None) -> NDArray[np.float64]:
+    """Return (N,) how far each object is the landmark."""
+    if isinstance(to, Thing):
+        return _together(_parts(index, to, viewer), len(index))[0]
+    is_it = index.ids == to.id
+    if not is_it.any():
+        raise InputError(f"found object {to.id}, which the map does not have; `hickory-stream inspect` lists them")
+    return is_it.astype(np.float64)

@@ -1,0 +1,164 @@
+"""A question as the grammar reads it: what is wanted, as conditions that each object fulfils to a degree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+
+class Relation(StrEnum):
+    """How an object lies to another one, or to a place; `CARRYING` is `ON` the other way round."""
+
+    ON = "on"
+    CARRYING = "carrying"
+    UNDER = "under"
+    ABOVE = "above"
+    IN = "in"
+    BESIDE = "beside"
+    NEAR = "near"
+    IN_FRONT_OF = "in front of"
+    BEHIND = "behind"
+
+
+class Quantity(StrEnum):
+    """What can be compared with a number, metres; `UNDERSIDE` is the height of an object's lowest point."""
+
+    SIZE = "longest side"
+    LENGTH = "longer horizontal side"
+    WIDTH = "shorter horizontal side"
+    HEIGHT = "height"
+    UNDERSIDE = "height above the floor"
+
+
+class Use(StrEnum):
+    """What an object would serve for by its geometry."""
+
+    SIT_ON = "to sit on"
+    PUT_ON = "to put things on"
+    PUT_IN = "to put things in"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HasColor:
+    """The object has a colour of `COLOR_NAMES`."""
+
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HasShape:
+    """The object has a shape of `SHAPE_WORDS`."""
+
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HasMeasure:
+    """A quantity lies on one side of a border: `zero_at` metres not at all, `one_at` fully. `name` is how it is said.
+
+    A word such as "large" and a comparison such as "taller than 0.5 m" are the same kind of condition.
+    """
+
+    name: str
+    quantity: Quantity
+    zero_at: float
+    one_at: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Serves:
+    """The object can be used in this way."""
+
+    use: Use
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObjectOfId:
+    """The object of the map with this id."""
+
+    id: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Place:
+    """A place on the floor plan, metres in the map."""
+
+    x: float
+    y: float
+
+
+Room = Literal["floor", "wall"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Related:
+    """The object lies in this way to a landmark."""
+
+    relation: Relation
+    to: Thing | ObjectOfId | Place | Room
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Most:
+    """Of the objects that fulfil the rest, the one with the most, or the least, of a quantity.
+
+    With `nearest_to` it is the one with the least distance from there.
+    """
+
+    name: str
+    quantity: Quantity | None
+    is_least: bool = False
+    nearest_to: Thing | ObjectOfId | Place | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Not:
+    """An object that is not such a thing."""
+
+    thing: Thing
+
+
+Condition = HasColor | HasShape | HasMeasure | Serves | Related | Most | Not
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Thing:
+    """An object that fulfils all conditions."""
+
+    conditions: tuple[Condition, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Question:
+    """What is wanted: objects, best first, or (`counts`) how many there are."""
+
+    thing: Thing
+    counts: bool
+
+
+def told(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
+    """Return a condition or a landmark in words."""
+    match part:
+        case HasColor() | HasShape():
+            return part.name
+        case HasMeasure() | Most(nearest_to=None):
+            return part.name
+        case Most(nearest_to=landmark):
+            assert landmark is not None
+            return f"nearest to {told(landmark)}"
+        case Serves():
+            return str(part.use)
+        case Related():
+            return f"{part.relation} {told(part.to)}"
+        case Not():
+            return f"not {told(part.thing)}"
+        case Thing():
+            parts = ", ".join(map(told, part.conditions)) or "any object"
+            return f"({parts})" if len(part.conditions) > 1 else parts
+        case ObjectOfId():
+            return f"#{part.id}"
+        case Place():
+            return f"{part.x:g},{part.y:g}"
+        case _:
+            return f"the {part}"

@@ -1,0 +1,154 @@
+"""How far one object is on, under, beside or in front of another one: a degree for each pair of neighbours."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, assert_never
+
+import numpy as np
+
+from hickory_stream.query.map_index import ON_FLOOR, Pairs
+from hickory_stream.query.question import Relation
+from hickory_stream.query.ramps import ramp
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.query.map_index import MapIndex
+    from hickory_stream.query.question import Room
+
+# Gaps between boxes, metres: not at all, fully.
+_NEAR = (1.5, 0.5)
+_BESIDE = (0.5, 0.2)
+# Of the smaller footprint, the share that two have in common.
+_OVER = (0.2, 0.5)
+_BESIDE_OVER = (0.5, 0.25)
+# Of an object's box, the share inside another one's.
+_INSIDE = (0.5, 0.8)
+_TOUCH_M = 0.05
+# In front: how far towards the viewer at most, and how far beside the line of sight, beyond half of the width.
+_FRONT = (2.0, 1.2)
+_ASIDE = (0.4, 0.1)
+
+
+def related(
+    index: MapIndex, pairs: Pairs, relation: Relation, viewer: tuple[float, float] | None
+) -> NDArray[np.float64]:
+    """Return (P,) how far object i of each pair has a relation to object j, in 0..1.
+
+    `viewer` is from where "in front of" is meant; None: for each j from where it was seen best.
+    """
+    turned = Pairs(i=pairs.j, j=pairs.i)
+    if relation is Relation.ON:
+        return _is_held(index, pairs)
+    if relation is Relation.CARRYING:
+        return _is_held(index, turned)
+    if relation is Relation.UNDER:
+        return np.maximum(_is_held(index, turned), _is_over(index, turned))
+    if relation is Relation.ABOVE:
+        return np.maximum(_is_held(index, pairs), _is_over(index, pairs))
+    if relation is Relation.IN:
+        volumes = np.maximum((index.highs - index.lows).prod(axis=1), 1e-12)
+        return ramp(_overlaps(index, pairs).prod(axis=1) / volumes[pairs.i], *_INSIDE)
+    if relation is Relation.BESIDE:
+        return _is_beside(index, pairs)
+    if relation is Relation.NEAR:
+        return ramp(np.linalg.norm(_gaps(index, pairs), axis=1), *_NEAR)
+    if relation is Relation.IN_FRONT_OF or relation is Relation.BEHIND:
+        return _is_before(index, pairs, viewer, behind=relation is Relation.BEHIND)
+    assert_never(relation)
+
+
+def related_to_place(index: MapIndex, relation: Relation, x: float, y: float) -> NDArray[np.float64] | None:
+    """Return (N,) how far each object is near, or beside, a place on the floor plan; None for other relations."""
+    distances_m = distances_to_place(index, x, y)
+    if relation is Relation.NEAR:
+        return ramp(distances_m, *_NEAR)
+    return ramp(distances_m, *_BESIDE) if relation is Relation.BESIDE else None
+
+
+def related_to_room(index: MapIndex, relation: Relation, room: Room) -> NDArray[np.float64] | None:
+    """Return (N,) whether each object is on the floor, or at a wall; None for other relations."""
+    if room == "floor":
+        return (index.held_by == ON_FLOOR).astype(np.float64) if relation is Relation.ON else None
+    fits = relation in (Relation.ON, Relation.NEAR, Relation.BESIDE)
+    return index.is_at_wall.astype(np.float64) if fits else None
+
+
+def distances_to_place(index: MapIndex, x: float, y: float) -> NDArray[np.float64]:
+    """Return the (N,) horizontal distances from the objects' boxes to a place."""
+    here = np.array([x, y])
+    outside = np.maximum(np.maximum(index.lows[:, :2] - here, here - index.highs[:, :2]), 0.0)
+    return np.asarray(np.linalg.norm(outside, axis=1))
+
+
+def distances_to(index: MapIndex, places: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the (N,) distances from the objects' boxes to the nearest of some others; infinite where there is none."""
+    nearest = np.full(len(index), np.inf)
+    for k in places:
+        away = np.maximum(np.maximum(index.lows - index.highs[k], index.lows[k] - index.highs), 0.0)
+        squares = (away * away).sum(axis=1)
+        squares[k] = np.inf
+        nearest = np.minimum(nearest, squares)
+    return np.sqrt(nearest)
+
+
+def _is_held(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
+    return (index.held_by[pairs.i] == pairs.j).astype(np.float64)
+
+
+def _gaps(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
+    """Return (P, 3) how far the bounds are apart along each axis, 0 where they overlap."""
+    i, j = pairs.i, pairs.j
+    return np.maximum(np.maximum(index.lows[i] - index.highs[j], index.lows[j] - index.highs[i]), 0.0)
+
+
+def _overlaps(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
+    """Return (P, 3) the lengths that the bounds have in common along each axis."""
+    i, j = pairs.i, pairs.j
+    return np.maximum(np.minimum(index.highs[i], index.highs[j]) - np.maximum(index.lows[i], index.lows[j]), 0.0)
+
+
+def _shared_footprint(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
+    """Return (P,) the share of the smaller of the two footprints that both have in common."""
+    areas = np.maximum((index.highs - index.lows)[:, :2].prod(axis=1), 1e-9)
+    shared = _overlaps(index, pairs)[:, :2].prod(axis=1)
+    return np.asarray(shared / np.minimum(areas[pairs.i], areas[pairs.j]))
+
+
+def _is_over(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
+    """Return (P,) how far i is over j: above its top, or with its middle above it, as a table is that spans a box."""
+    top_m = index.highs[pairs.j, 2]
+    middles_m = (index.lows[pairs.i, 2] + index.highs[pairs.i, 2]) / 2
+    is_above = (index.lows[pairs.i, 2] >= top_m - _TOUCH_M) | (middles_m >= top_m - _TOUCH_M)
+    return ramp(_shared_footprint(index, pairs), *_OVER) * is_above
+
+
+def _is_beside(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
+    gaps = _gaps(index, pairs)
+    level = (gaps[:, 2] <= _TOUCH_M).astype(np.float64)
+    apart = ramp(_shared_footprint(index, pairs), *_BESIDE_OVER)
+    return np.asarray(ramp(np.hypot(gaps[:, 0], gaps[:, 1]), *_BESIDE) * level * apart * _is_free(index, pairs))
+
+
+def _is_before(
+    index: MapIndex, pairs: Pairs, viewer: tuple[float, float] | None, *, behind: bool
+) -> NDArray[np.float64]:
+    """Return (P,) how far i lies between the viewer and j, near j; `behind`: beyond it."""
+    centers = index.centers[:, :2]
+    eyes = index.seen_from[:, :2] if viewer is None else np.broadcast_to(np.array(viewer), centers.shape)
+    sight = centers - eyes
+    lengths = np.linalg.norm(sight, axis=1, keepdims=True)
+    # Who was never seen, or stands where the viewer is, has no front.
+    sight = np.divide(sight, lengths, out=np.zeros_like(sight), where=np.isfinite(lengths) & (lengths > 0))[pairs.j]
+    offsets = centers[pairs.i] - centers[pairs.j]
+    along = (offsets * sight).sum(axis=1)
+    across = np.abs(offsets[:, 0] * sight[:, 1] - offsets[:, 1] * sight[:, 0])
+    towards = along if behind else -along
+    half = ((index.highs - index.lows)[:, :2].max(axis=1) / 2)[pairs.j]
+    near = ramp(towards, *_FRONT) * ramp(across - half, *_ASIDE)
+    return np.asarray(near * (towards > 0) * _is_free(index, pairs))
+
+
+def _is_free(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
+    """Return (P,) 1 where neither holds the other: what is on a table is neither beside it nor in front of it."""
+    return 1.0 - np.maximum(_is_held(index, pairs), _is_held(index, Pairs(i=pairs.j, j=pairs.i)))

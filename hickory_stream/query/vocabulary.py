@@ -1,0 +1,155 @@
+"""The words of a question, and what each means; `grammar.py` says how they are put together.
+
+Sizes are those of things in rooms, as a person would call them: each word has a number from which it does not hold at
+all, and one from which it holds fully, in metres.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hickory_stream.query.colors import COLOR_NAMES
+from hickory_stream.query.question import HasColor, HasMeasure, HasShape, Quantity, Relation, Serves, Use
+
+if TYPE_CHECKING:
+    from hickory_stream.query.question import Condition
+
+_SIZES: dict[str, tuple[Quantity, float, float]] = {
+    "tiny": (Quantity.SIZE, 0.18, 0.10),
+    "small": (Quantity.SIZE, 0.45, 0.30),
+    "large": (Quantity.SIZE, 0.7, 1.0),
+    "huge": (Quantity.SIZE, 1.4, 2.0),
+    "tall": (Quantity.HEIGHT, 0.8, 1.2),
+    "low": (Quantity.HEIGHT, 0.6, 0.4),
+    "long": (Quantity.LENGTH, 0.8, 1.2),
+    "wide": (Quantity.WIDTH, 0.5, 0.8),
+    "narrow": (Quantity.WIDTH, 0.45, 0.3),
+    "high": (Quantity.UNDERSIDE, 0.9, 1.3),
+}
+_SYNONYMS = {"big": "large", "short": "low", "little": "small", "gigantic": "huge", "deep": "wide"}
+
+ADJECTIVES: dict[str, Condition] = {
+    **{name: HasColor(name=name) for name in COLOR_NAMES},
+    "grey": HasColor(name="gray"),
+    "violet": HasColor(name="purple"),
+    **{name: HasMeasure(name=name, quantity=of[0], zero_at=of[1], one_at=of[2]) for name, of in _SIZES.items()},
+    **{
+        word: HasMeasure(name=name, quantity=_SIZES[name][0], zero_at=_SIZES[name][1], one_at=_SIZES[name][2])
+        for word, name in _SYNONYMS.items()
+    },
+    "flat": HasShape(name="flat"),
+    "thin": HasShape(name="thin"),
+    "slender": HasShape(name="thin"),
+    "hollow": HasShape(name="hollow"),
+    "cylindrical": HasShape(name="cylinder"),
+    "round": HasShape(name="ball"),
+    "spherical": HasShape(name="ball"),
+    "boxy": HasShape(name="box"),
+    "rectangular": HasShape(name="box"),
+}
+
+
+def _at_least(name: str, quantity: Quantity, zero_at: float, one_at: float) -> HasMeasure:
+    return HasMeasure(name=name, quantity=quantity, zero_at=zero_at, one_at=one_at)
+
+
+_SEAT = Serves(use=Use.SIT_ON)
+_TOP = Serves(use=Use.PUT_ON)
+
+# What is asked for. Pieces of furniture are what their geometry makes of them: whatever one can sit on that is as long
+# as this is a sofa. These are definitions of words; nothing in the map is made by them.
+NOUNS: dict[str, tuple[Condition, ...]] = {
+    **dict.fromkeys(("thing", "object", "item", "something", "anything", "one", "what"), ()),
+    **dict.fromkeys(("box", "cube", "block"), (HasShape(name="box"),)),
+    **dict.fromkeys(("cylinder", "tube"), (HasShape(name="cylinder"),)),
+    **dict.fromkeys(("ball", "sphere"), (HasShape(name="ball"),)),
+    **dict.fromkeys(("container", "vessel"), (HasShape(name="hollow"),)),
+    "seat": (_SEAT,),
+    "chair": (
+        _SEAT,
+        _at_least("with a back", Quantity.HEIGHT, 0.55, 0.65),
+        _at_least("for one", Quantity.LENGTH, 1.1, 0.9),
+    ),
+    "stool": (
+        _SEAT,
+        _at_least("without a back", Quantity.HEIGHT, 0.65, 0.55),
+        _at_least("for one", Quantity.LENGTH, 0.8, 0.6),
+    ),
+    **dict.fromkeys(("sofa", "couch", "bench"), (_SEAT, _at_least("for two", Quantity.LENGTH, 0.9, 1.1))),
+    "surface": (_TOP,),
+    **dict.fromkeys(
+        ("table", "desk"),
+        (
+            _TOP,
+            _at_least("as long as a table", Quantity.LENGTH, 0.4, 0.6),
+            _at_least("not flat", Quantity.HEIGHT, 0.25, 0.35),
+        ),
+    ),
+}
+
+RELATIONS: dict[tuple[str, ...], Relation] = {
+    ("on", "top", "of"): Relation.ON,
+    ("on",): Relation.ON,
+    ("carrying",): Relation.CARRYING,
+    ("holding",): Relation.CARRYING,
+    ("under",): Relation.UNDER,
+    ("below",): Relation.UNDER,
+    ("underneath",): Relation.UNDER,
+    ("beneath",): Relation.UNDER,
+    ("above",): Relation.ABOVE,
+    ("over",): Relation.ABOVE,
+    ("in", "front", "of"): Relation.IN_FRONT_OF,
+    ("behind",): Relation.BEHIND,
+    ("in",): Relation.IN,
+    ("inside",): Relation.IN,
+    ("beside",): Relation.BESIDE,
+    ("next", "to"): Relation.BESIDE,
+    ("near",): Relation.NEAR,
+    ("close", "to"): Relation.NEAR,
+    ("by",): Relation.NEAR,
+    ("at",): Relation.NEAR,
+    ("against",): Relation.BESIDE,
+}
+
+_THINGS = ("things", "thing", "something", "it", "objects", "stuff")
+USES: dict[tuple[str, ...], Use] = {
+    ("to", "sit", "on"): Use.SIT_ON,
+    ("to", "sit"): Use.SIT_ON,
+    **{("to", verb, thing, "on"): Use.PUT_ON for verb in ("put", "place", "set") for thing in _THINGS},
+    **{("to", verb, thing, "in"): Use.PUT_IN for verb in ("put", "place", "keep") for thing in _THINGS},
+}
+
+# Comparisons with a length, and which way.
+COMPARISONS: dict[str, tuple[Quantity, bool]] = {
+    "larger": (Quantity.SIZE, True),
+    "bigger": (Quantity.SIZE, True),
+    "smaller": (Quantity.SIZE, False),
+    "taller": (Quantity.HEIGHT, True),
+    "shorter": (Quantity.HEIGHT, False),
+    "longer": (Quantity.LENGTH, True),
+    "wider": (Quantity.WIDTH, True),
+    "narrower": (Quantity.WIDTH, False),
+    "higher": (Quantity.UNDERSIDE, True),
+    "lower": (Quantity.UNDERSIDE, False),
+}
+# Superlatives, and whether it is the least.
+SUPERLATIVES: dict[str, tuple[Quantity, bool]] = {
+    "largest": (Quantity.SIZE, False),
+    "biggest": (Quantity.SIZE, False),
+    "smallest": (Quantity.SIZE, True),
+    "tallest": (Quantity.HEIGHT, False),
+    "shortest": (Quantity.HEIGHT, True),
+    "longest": (Quantity.LENGTH, False),
+    "widest": (Quantity.WIDTH, False),
+    "narrowest": (Quantity.WIDTH, True),
+    "highest": (Quantity.UNDERSIDE, False),
+    "lowest": (Quantity.UNDERSIDE, True),
+}
+NEAREST = ("nearest", "closest")
+UNITS_M = {"m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "cm": 0.01, "mm": 0.001}
+ROOM_WORDS = {"floor": "floor", "ground": "floor", "wall": "wall", "walls": "wall"}
+COUNTING = (("how", "many"), ("number", "of"), ("count",))
+# Words that say nothing of the object.
+FILLERS = frozenset(
+    "a an the any all some find show me where what which is are there that it please with and also very of".split()
+)

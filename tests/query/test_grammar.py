@@ -1,0 +1,80 @@
+"""How questions are read."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.errors import InputError
+from hickory_stream.query import vocabulary
+from hickory_stream.query.grammar import question_of
+from hickory_stream.query.question import told
+
+WORDS = sorted(
+    {
+        *vocabulary.ADJECTIVES,
+        *vocabulary.NOUNS,
+        *vocabulary.SUPERLATIVES,
+        *(word for phrase in (*vocabulary.RELATIONS, *vocabulary.USES) for word in phrase),
+        *vocabulary.COMPARISONS,
+        *vocabulary.FILLERS,
+        *("not", "nearest", "0.5", "m", "1,-2", "#7", "wall", "floor"),
+    }
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "meaning"),
+    [
+        ("a red box", "(red, box)"),
+        ("Show me the big grey boxes!", "(large, gray, box)"),
+        ("something on a table", "on (to put things on, as long as a table, not flat)"),
+        ("a ball on a box near 1,-2.5", "(ball, on (box, near 1,-2.5))"),
+        ("a ball on a box and near 1,-2.5", "(ball, on box, near 1,-2.5)"),
+        ("a ball on a seat near a box and near the wall", "(ball, on (to sit on, near box), near the wall)"),
+        ("a red and blue thing under a red and blue box", "(red, blue, under (red, blue, box))"),
+        ("something next to object 12", "beside #12"),
+        ("thing in front of #3 and not white", "(in front of #3, not white)"),
+        ("not red thing to sit on", "(not red, to sit on)"),
+        ("things taller than 50 cm", "taller than 0.5 m"),
+        ("the nearest seat to 1,2", "(nearest to 1,2, to sit on)"),
+        ("the largest thing on the floor", "(largest, on the floor)"),
+        ("anything", "any object"),
+    ],
+)
+def test_a_question_means(text: str, meaning: str) -> None:
+    assert told(question_of(text).thing) == meaning
+
+
+def test_a_question_that_counts_is_told_from_one_that_looks() -> None:
+    assert question_of("how many red boxes are there?").counts
+    assert question_of("the number of seats").counts
+    assert not question_of("red boxes").counts
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("something to sit on near the window", 'the word "window"'),
+        ("a gren box", "did you mean green"),
+        ("", "what to look for"),
+        ("a box on", 'ends after "on"'),
+        ("taller than a box", "a length, e.g. taller than 0.5 m"),
+        ("taller than", 'a length after "taller than"'),
+        ("nearest box", '"nearest to"'),
+        ("red " * 200, "800 characters"),
+    ],
+)
+def test_what_is_no_question_is_refused_in_one_line(text: str, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint.replace(".", r"\.")) as refused:
+        question_of(text)
+    assert "\n" not in str(refused.value)
+
+
+@given(st.lists(st.sampled_from(WORDS), max_size=12))
+def test_words_in_any_order_are_a_question_or_refused(words: list[str]) -> None:
+    try:
+        assert told(question_of(" ".join(words)).thing)
+    except InputError:
+        pass
