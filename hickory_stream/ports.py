@@ -289,10 +289,17 @@ class ShapeInputs:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Reconstruction:
-    """Layer 2: a mesh in the object frame, and its place `world_from_object` (4, 4)."""
+    """Layer 2: a mesh in the object frame, and its place `world_from_object` (4, 4).
+
+    Of a reconstructor that chooses between shapes `made_by` says whose this is, and `verdict` why; "" of others.
+    `hit_limit`: something was given up at a limit of time or memory, so that it may come out otherwise again.
+    """
 
     mesh: Mesh
     world_from_object: NDArray[np.float64]
+    made_by: str = ""
+    verdict: str = ""
+    hit_limit: bool = False
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_object", "f8", (4, 4))
@@ -300,9 +307,89 @@ class Reconstruction:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoShape:
-    """No shape can be made of this input: an expected outcome."""
+    """No shape can be made of this input: an expected outcome; `hit_limit` as in `Reconstruction`."""
 
     reason: str
+    hit_limit: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class GeneratedMesh:
+    """What a generator made: a mesh in a frame and scale of its own.
+
+    `camera_from_mesh` (4, 4), a similarity, is where it says that it lies in the best view's camera, None where it does
+    not say. `num_views` are the views that it was shown, the best ones first.
+    """
+
+    mesh: Mesh
+    camera_from_mesh: NDArray[np.float64] | None = None
+    num_views: int = 1
+
+    def __post_init__(self) -> None:
+        if self.camera_from_mesh is not None:
+            freeze(self, "camera_from_mesh", "f8", (4, 4))
+
+
+class MeshGenerator(Protocol):
+    """Makes a whole mesh of an object from images of it, in no particular place and size."""
+
+    @property
+    def name(self) -> str:
+        """What the map says that a shape is by."""
+        ...
+
+    def generate(self, inputs: ShapeInputs) -> GeneratedMesh | NoShape:
+        """Return the mesh, or why there is none."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MeshPlacement:
+    """Where a mesh of unknown place and size lies: `world_from_mesh` (4, 4), affine.
+
+    It enlarges by `scale`, and by `stretch` (3,), whose product is 1, along `stretch_axes` (3, 3), columns in the
+    mesh's frame. `cost` is what contradicts it, 0 for nothing. `sigma_m`, `sigma_rad` and `sigma_scale` (a share) say
+    how sharply the evidence determines it. `is_symmetric`: turned otherwise the mesh fits as well and is the same
+    surface; `margin` in 0..1 is by how much less the best pose with another surface fits, 0 for not at all.
+    """
+
+    world_from_mesh: NDArray[np.float64]
+    scale: float
+    stretch: NDArray[np.float64]
+    stretch_axes: NDArray[np.float64]
+    cost: float
+    sigma_m: float
+    sigma_rad: float
+    sigma_scale: float
+    is_symmetric: bool
+    margin: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_mesh", "f8", (4, 4))
+        freeze(self, "stretch", "f8", (3,))
+        freeze(self, "stretch_axes", "f8", (3, 3))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NotPlaced:
+    """It cannot be said where a mesh lies: an expected outcome."""
+
+    reason: str
+
+
+class PoseRefiner(Protocol):
+    """Places a mesh of unknown place and size in the world."""
+
+    @property
+    def name(self) -> str:
+        """The name by which the configuration chooses it."""
+        ...
+
+    def place(
+        self, mesh: Mesh, inputs: ShapeInputs, guess: NDArray[np.float64] | None = None
+    ) -> MeshPlacement | NotPlaced:
+        """Return where the mesh lies by what was seen of the object; `guess` is world_from_mesh as somebody has it."""
+        ...
 
 
 class Reconstructor(Protocol):

@@ -1,0 +1,172 @@
+"""Placement of meshes of unknown place, size and axes, and the judgement of what was placed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.ports import MeshPlacement, NotPlaced, Reconstruction, ShapeInputs
+from hickory_stream.shapes.distance_field import distance_field, even_samples, field_at
+from hickory_stream.shapes.judgement import (
+    JudgementConfig,
+    ShapeEvidence,
+    judged,
+    replaces,
+    shape_evidence,
+)
+from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
+from tools.benchmarks.oracle import Generated, Sighted, generated, plain_mesh, sighted
+
+if TYPE_CHECKING:
+    from hickory_stream.geometry.mesh import Mesh
+
+CONFIG = PlacementConfig(rotations=300, descents=24, finalists=4)
+
+
+def hooked() -> Mesh:
+    """Return a body without any symmetry, that stands on z = 0."""
+    parts = [
+        trimesh.creation.box((0.5, 0.3, 0.1)).apply_translation((0, 0, 0.05)),
+        trimesh.creation.box((0.1, 0.1, 0.5)).apply_translation((0.2, 0.1, 0.35)),
+        trimesh.creation.box((0.25, 0.1, 0.1)).apply_translation((0.05, 0.1, 0.5)),
+    ]
+    whole = trimesh.util.concatenate(parts).subdivide().subdivide()
+    return plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces))
+
+
+def box(size: tuple[float, float, float]) -> Mesh:
+    whole = trimesh.creation.box(size).apply_translation((0, 0, size[2] / 2)).subdivide().subdivide().subdivide()
+    return plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces))
+
+
+@pytest.fixture(scope="module")
+def seen() -> Sighted:
+    found = sighted(hooked(), np.random.default_rng(4), 3)
+    assert found is not None
+    return found
+
+
+def adds(seen: Sighted, given: Generated, placement: MeshPlacement) -> float:
+    """Return ADD-S as a share of the size, of the truth as oracle and placement carry it."""
+    true, _ = even_samples(seen.mesh_world.vertices, seen.mesh_world.faces, 1500)
+    moved = apply(placement.world_from_mesh @ given.mesh_from_true, true)
+    return float(cKDTree(moved).query(true)[0].mean() / np.linalg.norm(np.ptp(true, axis=0)))
+
+
+def placed(given: Generated, inputs: ShapeInputs) -> MeshPlacement:
+    found = EmbeddedPlacement(CONFIG).place(given.mesh, inputs)
+    assert isinstance(found, MeshPlacement), found
+    return found
+
+
+@pytest.mark.parametrize(("seed", "is_spoiled"), [(0, False), (1, False), (2, True)])
+def test_a_mesh_in_a_frame_and_scale_of_its_own_is_put_where_the_object_is(
+    seen: Sighted, seed: int, is_spoiled: bool
+) -> None:
+    given = generated(seen, np.random.default_rng(seed), is_spoiled=is_spoiled)
+    found = placed(given, seen.made_from)
+    assert adds(seen, given, found) < (0.05 if is_spoiled else 0.02)
+    scale = np.cbrt(np.linalg.det((found.world_from_mesh @ given.mesh_from_true)[:3, :3]))
+    assert scale == pytest.approx(1, abs=0.1 if is_spoiled else 0.04)
+    assert 0 < found.sigma_m < 0.1
+    assert not found.is_symmetric
+
+
+def test_the_same_inputs_give_the_same_bits(seen: Sighted) -> None:
+    given = generated(seen, np.random.default_rng(0), is_spoiled=False)
+    first, second = placed(given, seen.made_from), placed(given, seen.made_from)
+    assert first.world_from_mesh.tobytes() == second.world_from_mesh.tobytes()
+
+
+def test_a_stretch_is_found_within_its_bounds_and_told() -> None:
+    seen = sighted(hooked(), np.random.default_rng(6), 5)
+    assert seen is not None
+    given = generated(seen, np.random.default_rng(0), is_spoiled=False)
+    long = given.mesh.vertices.astype(np.float64) @ own_axes(given.mesh)
+    stretched = plain_mesh(long * np.array([1.0, 1.0, 1.25]), given.mesh.faces)
+    found = EmbeddedPlacement(CONFIG).place(stretched, seen.made_from)
+    assert isinstance(found, MeshPlacement)
+    assert found.stretch.prod() == pytest.approx(1)
+    assert 1.12 < found.stretch.max() / found.stretch.min() < 1.4
+    rigid = EmbeddedPlacement(replace(CONFIG, most_stretch=1.0)).place(stretched, seen.made_from)
+    assert isinstance(rigid, MeshPlacement)
+    assert np.ptp(rigid.stretch) < 1e-9
+
+
+def own_axes(mesh: Mesh) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return (3, 3) right-handed columns, the principal axes of a mesh."""
+    samples, _ = even_samples(mesh.vertices, mesh.faces, 5000)
+    axes = np.linalg.eigh(np.cov(samples.T))[1]
+    return axes * np.sign(np.linalg.det(axes))
+
+
+def test_what_fits_as_well_when_it_is_turned_is_called_symmetric() -> None:
+    seen = sighted(box((0.4, 0.3, 0.5)), np.random.default_rng(1), 4)
+    assert seen is not None
+    given = generated(seen, np.random.default_rng(1), is_spoiled=False)
+    found = placed(given, seen.made_from)
+    assert adds(seen, given, found) < 0.02
+    assert found.is_symmetric
+
+
+def test_what_was_not_seen_or_is_no_surface_is_not_placed(seen: Sighted) -> None:
+    nothing = replace(
+        seen.made_from, crops=(), points_world=np.zeros((0, 3), np.float32), colors=np.zeros((0, 3), np.uint8)
+    )
+    assert isinstance(EmbeddedPlacement(CONFIG).place(seen.mesh_world, nothing), NotPlaced)
+    flat = plain_mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    found = EmbeddedPlacement(CONFIG).place(flat, seen.made_from)
+    assert isinstance(found, NotPlaced)
+    assert "area" in found.reason
+
+
+def test_distances_are_those_to_the_surface() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
+    field = distance_field(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32), 40)
+    points = np.random.default_rng(0).normal(size=(200, 3))
+    found = np.array([field_at(field.distance, field.origin, field.cell, *point) for point in points])
+    true = np.abs(np.linalg.norm(points, axis=1) - 1)
+    is_on_grid = np.abs(points).max(axis=1) < 1.1
+    assert np.abs(found - true)[is_on_grid].max() < field.cell
+    # Beyond the grid the way to its border is added, which is never shorter than the straight one.
+    assert (found > true - field.cell).all()
+
+
+# ---- judgement ------------------------------------------------------------------------------------------------------
+
+
+def evidence_of(mesh: Mesh, seen: Sighted) -> ShapeEvidence:
+    found = shape_evidence(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), seen.made_from, 1, JudgementConfig())
+    assert found is not None
+    return found
+
+
+def test_the_truth_is_accepted_and_other_things_are_refused_with_the_number_that_says_so(seen: Sighted) -> None:
+    truth = evidence_of(seen.mesh_world, seen)
+    assert truth.explained > 0.9
+    assert truth.violated < 0.1
+    assert judged(truth, JudgementConfig()).is_accepted
+    low, high = seen.mesh_world.vertices.min(axis=0), seen.mesh_world.vertices.max(axis=0)
+    filled = trimesh.creation.box(high - low).apply_translation((low + high) / 2).subdivide().subdivide()
+    block = evidence_of(plain_mesh(np.asarray(filled.vertices), np.asarray(filled.faces)), seen)
+    verdict = judged(block, JudgementConfig())
+    assert not verdict.is_accepted
+    assert "in free space" in verdict.reason
+    above = plain_mesh(seen.mesh_world.vertices + np.array([0, 0, 0.2]), seen.mesh_world.faces)
+    assert "off its support" in judged(evidence_of(above, seen), JudgementConfig()).reason
+
+
+def test_what_is_worth_less_than_the_embedded_shape_does_not_replace_it() -> None:
+    good = ShapeEvidence(explained=0.9, violated=0.05, silhouette=0.9, other_silhouette=None, support_gap=None)
+    poor = replace(good, explained=0.7)
+    assert replaces(good, poor, JudgementConfig()).is_accepted
+    assert replaces(good, good, JudgementConfig()).is_accepted
+    refused = replaces(poor, good, JudgementConfig())
+    assert not refused.is_accepted
+    assert "worth 0.65, the embedded one 0.85" in refused.reason

@@ -1,0 +1,176 @@
+"""Layer 2 by a generator: placement, judgement, blending, on an oracle that spoils the truth by seed.
+
+Nothing here needs a network: the oracle takes its place, so that each step after it is measured by itself.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.evaluation.surface_score import diameter_m
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.ports import MeshPlacement, Reconstruction
+from hickory_stream.shapes.distance_field import even_samples
+from hickory_stream.shapes.judgement import JudgementConfig, ShapeEvidence, judged, shape_evidence
+from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
+from tools.benchmarks.figures import Figure, Options
+from tools.benchmarks.foreign_logs import worlds_folder
+from tools.benchmarks.intervals import wilson
+from tools.benchmarks.layer2_objects import TUNED_WORLDS, foreign_subjects, own_subjects
+from tools.benchmarks.oracle import Generated, Sighted, generated, plain_mesh, sighted
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.mesh import Mesh
+    from tools.benchmarks.layer2_objects import Subject
+
+_SAMPLES = 3000
+_ADDS = 0.05
+# A swapped object whose surface, placed, is the truth's to this F1 at 5 % of the diameter cannot be told from it.
+_SAME_F1 = 0.8
+_MAX_VIEWS = 6
+# Seeds on which the thresholds of placement and judgement were chosen; what is reported has others.
+TUNED_SEEDS = (0, 1, 7)
+_SEED = 100
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Row:
+    """One trial: what the oracle gave, where it was put, and how near to the truth that is."""
+
+    kind: str
+    given: Generated
+    placement: MeshPlacement | None
+    adds: float
+    scale_error: float
+    seconds: float
+    f1: float
+    evidence: ShapeEvidence | None
+
+
+def measure(options: Options) -> list[Figure]:
+    """Return the figures, and print the trials that failed."""
+    count = 10 if options.quick else 114
+    seed = _SEED + options.seed
+    subjects = own_subjects(count, seed)
+    subjects += foreign_subjects(worlds_folder(options.worlds), TUNED_WORLDS, most=4 if options.quick else None)
+    where = "own worlds, home and bookstore"
+    plain = _trials(subjects, seed, "plain")
+    spoiled = _trials(subjects, seed + 1, "spoiled")
+    swapped = _trials(subjects, seed + 2, "swapped")
+    return _of_placement(plain, spoiled, where) + _of_judgement(spoiled, swapped)
+
+
+# ---- trials ---------------------------------------------------------------------------------------------------------
+
+
+def _trials(subjects: list[Subject], seed: int, how: Literal["plain", "spoiled", "swapped"]) -> list[Row]:
+    refiner = EmbeddedPlacement(PlacementConfig())
+    rows = []
+    for i, subject in enumerate(subjects):
+        rng = np.random.default_rng([seed, i])
+        seen = sighted(subject.mesh, rng, int(rng.integers(1, _MAX_VIEWS + 1)))
+        if seen is None:
+            continue
+        other = (subject.other or subject.mesh) if how == "swapped" else None
+        given = generated(seen, rng, is_spoiled=how != "plain", other=other)
+        row = _row(subject.kind, seen, given, refiner)
+        rows.append(row)
+        if how != "swapped" and not row.adds < _ADDS:
+            print(f"{how} {subject.kind}, {len(seen.made_from.crops)} views: ADD-S {row.adds:.3f} d, F1 {row.f1:.2f}")
+    return rows
+
+
+def _row(kind: str, seen: Sighted, given: Generated, refiner: EmbeddedPlacement) -> Row:
+    started = time.process_time()
+    placement = refiner.place(given.mesh, seen.made_from)
+    seconds = time.process_time() - started
+    if not isinstance(placement, MeshPlacement):
+        return Row(
+            kind=kind, given=given, placement=None, adds=np.inf, scale_error=np.inf, seconds=seconds, f1=0.0,
+            evidence=None,
+        )  # fmt: skip
+    true, _ = even_samples(seen.mesh_world.vertices, seen.mesh_world.faces, _SAMPLES)
+    diameter = diameter_m(seen.mesh_world.vertices)
+    # What the truth becomes by all that is affine: the oracle's transform, then the placement.
+    carried = placement.world_from_mesh @ given.mesh_from_true
+    moved = apply(carried, true)
+    world = placed_mesh(given.mesh, placement)
+    evidence = shape_evidence(
+        Reconstruction(mesh=world, world_from_object=np.eye(4)), seen.made_from, 1, JudgementConfig()
+    )
+    return Row(
+        kind=kind,
+        given=given,
+        placement=placement,
+        adds=float(cKDTree(moved).query(true)[0].mean() / diameter),
+        scale_error=float(abs(np.cbrt(abs(np.linalg.det(carried[:3, :3]))) - 1)),
+        seconds=seconds,
+        f1=f1_at(true, even_samples(world.vertices, world.faces, _SAMPLES)[0], 0.05 * diameter),
+        evidence=evidence,
+    )
+
+
+def placed_mesh(mesh: Mesh, placement: MeshPlacement) -> Mesh:
+    """Return the mesh in the world."""
+    return plain_mesh(apply(placement.world_from_mesh, mesh.vertices.astype(np.float64)), mesh.faces)
+
+
+def f1_at(true: NDArray[np.float64], found: NDArray[np.float64], reach_m: float) -> float:
+    """Return F1 of two sets of (N, 3) surface samples at a distance."""
+    recall = float((cKDTree(found).query(true)[0] <= reach_m).mean())
+    precision = float((cKDTree(true).query(found)[0] <= reach_m).mean())
+    return 2 * recall * precision / (recall + precision) if recall + precision > 0 else 0.0
+
+
+# ---- figures --------------------------------------------------------------------------------------------------------
+
+
+def _of_placement(plain: list[Row], spoiled: list[Row], where: str) -> list[Figure]:
+    seconds = [row.seconds for row in [*plain, *spoiled][1:]]
+    errors = [row.scale_error for row in plain if np.isfinite(row.scale_error)]
+    return [
+        _share("placement_adds_05", [row.adds < _ADDS for row in plain], f"undistorted objects of {where}"),
+        _share("placement_adds_05_spoiled", [row.adds < _ADDS for row in spoiled], f"spoiled objects of {where}"),
+        Figure(
+            name="placement_scale_error", value=100 * float(np.median(errors)), unit="%", better="lower",
+            of=f"median of {len(errors)} undistorted objects",
+        ),
+        Figure(
+            name="placement_seconds", value=float(np.mean(seconds)), unit="s", better="lower",
+            of=f"mean processor seconds of {len(seconds)} placements",
+        ),
+    ]  # fmt: skip
+
+
+def _of_judgement(spoiled: list[Row], swapped: list[Row]) -> list[Figure]:
+    config = JudgementConfig()
+    wrong = [row for row in swapped if row.f1 < _SAME_F1]
+    accepted = [row for row in wrong if row.evidence is not None and judged(row.evidence, config).is_accepted]
+    refused = []
+    for row in spoiled:
+        verdict = judged(row.evidence, config) if row.evidence is not None else None
+        refused.append(verdict is None or not verdict.is_accepted)
+        if refused[-1]:
+            print(f"good one refused, {row.kind}, F1 {row.f1:.2f}: {verdict.reason if verdict else 'not placed'}")
+    for row in accepted:
+        print(f"wrong one accepted, {row.kind} ({row.given.fate}), F1 {row.f1:.2f}: {row.evidence}")
+    figures = [_share("good_refused_fraction", refused, "spoiled objects", better="lower")]
+    if wrong:
+        told = f"swapped objects whose F1 at 5 % of the diameter, placed, is under {_SAME_F1}"
+        figures.insert(0, _share("wrong_accepted_fraction", [row in accepted for row in wrong], told, better="lower"))
+    return figures
+
+
+def _share(name: str, values: list[bool], of: str, *, better: Literal["higher", "lower"] = "higher") -> Figure:
+    found = sum(bool(value) for value in values)
+    return Figure(
+        name=name, value=found / len(values), unit="", better=better, of=f"{found} of {len(values)} {of}",
+        interval=wilson(found, len(values)), interval_by="Wilson",
+    )  # fmt: skip
