@@ -43,10 +43,12 @@ def make_fleet(
     progress: Callable[[int, int], None] = lambda done, total: None,
     *,
     caster: CasterName | None = "open3d",
+    processes: int = 1,
 ) -> Truth:
     """Write NAME-1, NAME-2, ... with a truth each, NAME.truth of all of them, and NAME.toml; return that truth.
 
-    Robot i goes on walk i of the config's scene, whatever its `walk_index`; `progress` counts each robot's frames.
+    Robot i goes on walk i of the config's scene, whatever its `walk_index`; `progress` counts each robot's frames, and
+    `processes` make them (`recording.make_recording`).
 
     Raises:
         ConfigError: too many robots or too few, or no world of the seed can be walked by all of them.
@@ -60,7 +62,7 @@ def make_fleet(
         world, config.depth.min_depth_m, config.depth.max_depth_m, np.random.default_rng([config.seed, 4])
     )
     truths = [
-        make_recording(one, folder, robot_name(name, i), progress, caster=caster, seen=seen)
+        make_recording(one, folder, robot_name(name, i), progress, caster=caster, seen=seen, processes=processes)
         for i, one in enumerate(configs)
     ]
     truth = _truth_of_all(truths[0], folder / f"{name}.truth", seen)

@@ -47,33 +47,33 @@ class Room:
 
 def living_room(rng: np.random.Generator, room: Room) -> list[Placement]:
     """Return a sitting group before a television, a shelf, and what lies about."""
-    sofa = _against_wall(rng, room, furniture.sofa(rng), away_m=(0.02, 0.06), front_m=0.9)
+    sofa = against_wall(rng, room, furniture.sofa(rng), away_m=(0.02, 0.06), front_m=0.9)
     if sofa is not None:
         low = big_things.coffee_table(rng)
         out = _front(sofa.model) + float(rng.uniform(0.32, 0.42)) + _half(low)
-        table = _relative(room, sofa, low, (out, float(rng.uniform(-0.2, 0.2)), float(rng.uniform(-0.08, 0.08))))
-        _lay(rng, room, table, [small_things.book_stack(rng), small_things.mug(rng), small_things.bowl(rng)])
+        table = relative(room, sofa, low, (out, float(rng.uniform(-0.2, 0.2)), float(rng.uniform(-0.08, 0.08))))
+        lay(rng, room, table, [small_things.book_stack(rng), small_things.mug(rng), small_things.bowl(rng)])
         side = 1 if rng.random() < 0.5 else -1
         along = side * (float(sofa.model.bounds_m()[1, 1]) + float(rng.uniform(0.22, 0.3)))
-        _relative(room, sofa, furniture.lamp(rng), (-0.15, along, 0.0))
-    chest = _against_wall(rng, room, big_things.dresser(rng), away_m=(0.01, 0.03), front_m=0.6)
-    _lay(rng, room, chest, [table_things.television(rng), table_things.vase(rng)], turn_rad=0.1)
-    _shelf(rng, room)
-    _against_wall(rng, room, big_things.armchair(rng), away_m=(0.15, 0.35), front_m=0.5, turn_rad=0.5)
-    _against_wall(rng, room, furniture.plant(rng), away_m=(0.04, 0.1), front_m=0.0)
-    basket = _against_wall(rng, room, big_things.basket(rng), away_m=(0.05, 0.15), front_m=0.0)
+        relative(room, sofa, furniture.lamp(rng), (-0.15, along, 0.0))
+    chest = against_wall(rng, room, big_things.dresser(rng), away_m=(0.01, 0.03), front_m=0.6)
+    lay(rng, room, chest, [table_things.television(rng), table_things.vase(rng)], turn_rad=0.1)
+    filled_shelf(rng, room)
+    against_wall(rng, room, big_things.armchair(rng), away_m=(0.15, 0.35), front_m=0.5, turn_rad=0.5)
+    against_wall(rng, room, furniture.plant(rng), away_m=(0.04, 0.1), front_m=0.0)
+    basket = against_wall(rng, room, big_things.basket(rng), away_m=(0.05, 0.15), front_m=0.0)
     if basket is not None and rng.random() < 0.7:
         room.placed.extend(stood_on(rng, basket, basket.model.surfaces[0], [table_things.ball(rng)]))
     if rng.random() < 0.5:
-        _against_wall(rng, room, big_things.speaker(rng), away_m=(0.05, 0.12), front_m=0.0)
+        against_wall(rng, room, big_things.speaker(rng), away_m=(0.05, 0.12), front_m=0.0)
     return room.placed
 
 
 def kitchen(rng: np.random.Generator, room: Room) -> list[Placement]:
     """Return a counter with pots, a laid table with chairs, stools and a bin."""
-    counter = _against_wall(rng, room, big_things.kitchen_counter(rng), away_m=(0.015, 0.02), front_m=0.75)
+    counter = against_wall(rng, room, big_things.kitchen_counter(rng), away_m=(0.015, 0.02), front_m=0.75)
     ware = [table_things.kettle(rng), table_things.pot(rng), table_things.plate_stack(rng), table_things.jar(rng)]
-    _lay(rng, room, counter, [*ware, table_things.cereal_box(rng)][: int(rng.integers(4, 6))], turn_rad=0.6)
+    lay(rng, room, counter, [*ware, table_things.cereal_box(rng)][: int(rng.integers(4, 6))], turn_rad=0.6)
     table = _in_the_middle(rng, room, furniture.table(rng), 1.0)
     if table is not None:
         chair_seed, edge = int(rng.integers(2**31)), _front(table.model)
@@ -81,29 +81,29 @@ def kitchen(rng: np.random.Generator, room: Room) -> list[Placement]:
             model = furniture.chair(np.random.default_rng(chair_seed))
             out = side * (edge + float(rng.uniform(0.14, 0.24)) - _half(model))
             turn = (0.0 if side < 0 else np.pi) + float(rng.uniform(-0.08, 0.08))
-            _relative(room, table, model, (out, y, turn))
+            relative(room, table, model, (out, y, turn))
         mug_seed = int(rng.integers(2**31))
         mugs = [small_things.mug(np.random.default_rng(mug_seed)) for _ in range(2)]
-        _lay(rng, room, table, [small_things.bowl(rng), *mugs, small_things.bottle(rng), table_things.carton(rng)])
-    _against_wall(rng, room, furniture.bin_(rng), away_m=(0.06, 0.15), front_m=0.0)
-    _against_wall(rng, room, big_things.stool(rng), away_m=(0.1, 0.3), front_m=0.0)
+        lay(rng, room, table, [small_things.bowl(rng), *mugs, small_things.bottle(rng), table_things.carton(rng)])
+    against_wall(rng, room, furniture.bin_(rng), away_m=(0.06, 0.15), front_m=0.0)
+    against_wall(rng, room, big_things.stool(rng), away_m=(0.1, 0.3), front_m=0.0)
     return room.placed
 
 
 def bedroom(rng: np.random.Generator, room: Room) -> list[Placement]:
     """Return a bed with a stand beside it, a chest, luggage and a box."""
-    bed = _against_wall(rng, room, big_things.bed(rng), away_m=(0.02, 0.05), front_m=0.6)
+    bed = against_wall(rng, room, big_things.bed(rng), away_m=(0.02, 0.05), front_m=0.6)
     if bed is not None:
         side = 1 if rng.random() < 0.5 else -1
         stand = big_things.nightstand(rng)
         along = side * (float(bed.model.bounds_m()[1, 1] + stand.bounds_m()[1, 1]) + float(rng.uniform(0.06, 0.12)))
         back = float(bed.model.bounds_m()[0, 0]) + _half(stand) + 0.02
-        placed = _relative(room, bed, stand, (back, along, 0.0)) or _relative(room, bed, stand, (back, -along, 0.0))
-        _lay(rng, room, placed, [table_things.table_lamp(rng), table_things.clock(rng)], turn_rad=0.2)
-    chest = _against_wall(rng, room, big_things.dresser(rng), away_m=(0.01, 0.03), front_m=0.6)
-    _lay(rng, room, chest, [table_things.vase(rng), small_things.small_box(rng)], turn_rad=0.4)
-    _against_wall(rng, room, big_things.suitcase(rng), away_m=(0.05, 0.12), front_m=0.0)
-    bench = _against_wall(rng, room, big_things.bench(rng), away_m=(0.03, 0.08), front_m=0.4)
+        placed = relative(room, bed, stand, (back, along, 0.0)) or relative(room, bed, stand, (back, -along, 0.0))
+        lay(rng, room, placed, [table_things.table_lamp(rng), table_things.clock(rng)], turn_rad=0.2)
+    chest = against_wall(rng, room, big_things.dresser(rng), away_m=(0.01, 0.03), front_m=0.6)
+    lay(rng, room, chest, [table_things.vase(rng), small_things.small_box(rng)], turn_rad=0.4)
+    against_wall(rng, room, big_things.suitcase(rng), away_m=(0.05, 0.12), front_m=0.0)
+    bench = against_wall(rng, room, big_things.bench(rng), away_m=(0.03, 0.08), front_m=0.4)
     if bench is not None and rng.random() < 0.6:
         top = float(bench.model.bounds_m()[1, 2])
         room.placed.append(
@@ -113,27 +113,20 @@ def bedroom(rng: np.random.Generator, room: Room) -> list[Placement]:
                 @ at_place(0.0, float(rng.uniform(-0.2, 0.2)), top + REST_M, 0.0),
             )
         )
-    _boxes(rng, room)
+    box_group(rng, room)
     return room.placed
 
 
 def study(rng: np.random.Generator, room: Room) -> list[Placement]:
     """Return a desk with its chair, a shelf, boxes and a plant."""
-    desk = _against_wall(rng, room, furniture.desk(rng), away_m=(0.02, 0.05), front_m=0.9)
-    if desk is not None:
-        screen = small_things.monitor(rng) if rng.random() < 0.6 else table_things.laptop(rng)
-        things = [screen, small_things.mug(rng), small_things.book_stack(rng)]
-        _lay(rng, room, desk, things, turn_rad=0.2)
-        chair = big_things.office_chair(rng)
-        out = _front(desk.model) + float(rng.uniform(0.2, 0.35))
-        _relative(room, desk, chair, (out, float(rng.uniform(-0.15, 0.15)), np.pi + float(rng.uniform(-0.5, 0.5))))
-    _shelf(rng, room)
-    _boxes(rng, room)
-    _against_wall(rng, room, furniture.bin_(rng), away_m=(0.06, 0.15), front_m=0.0)
-    round_ = _against_wall(rng, room, big_things.side_table(rng), away_m=(0.05, 0.2), front_m=0.0)
-    _lay(rng, room, round_, [table_things.table_lamp(rng) if rng.random() < 0.5 else table_things.clock(rng)])
+    desk_group(rng, room)
+    filled_shelf(rng, room)
+    box_group(rng, room)
+    against_wall(rng, room, furniture.bin_(rng), away_m=(0.06, 0.15), front_m=0.0)
+    round_ = against_wall(rng, room, big_things.side_table(rng), away_m=(0.05, 0.2), front_m=0.0)
+    lay(rng, room, round_, [table_things.table_lamp(rng) if rng.random() < 0.5 else table_things.clock(rng)])
     if rng.random() < 0.6:
-        _against_wall(rng, room, furniture.plant(rng), away_m=(0.04, 0.1), front_m=0.0)
+        against_wall(rng, room, furniture.plant(rng), away_m=(0.04, 0.1), front_m=0.0)
     return room.placed
 
 
@@ -141,9 +134,21 @@ FURNISH: tuple[Callable[[np.random.Generator, Room], list[Placement]], ...] = (l
 """The uses of rooms; the first goes to the largest one."""
 
 
-def _shelf(rng: np.random.Generator, room: Room) -> None:
+def desk_group(rng: np.random.Generator, room: Room) -> None:
+    """Stand a desk at a wall, with a screen, things and a chair."""
+    desk = against_wall(rng, room, furniture.desk(rng), away_m=(0.02, 0.05), front_m=0.9)
+    if desk is not None:
+        screen = small_things.monitor(rng) if rng.random() < 0.6 else table_things.laptop(rng)
+        things = [screen, small_things.mug(rng), small_things.book_stack(rng)]
+        lay(rng, room, desk, things, turn_rad=0.2)
+        chair = big_things.office_chair(rng)
+        out = _front(desk.model) + float(rng.uniform(0.2, 0.35))
+        relative(room, desk, chair, (out, float(rng.uniform(-0.15, 0.15)), np.pi + float(rng.uniform(-0.5, 0.5))))
+
+
+def filled_shelf(rng: np.random.Generator, room: Room) -> None:
     """Stand a shelf at a wall, with things on its boards."""
-    shelf = _against_wall(rng, room, furniture.shelf(rng), away_m=(0.012, 0.016), front_m=0.6)
+    shelf = against_wall(rng, room, furniture.shelf(rng), away_m=(0.012, 0.016), front_m=0.6)
     if shelf is None:
         return
     boards = shelf.model.surfaces
@@ -155,9 +160,9 @@ def _shelf(rng: np.random.Generator, room: Room) -> None:
         room.placed.extend(stood_on(rng, shelf, boards[1], [table_things.toy_car(rng)], turn_rad=0.4))
 
 
-def _boxes(rng: np.random.Generator, room: Room) -> None:
+def box_group(rng: np.random.Generator, room: Room) -> None:
     """Stand a box at a wall, a smaller one on it, and another a few centimetres beside it."""
-    lower = _against_wall(rng, room, small_things.box(rng), away_m=(0.04, 0.1), front_m=0.0)
+    lower = against_wall(rng, room, small_things.box(rng), away_m=(0.04, 0.1), front_m=0.0)
     if lower is None:
         return
     beside = small_things.box(rng)
@@ -165,12 +170,12 @@ def _boxes(rng: np.random.Generator, room: Room) -> None:
     side = 1 if rng.random() < 0.5 else -1
     # Closer together than other objects may be, to test their separation.
     for sign in (side, -side):
-        if _relative(room, lower, beside, (float(rng.uniform(-0.03, 0.03)), sign * along, 0.0), apart_m=0.02):
+        if relative(room, lower, beside, (float(rng.uniform(-0.03, 0.03)), sign * along, 0.0), apart_m=0.02):
             break
     room.placed.extend(stood_on(rng, lower, lower.model.surfaces[0], [small_things.small_box(rng)], turn_rad=0.3))
 
 
-def _against_wall(
+def against_wall(
     rng: np.random.Generator,
     room: Room,
     model: Model,
@@ -225,7 +230,7 @@ def _in_the_middle(rng: np.random.Generator, room: Room, model: Model, spread_m:
     return None
 
 
-def _relative(
+def relative(
     room: Room, other: Placement, model: Model, at: tuple[float, float, float], apart_m: float = 0.02
 ) -> Placement | None:
     """Place a model on the floor at (x, y, yaw) in the frame of another; None if that place is occupied."""
@@ -234,7 +239,7 @@ def _relative(
     return placement if room.take(placement, apart_m) else None
 
 
-def _lay(
+def lay(
     rng: np.random.Generator,
     room: Room,
     support: Placement | None,

@@ -22,12 +22,19 @@ _LOOKAHEAD = 3
 
 
 def gaze(
-    world: World, positions: NDArray[np.float64], step_s: float, config: WalkConfig
+    world: World,
+    positions: NDArray[np.float64],
+    step_s: float,
+    config: WalkConfig,
+    *,
+    first_yaw: float | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return smooth (N,) yaw and pitch angles of the optical axis."""
+    """Return smooth (N,) yaw and pitch angles of the optical axis; `first_yaw` None looks at the middle of the room."""
     steps = round(_DECISION_S / step_s)
     attention = _Attention(world)
-    yaw = _heading(attention.middle_of_room(positions[0]) - positions[0])
+    if first_yaw is None:
+        first_yaw = _heading(attention.middle_of_room(positions[0]) - positions[0])
+    yaw = first_yaw
     knots = [yaw]
     pitches = [attention.pitch(positions[0], yaw, config)]
     turn = np.radians(config.max_yaw_rate_dps) * _DECISION_S

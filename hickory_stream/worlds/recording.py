@@ -20,20 +20,21 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from hickory_stream.json_text import dumps_exactly
+from hickory_stream.worlds.building.building import BuildingSize, building
+from hickory_stream.worlds.building.walk import building_walk
 from hickory_stream.worlds.clutter.families import recipes_of
 from hickory_stream.worlds.clutter.room import clutter_room
 from hickory_stream.worlds.clutter.walk import wander
-from hickory_stream.worlds.color_camera import ColorCameraConfig, photographed
-from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
+from hickory_stream.worlds.depth_camera import DepthCameraConfig
 from hickory_stream.worlds.drift import DriftConfig, drifted
 from hickory_stream.worlds.layouts import LAYOUTS, drawn_mounting, layout_camera, layout_files, open_layout
 from hickory_stream.worlds.object_models import model_mesh
 from hickory_stream.worlds.orbit import orbit
 from hickory_stream.worlds.outdoor.street import street
 from hickory_stream.worlds.outdoor.walk import stroll
-from hickory_stream.worlds.person import PERSON_ID, Person, with_person
-from hickory_stream.worlds.rendering import Renderer
-from hickory_stream.worlds.scenes import CLUTTER, OUTDOOR, SCENES, make_world
+from hickory_stream.worlds.person import PERSON_ID, Person
+from hickory_stream.worlds.scenes import BUILDING, CLUTTER, OUTDOOR, SCENES, make_world
+from hickory_stream.worlds.shots import Filming, Sensors, shots_of
 from hickory_stream.worlds.tour import tour
 from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, walk_round
 from hickory_stream.worlds.visibility import SeenSurface
@@ -46,8 +47,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.ray_caster import CasterName
-    from hickory_stream.worlds.log_writer import DepthView
-    from hickory_stream.worlds.rendering import Rendered
+    from hickory_stream.worlds.color_camera import ColorCameraConfig
     from hickory_stream.worlds.scene import World
 
 _START_NS = 1_752_400_000_000_000_000
@@ -90,6 +90,8 @@ class RecordingConfig:
     """Whether the seed draws the camera's pose on the body of a NUS-CLB robot, 0.4 m and 10 degrees off."""
     drift: DriftConfig | None = None
     """The drift of odometry; None: exact poses."""
+    building: BuildingSize | None = None
+    """How large a building is; None: two floors and twelve rooms."""
     person: bool = False
     """Whether a person walks through the scene."""
     color: ColorCameraConfig | None = None
@@ -113,11 +115,16 @@ class RecordingConfig:
         if self.robots and (not self.walk_index < self.robots <= MAX_ROBOTS or self.scene in (CLUTTER, OUTDOOR)):
             raise ConfigError(
                 f"robot {self.walk_index} of {self.robots} in the scene {self.scene}; expected up to {MAX_ROBOTS} "
-                "robots, of which it is one, in a room, an apartment or on a tabletop"
+                "robots, of which it is one, in a room, an apartment, a building or on a tabletop"
             )
         recipes_of(self.family)
         if self.layout not in LAYOUTS:
             raise ConfigError(f"layout {self.layout!r}; expected one of {', '.join(LAYOUTS)}")
+
+    @property
+    def is_by_frame(self) -> bool:
+        """Whether each frame draws its noise for itself, so that frames can be made in any order."""
+        return self.scene == BUILDING
 
     @property
     def camera(self) -> Camera:
@@ -142,24 +149,32 @@ def make_recording(
     *,
     caster: CasterName | None = "open3d",
     seen: SeenSurface | None = None,
+    processes: int = 1,
 ) -> Truth:
     """Write NAME.mcap (or the layout's files) and NAME.truth/ into a folder, replacing older ones; return the truth.
 
-    `seen` collects what several recordings of one world show.
+    `seen` collects what several recordings of one world show. `processes` render frames at the same time, which needs a
+    scene whose frames can be made in any order; they do not change a byte.
 
     Both are made in a hidden folder beside their destination and moved when complete, so that a failure leaves the old
     ones. The same `caster` gives the same bytes; None takes the available one (`ray_caster`).
 
     Raises:
-        ConfigError: NAME.truth exists and is no truth folder, or none of the seed's rooms can be walked through.
+        ConfigError: NAME.truth exists and is no truth folder, none of the seed's rooms can be walked through, or there
+            are several processes for a scene whose frames draw their noise one after the other.
         InputError: the caster is not installed.
     """
+    if processes < 1 or (processes > 1 and not config.is_by_frame):
+        raise ConfigError(
+            f"{processes} processes for the scene {config.scene}; expected 1: only the frames of a {BUILDING} "
+            "can be made side by side"
+        )
     truth_folder = folder / f"{name}.truth"
     if truth_folder.exists() and not (truth_folder / TRUTH_FILE).is_file():
         raise ConfigError(f"{truth_folder} is there and has no {TRUTH_FILE}; choose another --name or --out")
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
-        truth = _make(config, Path(unfinished), name, progress, caster, seen)
+        truth = _make(config, Path(unfinished), name, progress, caster, seen, processes)
         if truth_folder.exists():
             shutil.rmtree(truth_folder)
         truth.folder.rename(truth_folder)
@@ -177,15 +192,18 @@ def _make(
     progress: Callable[[int, int], None],
     caster: CasterName | None,
     seen_by_all: SeenSurface | None,
+    processes: int,
 ) -> Truth:
     world, trajectory = walkable_world(config)
-    renderer = Renderer(world, caster)
     truth_folder = folder / f"{name}.truth"
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)
     robot_from_world = drawn_frame(config)
     structure = _write_meshes(world, truth_folder, robot_from_world)
-    frames, seen, shown = _record(config, world, renderer, trajectory, (folder, name, truth_folder), progress)
+    filming = Filming(
+        sensors=sensors_of(config), world=world, trajectory=trajectory, caster=caster, person=_person(world, config)
+    )
+    frames, seen, shown = _record(config, filming, (folder, name, truth_folder), progress, processes)
     if seen_by_all is not None:
         seen_by_all.include(seen)
     truth = Truth(
@@ -221,6 +239,8 @@ def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
         return _walkable_clutter(config)
     if config.scene == OUTDOOR:
         return _walkable_street(config)
+    if config.scene == BUILDING:
+        return _walkable_building(config)
     for attempt in range(_WORLDS):
         world = make_world(config.scene, config.seed, attempt)
         trajectory = _walk(world, config, config.walk_index)
@@ -274,6 +294,17 @@ def _walkable_street(config: RecordingConfig) -> tuple[World, Trajectory]:
     raise _not_walkable(config)
 
 
+def _walkable_building(config: RecordingConfig) -> tuple[World, Trajectory]:
+    """Return the first of the seed's buildings that one can walk through, and the walk; all walks visit all rooms."""
+    for attempt in range(_WORLDS):
+        house = building(config.seed, config.building or BuildingSize(), attempt)
+        rng = np.random.default_rng([config.seed, 2, config.walk_index])
+        trajectory = building_walk(house, config.seconds, config.walk, config.walk_index, rng)
+        if not isinstance(trajectory, NoWalk):
+            return house.world, trajectory
+    raise _not_walkable(config)
+
+
 def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory | NoWalk:
     rng = np.random.default_rng([config.seed, 2, walk_index] if walk_index else [config.seed, 2])
     if config.scene == "apartment":
@@ -286,9 +317,9 @@ def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory 
 def _person(world: World, config: RecordingConfig) -> Person | None:
     """Return the person of a config: on another walk through the same world, faster than the camera.
 
-    Random rooms and streets have no person.
+    Random rooms, streets and buildings have no person.
     """
-    if not config.person or config.scene in (CLUTTER, OUTDOOR):
+    if not config.person or config.scene in (CLUTTER, OUTDOOR, BUILDING):
         return None
     faster = replace(config.walk, speed_mps=2 * config.walk.speed_mps)
     if config.scene == "tabletop":
@@ -312,79 +343,65 @@ def _write_meshes(world: World, truth_folder: Path, robot_from_world: NDArray[np
     return tuple(paths)
 
 
+def sensors_of(config: RecordingConfig) -> Sensors:
+    """Return the cameras of a recording."""
+    return Sensors(
+        camera=config.camera,
+        color_noise=config.color_noise,
+        color=config.color,
+        depth=config.depth,
+        seeds=(config.seed, 3, config.walk_index) if config.walk_index or config.is_by_frame else (config.seed, 3),
+        is_by_frame=config.is_by_frame,
+    )
+
+
 def _record(
     config: RecordingConfig,
-    world: World,
-    renderer: Renderer,
-    trajectory: Trajectory,
+    filming: Filming,
     targets: tuple[Path, str, Path],
     progress: Callable[[int, int], None],
+    processes: int,
 ) -> tuple[list[TruthFrame], SeenSurface, dict[int, list[int]]]:
     """Render and write frame by frame; return the true frames, what was seen, and where each object shows."""
     folder, name, truth_folder = targets
+    world, trajectory = filming.world, filming.trajectory
     camera = config.camera
-    rng = np.random.default_rng([config.seed, 3, config.walk_index] if config.walk_index else [config.seed, 3])
     seen = SeenSurface(
         world, config.depth.min_depth_m, config.depth.max_depth_m, np.random.default_rng([config.seed, 4])
     )
     shown: dict[int, list[int]] = {item.id: [] for item in world.objects}
     frames: list[TruthFrame] = []
     stamps_ns, every = _stamps_ns(config, float(trajectory.times_s[-1]))
-    person = _person(world, config)
     odometry = trajectory
     if config.drift is not None:
         odometry = drifted(trajectory, config.drift, np.random.default_rng([config.seed, 6, config.walk_index]))
-    num_frames = len(range(0, len(stamps_ns), every))
+    times_s = [(stamp_ns - stamps_ns[0]) / 1e9 for stamp_ns in stamps_ns]
     robot_from_world = drawn_frame(config)
     mounting = drawn_mounting(config.seed) if config.camera_offset else None
     with open_layout(config.layout, folder, name, camera, config.jpeg_quality, stamps_ns[-1], mounting) as log:
         log.write_static(stamps_ns[0])
-        for i, stamp_ns in enumerate(stamps_ns):
-            time_s = (stamp_ns - stamps_ns[0]) / 1e9
-            world_from_camera = trajectory.pose_at(time_s)
+        shots = shots_of(replace(filming, view=log.depth_view), times_s[::every], processes)
+        for i, (stamp_ns, time_s) in enumerate(zip(stamps_ns, times_s, strict=True)):
             estimated = _in_frame(robot_from_world, odometry.pose_at(time_s))
             log.write_pose(stamp_ns, estimated, _velocity(odometry, time_s))
             if i % every:
                 continue
             index = i // every
-            rendered = renderer.render(camera, world_from_camera)
-            if person is not None:
-                rendered = with_person(rendered, camera, world_from_camera, person, time_s, renderer.caster)
-            seen.add(rendered, camera, world_from_camera)
-            for item_id in np.setdiff1d(rendered.instances, (0, PERSON_ID)):
+            shot, world_from_camera = next(shots), trajectory.pose_at(time_s)
+            seen.add(shot.exact_depth_m, shot.instances, camera, world_from_camera)
+            for item_id in np.setdiff1d(shot.instances, (0, PERSON_ID)):
                 shown[int(item_id)].append(index)
-            rgb, depth_m = _sensed(rendered, camera, config, rng)
-            if log.depth_view is not None:
-                depth_m = _depth_of_its_own(log.depth_view, renderer, trajectory, time_s, person, config, rng)
-            log.write_images(stamp_ns, rgb, depth_m)
+            log.write_images(stamp_ns, shot.rgb, shot.depth_m)
             frame = TruthFrame(
                 index=index,
                 stamp_ns=stamp_ns,
                 world_from_camera=_in_frame(robot_from_world, world_from_camera),
                 instances=f"instances/{index:06d}.png",
             )
-            (truth_folder / frame.instances).write_bytes(encode_png(rendered.instances))
+            (truth_folder / frame.instances).write_bytes(encode_png(shot.instances))
             frames.append(frame)
-            progress(index + 1, num_frames)
+            progress(index + 1, len(times_s[::every]))
     return frames, seen, shown
-
-
-def _depth_of_its_own(
-    view: DepthView,
-    renderer: Renderer,
-    trajectory: Trajectory,
-    time_s: float,
-    person: Person | None,
-    config: RecordingConfig,
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
-    """Return the image of a separate depth camera beside the colour camera, a short time later."""
-    later_s = min(time_s + view.lag_ns / 1e9, float(trajectory.times_s[-1]))
-    world_from_depth = trajectory.pose_at(later_s) @ view.color_from_depth
-    rendered = renderer.render(view.camera, world_from_depth)
-    if person is not None:
-        rendered = with_person(rendered, view.camera, world_from_depth, person, later_s, renderer.caster)
-    return sensed_depth(rendered.depth_m, rendered.cosine, view.camera.fx, config.depth, rng, rendered.is_blind)
 
 
 def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:
@@ -408,14 +425,3 @@ def _velocity(trajectory: Trajectory, time_s: float) -> NDArray[np.float64]:
     skew = (now_from_next[:3, :3] - now_from_next[:3, :3].T) / (2 * step_s)
     linear, angular = now_from_next[:3, 3] / step_s, np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
     return np.concatenate([[v[2], -v[0], -v[1]] for v in (linear, angular)])
-
-
-def _sensed(
-    rendered: Rendered, camera: Camera, config: RecordingConfig, rng: np.random.Generator
-) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Return colour and depth with the defects of the cameras."""
-    noise = config.color_noise * rng.standard_normal(rendered.rgb.shape)
-    rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
-    if config.color is not None:
-        rgb = photographed(rgb, config.color, rng)
-    return rgb, sensed_depth(rendered.depth_m, rendered.cosine, camera.fx, config.depth, rng, rendered.is_blind)

@@ -90,8 +90,8 @@ class Renderer:
         self._texture_of_face = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
         counts = [sum(len(part.faces) for part in model.parts) for model, _ in models]
         self._first_face = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        self._rooms = np.array(world.rooms_m)
-        lighting: Lighting = world.lighting or usual_lighting(world.rooms_m)
+        self._rooms = _room_table(world)
+        lighting: Lighting = world.lighting or usual_lighting(world.rooms_m, world.floors_m)
         self._num_shadows = lighting.num_shadows
         self._lamps = lamp_table(lighting)
         self._ambient = np.array(lighting.ambient)
@@ -205,6 +205,16 @@ def rays_of(camera: Camera, world_from_camera: NDArray[np.float64]) -> NDArray[n
     return rays.reshape(-1, 6)
 
 
+def _room_table(world: World) -> NDArray[np.float64]:
+    """Return (R, 6) rows for the kernel: a room's rectangle, and the heights between which it lies."""
+    floors = np.array(world.floors_m) if world.floors_m else np.full(len(world.rooms_m), -np.inf)
+    levels = np.append(np.unique(floors), np.inf)
+    ceilings = levels[np.searchsorted(levels, floors, side="right")]
+    # What is below the lowest floor belongs to it.
+    floors = np.where(floors == levels[0], -np.inf, floors)
+    return np.column_stack([np.array(world.rooms_m), floors, ceilings])
+
+
 @numba.njit(cache=True, nogil=True)
 def _nearest_room(points, rooms):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the index of the room that contains each (N, 3) point, or of the nearest one."""
@@ -214,8 +224,9 @@ def _nearest_room(points, rooms):  # type: ignore[no-untyped-def] # pragma: no c
         for r in range(len(rooms)):
             dx = max(rooms[r, 0] - points[i, 0], 0.0, points[i, 0] - rooms[r, 2])
             dy = max(rooms[r, 1] - points[i, 1], 0.0, points[i, 1] - rooms[r, 3])
-            if dx * dx + dy * dy < best:
-                best = dx * dx + dy * dy
+            dz = max(rooms[r, 4] - points[i, 2], 0.0, points[i, 2] - rooms[r, 5])
+            if dx * dx + dy * dy + dz * dz < best:
+                best = dx * dx + dy * dy + dz * dz
                 nearest[i] = r
     return nearest
 

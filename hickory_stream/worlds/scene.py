@@ -6,13 +6,14 @@ Whether two objects intersect is decided exactly on the boxes of their parts, so
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.boxes import OrientedBox, intersection_volume_m3
-from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,14 +43,16 @@ class WorldObject:
 class World:
     """Objects sorted by id, and structure models in the world frame.
 
-    `rooms_m` are the rectangles (x0, y0, x1, y1) between the walls of each room; the floor is at z = 0. `middle_m` (x,
-    y) is the centre of the walk in a world of one room. `lighting` None is two lamps under the ceiling of each room.
+    `rooms_m` are the rectangles (x0, y0, x1, y1) between the walls of each room, `floors_m` the height of each one's
+    floor, () where all are at z = 0. `middle_m` (x, y) is the centre of the walk in a world of one room. `lighting`
+    None is two lamps under the ceiling of each room.
     """
 
     objects: tuple[WorldObject, ...]
     structure: tuple[Model, ...]
     rooms_m: tuple[tuple[float, float, float, float], ...]
     middle_m: tuple[float, float]
+    floors_m: tuple[float, ...] = ()
     lighting: Lighting | None = None
 
     @property
@@ -102,8 +105,23 @@ class Placement:
 
     def fits(self, others: Sequence[Placement], margin_m: float) -> bool:
         """Return whether it keeps a horizontal distance of `margin_m` from every part of every other placement."""
-        mine = part_boxes(self.model, self.world_from_object, margin_m)
-        return all(shared_volume_m3(mine, part_boxes(other.model, other.world_from_object)) == 0.0 for other in others)
+        near = [other for other in others if self._may_touch(other, margin_m)]
+        mine = part_boxes(self.model, self.world_from_object, margin_m) if near else []
+        return all(shared_volume_m3(mine, part_boxes(other.model, other.world_from_object)) == 0.0 for other in near)
+
+    def _may_touch(self, other: Placement, margin_m: float) -> bool:
+        """Return whether the spheres around both overlap, before anything is computed of their parts."""
+        (mine, reach), (theirs, their_reach) = _sphere(self.model), _sphere(other.model)
+        gap = apply(self.world_from_object, mine) - apply(other.world_from_object, theirs)
+        # The margin widens every part to both sides.
+        return float(np.linalg.norm(gap)) <= reach + their_reach + 2 * margin_m
+
+
+@lru_cache(maxsize=4096)
+def _sphere(model: Model) -> tuple[NDArray[np.float64], float]:
+    """Return the centre (1, 3) and the radius of a sphere around a model, in its frame."""
+    lower, upper = model.bounds_m()
+    return ((lower + upper) / 2)[None], float(np.linalg.norm(upper - lower)) / 2
 
 
 def numbered(placements: Sequence[Placement]) -> tuple[WorldObject, ...]:

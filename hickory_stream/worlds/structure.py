@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from hickory_stream.worlds.textures import Color
 
-_THICK_M = 0.1
-_HEIGHT_M = 2.6
+WALL_M = 0.1
+ROOM_HEIGHT_M = 2.6
 # Coarser than on objects: the colours of walls are not evaluated.
 _CELL_M = 0.3
 _FLOORS: tuple[tuple[Color, Color], ...] = (
@@ -35,23 +35,21 @@ def room_structure(rng: np.random.Generator, half_x: float, half_y: float, heigh
     darker: Color = (paint[0] * 0.93, paint[1] * 0.93, paint[2] * 0.93)
     wall = Texture(pattern="plain", first=paint, second=darker, period_m=0.35, grain=0.05)
     white = Texture(pattern="plain", first=(0.93, 0.93, 0.92), second=(0.9, 0.9, 0.89), period_m=0.5, grain=0.03)
-    size = (2 * half_x + 2 * _THICK_M, 2 * half_y + 2 * _THICK_M, _THICK_M)
+    size = (2 * half_x + 2 * WALL_M, 2 * half_y + 2 * WALL_M, WALL_M)
     models = [
-        Model(
-            kind="floor", parts=(rounded_box(size, floor, at=(0, 0, -_THICK_M / 2), radius_m=0.001, cell_m=_CELL_M),)
-        ),
+        Model(kind="floor", parts=(rounded_box(size, floor, at=(0, 0, -WALL_M / 2), radius_m=0.001, cell_m=_CELL_M),)),
         Model(
             kind="ceiling",
-            parts=(rounded_box(size, white, at=(0, 0, height_m + _THICK_M / 2), radius_m=0.001, cell_m=_CELL_M),),
+            parts=(rounded_box(size, white, at=(0, 0, height_m + WALL_M / 2), radius_m=0.001, cell_m=_CELL_M),),
         ),
     ]
     for sign in (-1, 1):
-        models.append(_wall((_THICK_M, size[1], height_m), (sign * (half_x + _THICK_M / 2), 0.0), wall, white))
-        models.append(_wall((size[0], _THICK_M, height_m), (0.0, sign * (half_y + _THICK_M / 2)), wall, white))
+        models.append(wall_piece((WALL_M, size[1], height_m), (sign * (half_x + WALL_M / 2), 0.0), wall, white))
+        models.append(wall_piece((size[0], WALL_M, height_m), (0.0, sign * (half_y + WALL_M / 2)), wall, white))
     return tuple(models)
 
 
-def _wall(size: tuple[float, float, float], at: tuple[float, float], paint: Texture, skirting: Texture) -> Model:
+def wall_piece(size: tuple[float, float, float], at: tuple[float, float], paint: Texture, skirting: Texture) -> Model:
     """Return a wall and its skirting board, which protrudes by 1 cm."""
     proud = (size[0] + 0.02, size[1], 0.07) if size[0] < size[1] else (size[0], size[1] + 0.02, 0.07)
     parts = (
@@ -89,43 +87,48 @@ def apartment_structure(
     """
     white = Texture(pattern="plain", first=(0.93, 0.93, 0.92), second=(0.9, 0.9, 0.89), period_m=0.5, grain=0.03)
     x0, y0, x1, y1 = (f(r[i] for r in rooms_m) for i, f in ((0, min), (1, min), (2, max), (3, max)))
-    models = [_floor(rng, room) for room in rooms_m]
-    size = (x1 - x0 + 2 * _THICK_M, y1 - y0 + 2 * _THICK_M, _THICK_M)
+    models = [floor_of(rng, room) for room in rooms_m]
+    size = (x1 - x0 + 2 * WALL_M, y1 - y0 + 2 * WALL_M, WALL_M)
     middle = ((x0 + x1) / 2, (y0 + y1) / 2)
-    at = (*middle, _HEIGHT_M + _THICK_M / 2)
+    at = (*middle, ROOM_HEIGHT_M + WALL_M / 2)
     models.append(Model(kind="ceiling", parts=(rounded_box(size, white, at=at, radius_m=0.001, cell_m=_CELL_M),)))
-    paint = _paint(rng)
-    half = _THICK_M / 2
-    models += [_wall((_THICK_M, size[1], _HEIGHT_M), (x, middle[1]), paint, white) for x in (x0 - half, x1 + half)]
-    models += [_wall((size[0], _THICK_M, _HEIGHT_M), (middle[0], y), paint, white) for y in (y0 - half, y1 + half)]
+    paint = drawn_paint(rng)
+    half = WALL_M / 2
+    models += [
+        wall_piece((WALL_M, size[1], ROOM_HEIGHT_M), (x, middle[1]), paint, white) for x in (x0 - half, x1 + half)
+    ]
+    models += [
+        wall_piece((size[0], WALL_M, ROOM_HEIGHT_M), (middle[0], y), paint, white) for y in (y0 - half, y1 + half)
+    ]
     inner = (
-        (0, min(r[2] for r in rooms_m) + _THICK_M / 2, (y0, y1)),
-        (1, min(r[3] for r in rooms_m) + _THICK_M / 2, (x0, x1)),
+        (0, min(r[2] for r in rooms_m) + WALL_M / 2, (y0, y1)),
+        (1, min(r[3] for r in rooms_m) + WALL_M / 2, (x0, x1)),
     )
     for axis, at_m, span in inner:
         here = [door for door in doors if door.axis == axis]
-        models += _inner_wall(axis, at_m, span, here, _paint(rng), white)
+        models += inner_wall(axis, at_m, span, here, drawn_paint(rng), white)
     models += [model for room in rooms_m for model in _pictures(rng, room)]
     return tuple(models)
 
 
-def _floor(rng: np.random.Generator, room: tuple[float, float, float, float]) -> Model:
+def floor_of(rng: np.random.Generator, room: tuple[float, float, float, float]) -> Model:
     """Return the floor of a room, reaching half under the walls around it."""
     boards, joints = _FLOORS[int(rng.integers(len(_FLOORS)))]
     planks = Texture(pattern="planks", first=boards, second=joints, period_m=0.14, axis=int(rng.integers(2)), grain=0.1)
     x0, y0, x1, y1 = room
-    size = (x1 - x0 + _THICK_M, y1 - y0 + _THICK_M, _THICK_M)
-    at = ((x0 + x1) / 2, (y0 + y1) / 2, -_THICK_M / 2)
+    size = (x1 - x0 + WALL_M, y1 - y0 + WALL_M, WALL_M)
+    at = ((x0 + x1) / 2, (y0 + y1) / 2, -WALL_M / 2)
     return Model(kind="floor", parts=(rounded_box(size, planks, at=at, radius_m=0.0005, cell_m=_CELL_M),))
 
 
-def _paint(rng: np.random.Generator) -> Texture:
+def drawn_paint(rng: np.random.Generator) -> Texture:
+    """Return the paint of a wall."""
     paint = _WALLS[int(rng.integers(len(_WALLS)))]
     darker: Color = (paint[0] * 0.93, paint[1] * 0.93, paint[2] * 0.93)
     return Texture(pattern="plain", first=paint, second=darker, period_m=0.35, grain=0.05)
 
 
-def _inner_wall(
+def inner_wall(
     axis: int, at_m: float, span: tuple[float, float], doors: Sequence[DoorWay], paint: Texture, trim: Texture
 ) -> list[Model]:
     """Return the pieces of a wall between its door ways, and over each a lintel with a frame around the opening."""
@@ -136,10 +139,12 @@ def _inner_wall(
     models, start = [], span[0]
     for door in sorted(doors, key=lambda door: door.middle_m):
         low, high = door.middle_m - door.width_m / 2, door.middle_m + door.width_m / 2
-        models.append(_wall((*turned(low - start, _THICK_M), _HEIGHT_M), turned((start + low) / 2, at_m), paint, trim))
-        rest = _HEIGHT_M - door.height_m
+        models.append(
+            wall_piece((*turned(low - start, WALL_M), ROOM_HEIGHT_M), turned((start + low) / 2, at_m), paint, trim)
+        )
+        rest = ROOM_HEIGHT_M - door.height_m
         lintel = rounded_box(
-            (*turned(door.width_m, _THICK_M), rest),
+            (*turned(door.width_m, WALL_M), rest),
             paint,
             at=(*turned(door.middle_m, at_m), door.height_m + rest / 2),
             radius_m=0.001,
@@ -147,7 +152,7 @@ def _inner_wall(
         )
         jambs = [
             rounded_box(
-                (*turned(0.05, _THICK_M + 0.03), door.height_m),
+                (*turned(0.05, WALL_M + 0.03), door.height_m),
                 trim,
                 at=(*turned(edge, at_m), door.height_m / 2),
                 radius_m=0.004,
@@ -156,7 +161,7 @@ def _inner_wall(
             for edge in (low + 0.01, high - 0.01)
         ]
         head = rounded_box(
-            (*turned(door.width_m + 0.05, _THICK_M + 0.03), 0.05),
+            (*turned(door.width_m + 0.05, WALL_M + 0.03), 0.05),
             trim,
             at=(*turned(door.middle_m, at_m), door.height_m),
             radius_m=0.004,
@@ -165,7 +170,7 @@ def _inner_wall(
         models.append(Model(kind="door_way", parts=(lintel, *jambs, head)))
         start = high
     models.append(
-        _wall((*turned(span[1] - start, _THICK_M), _HEIGHT_M), turned((start + span[1]) / 2, at_m), paint, trim)
+        wall_piece((*turned(span[1] - start, WALL_M), ROOM_HEIGHT_M), turned((start + span[1]) / 2, at_m), paint, trim)
     )
     return models
 

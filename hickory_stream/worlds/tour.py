@@ -54,7 +54,7 @@ def _route(world: World, clearance: Clearance, walk_index: int) -> NDArray[np.fl
     order = order[start:] + order[:start]
     stops: list[NDArray[np.float64]] = []
     for room in order:
-        corners = _corners(world.rooms_m[room], clearance)
+        corners = corners_of(world.rooms_m[room], clearance)
         if walk_index % 2:
             corners = corners[::-1]
         if stops and len(corners):
@@ -69,7 +69,7 @@ def _route(world: World, clearance: Clearance, walk_index: int) -> NDArray[np.fl
     return np.concatenate([piece[:-1] for piece in pieces if piece is not None])
 
 
-def _corners(room: tuple[float, float, float, float], clearance: Clearance) -> list[NDArray[np.float64]]:
+def corners_of(room: tuple[float, float, float, float], clearance: Clearance) -> list[NDArray[np.float64]]:
     """Return a free position in each quarter of a room, counter-clockwise; quarters full of furniture have none."""
     x0, y0, x1, y1 = room
     places = []

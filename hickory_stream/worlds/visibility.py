@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.camera import Camera
-    from hickory_stream.worlds.rendering import Rendered
     from hickory_stream.worlds.scene import World
 
 _SAMPLES = 1500
@@ -40,19 +39,28 @@ class SeenSurface:
         self._points, self._normals, self._ids = np.concatenate(points), np.concatenate(normals), np.concatenate(ids)
         self._is_seen = np.zeros(len(self._ids), dtype=bool)
 
-    def add(self, rendered: Rendered, camera: Camera, world_from_camera: NDArray[np.float64]) -> None:
-        """Mark the samples that a frame shows."""
-        points_camera = apply(invert(world_from_camera), self._points)
+    def add(
+        self,
+        depth_m: NDArray[np.float32],
+        instances: NDArray[np.uint16],
+        camera: Camera,
+        world_from_camera: NDArray[np.float64],
+    ) -> None:
+        """Mark the samples that a frame (H, W) of exact depth and instances shows."""
+        # Of a building, most objects do not show in a frame.
+        index = np.flatnonzero(np.isin(self._ids, np.unique(instances)) & ~self._is_seen)
+        points = self._points[index]
+        points_camera = apply(invert(world_from_camera), points)
         z = points_camera[:, 2]
-        toward = world_from_camera[:3, 3] - self._points
+        toward = world_from_camera[:3, 3] - points
         candidate = (z > self._range_m[0]) & (z < self._range_m[1])
-        candidate &= np.einsum("ij,ij->i", toward, self._normals) > 0
-        index = np.flatnonzero(candidate & ~self._is_seen)
-        uv = np.round(project(points_camera[index], camera)).astype(np.int64)
+        candidate &= np.einsum("ij,ij->i", toward, self._normals[index]) > 0
+        index, points_camera = index[candidate], points_camera[candidate]
+        uv = np.round(project(points_camera, camera)).astype(np.int64)
         inside = (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1)
         index, (x, y) = index[inside], uv[inside].T
-        agrees = np.abs(rendered.depth_m[y, x] - z[index]) < _AGREEMENT_M
-        self._is_seen[index[agrees & (rendered.instances[y, x] == self._ids[index])]] = True
+        agrees = np.abs(depth_m[y, x] - points_camera[inside, 2]) < _AGREEMENT_M
+        self._is_seen[index[agrees & (instances[y, x] == self._ids[index])]] = True
 
     def include(self, other: SeenSurface) -> None:
         """Mark what another log of the same world shows; both must have drawn their samples alike."""

@@ -1,0 +1,158 @@
+"""The frames of a recording, one by one or by several processes: what the cameras give, and what is truly there.
+
+Processes do not change a frame: each is made of the world, the walk and its own number alone. Where frames draw their
+noise one after the other (`Sensors.is_by_frame`), one process makes them all.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import deque
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.worlds.color_camera import photographed
+from hickory_stream.worlds.depth_camera import sensed_depth
+from hickory_stream.worlds.person import with_person
+from hickory_stream.worlds.rendering import Renderer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.evaluation.ray_caster import CasterName
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.worlds.color_camera import ColorCameraConfig
+    from hickory_stream.worlds.depth_camera import DepthCameraConfig
+    from hickory_stream.worlds.log_writer import DepthView
+    from hickory_stream.worlds.person import Person
+    from hickory_stream.worlds.rendering import Rendered
+    from hickory_stream.worlds.scene import World
+    from hickory_stream.worlds.trajectory import Trajectory
+
+# Frames that are made ahead of the one that is written, for each process.
+_AHEAD = 3
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sensors:
+    """The cameras and their defects; `color_noise` in grey levels, `color` None has no others.
+
+    The noise is drawn from `seeds`; `is_by_frame`: each frame draws for itself.
+    """
+
+    camera: Camera
+    color_noise: float
+    color: ColorCameraConfig | None
+    depth: DepthCameraConfig
+    seeds: tuple[int, ...]
+    is_by_frame: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Filming:
+    """What frames are made of; `view` is a separate depth camera, None where depth is registered to colour."""
+
+    sensors: Sensors
+    world: World
+    trajectory: Trajectory
+    caster: CasterName | None
+    person: Person | None = None
+    view: DepthView | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Shot:
+    """One frame: `rgb` (H, W, 3) and `depth_m` as the cameras give them; exact depth and instances (H, W)."""
+
+    rgb: NDArray[np.uint8]
+    depth_m: NDArray[np.float32]
+    exact_depth_m: NDArray[np.float32]
+    instances: NDArray[np.uint16]
+
+    def __post_init__(self) -> None:
+        size = self.instances.shape
+        freeze(self, "rgb", np.uint8, (*size, 3))
+        freeze(self, "depth_m", np.float32, (None, None))
+        freeze(self, "exact_depth_m", np.float32, size)
+        freeze(self, "instances", np.uint16, size)
+
+
+def shots_of(filming: Filming, times_s: Sequence[float], processes: int = 1) -> Iterator[Shot]:
+    """Yield the frames at times of the walk, in their order."""
+    if processes == 1:
+        shoot = _shooter(filming)
+        for index, time_s in enumerate(times_s):
+            yield shoot(index, time_s)
+        return
+    # Forked processes would inherit the locks of threads that they do not have.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context, initializer=_prepare, initargs=(filming,)) as pool:
+        waiting = deque(pool.submit(_shoot, i, times_s[i]) for i in range(min(_AHEAD * processes, len(times_s))))
+        for index in range(len(waiting), len(times_s) + _AHEAD * processes):
+            if not waiting:
+                return
+            yield waiting.popleft().result()
+            if index < len(times_s):
+                waiting.append(pool.submit(_shoot, index, times_s[index]))
+
+
+# What a process of the pool makes frames with.
+_shoot_here: Callable[[int, float], Shot] | None = None
+
+
+def _prepare(filming: Filming) -> None:
+    global _shoot_here  # a process of the pool has one filming, from its start to its end
+    _shoot_here = _shooter(filming)
+
+
+def _shoot(index: int, time_s: float) -> Shot:
+    assert _shoot_here is not None
+    return _shoot_here(index, time_s)
+
+
+def _shooter(filming: Filming) -> Callable[[int, float], Shot]:
+    """Return what makes a frame of its number and its time."""
+    sensors = filming.sensors
+    camera = sensors.camera
+    renderer = Renderer(filming.world, filming.caster)
+    in_order = np.random.default_rng(sensors.seeds)
+
+    def rendered_at(camera: Camera, pose: NDArray[np.float64], time_s: float) -> Rendered:
+        rendered = renderer.render(camera, pose)
+        if filming.person is None:
+            return rendered
+        return with_person(rendered, camera, pose, filming.person, time_s, filming.caster)
+
+    def shoot(index: int, time_s: float) -> Shot:
+        rng = np.random.default_rng([*sensors.seeds, index]) if sensors.is_by_frame else in_order
+        rendered = rendered_at(camera, filming.trajectory.pose_at(time_s), time_s)
+        rgb, depth_m = _sensed(rendered, sensors, rng)
+        if filming.view is not None:
+            # A separate depth camera beside the colour camera, a short time later.
+            later_s = min(time_s + filming.view.lag_ns / 1e9, float(filming.trajectory.times_s[-1]))
+            pose = filming.trajectory.pose_at(later_s) @ filming.view.color_from_depth
+            depth_m = _depth(rendered_at(filming.view.camera, pose, later_s), filming.view.camera, sensors, rng)
+        return Shot(rgb=rgb, depth_m=depth_m, exact_depth_m=rendered.depth_m, instances=rendered.instances)
+
+    return shoot
+
+
+def _sensed(
+    rendered: Rendered, sensors: Sensors, rng: np.random.Generator
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Return colour and depth with the defects of the cameras."""
+    noise = sensors.color_noise * rng.standard_normal(rendered.rgb.shape)
+    rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
+    if sensors.color is not None:
+        rgb = photographed(rgb, sensors.color, rng)
+    return rgb, _depth(rendered, sensors.camera, sensors, rng)
+
+
+def _depth(rendered: Rendered, camera: Camera, sensors: Sensors, rng: np.random.Generator) -> NDArray[np.float32]:
+    return sensed_depth(rendered.depth_m, rendered.cosine, camera.fx, sensors.depth, rng, rendered.is_blind)
