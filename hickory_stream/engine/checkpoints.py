@@ -9,7 +9,11 @@ import numpy as np
 
 from hickory_stream.geometry.arrays import freeze, frozen_array
 from hickory_stream.mapping.cloud import Cloud, without
+from hickory_stream.mapping.split_candidates import SplitCandidate
+from hickory_stream.mapping.submaps import SubmapState
 from hickory_stream.mapping.track import Track
+from hickory_stream.mapping.track_merging import VoteBook
+from hickory_stream.records import Submap, SurveyedSubmap, TrackedObject
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,40 +32,98 @@ class PackedTrack:
         freeze(self, "is_solid", "?", (len(self.track.cloud.keys),))
 
 
-class Packer:
-    """Packs states one after another; of a track that did not change the same marks are given again.
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TablePage:
+    """A part of a table by ids, with those of one block of ids: most pages are the same in one state and the next."""
 
-    So that who writes arrays by their identity writes these once.
+    keys: tuple[int, ...]
+    values: tuple[Any, ...]
+
+
+_PAGE = 32
+_TABLES = {"tracks", "elsewhere", "absorbed", "split_candidates"}
+KEPT_RECORDS = (PackedTrack, SplitCandidate, Submap, SubmapState, SurveyedSubmap, TablePage, Track, TrackedObject)
+"""The records that a checkpoint takes from the one before it where they are the same: there are many, few change."""
+
+
+class Packer:
+    """Packs states one after another; of a track that did not change the same packed track is given again.
+
+    So that who writes records by their identity writes it once.
     """
 
     def __init__(self) -> None:
         self._marks: dict[int, _Marks] = {}
+        self._packed: dict[int, tuple[Track, Track | PackedTrack]] = {}
+        self._pages: dict[tuple[str, int], tuple[list[int], list[Any], TablePage]] = {}
 
     def packed(self, state: Mapping[str, Any]) -> dict[str, Any]:
         """Return a state of the core with its tracks packed, where that loses nothing."""
-        before, self._marks = self._marks, {}
+        marks, self._marks = self._marks, {}
+        before, self._packed = self._packed, {}
 
         def pack(track: Track) -> Track | PackedTrack:
-            marks = before.get(id(track.solid))
-            if marks is None or marks.cloud is not track.cloud:
-                marks = _Marks(cloud=track.cloud, solid=track.solid, is_solid=_solid_marks(track.cloud, track.solid))
-            self._marks[id(track.solid)] = marks
-            if marks.is_solid is None:
-                return track
-            return PackedTrack(track=replace(track, solid=track.cloud), is_solid=marks.is_solid)
+            known = before.get(id(track))
+            own = marks.get(id(track.solid))
+            if own is None or own.cloud is not track.cloud:
+                own = _Marks(cloud=track.cloud, solid=track.solid, is_solid=_solid_marks(track.cloud, track.solid))
+            self._marks[id(track.solid)] = own
+            if known is None:
+                known = (track, track)
+                if own.is_solid is not None:
+                    known = (track, PackedTrack(track=replace(track, solid=track.cloud), is_solid=own.is_solid))
+            self._packed[id(track)] = known
+            return known[1]
 
-        return {name: _each(value, Track, pack) for name, value in state.items()}
+        pages, self._pages = self._pages, {}
+
+        def paged(name: str, table: Mapping[int, Any]) -> tuple[TablePage, ...]:
+            blocks: dict[int, list[int]] = {}
+            for key in sorted(table):
+                blocks.setdefault(key // _PAGE, []).append(key)
+            return tuple(page(name, block, keys, table) for block, keys in blocks.items())
+
+        def page(name: str, block: int, keys: list[int], table: Mapping[int, Any]) -> TablePage:
+            values = [table[key] for key in keys]
+            known = pages.get((name, block))
+            if known is None or known[0] != keys or any(a is not b for a, b in zip(known[1], values, strict=True)):
+                own = tuple(pack(value) if isinstance(value, Track) else value for value in values)
+                known = (keys, values, TablePage(keys=tuple(keys), values=own))
+            else:
+                for value in values:
+                    if isinstance(value, Track):
+                        pack(value)
+            self._pages[name, block] = known
+            return known[2]
+
+        parts = dict(state)
+        for name in _TABLES & parts.keys():
+            parts[name] = paged(name, parts[name])
+        if isinstance(votes := parts.get("votes"), VoteBook):
+            parts["votes"] = paged("votes", votes.rows)
+        return parts
 
 
 def unpacked(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the state that was packed."""
-    return {name: _each(value, PackedTrack, _unpacked) for name, value in state.items()}
+    """Return the state that was packed.
+
+    Raises:
+        ValueError: a page has another number of keys than of values.
+    """
+    parts = dict(state)
+    for name in _TABLES & parts.keys():
+        parts[name] = _table(parts[name])
+    if isinstance(parts.get("votes"), tuple):
+        parts["votes"] = VoteBook(rows=_table(parts["votes"]))
+    return parts
 
 
-def _each(value: Any, kind: type, change: Any) -> Any:
-    if isinstance(value, dict) and any(isinstance(item, kind) for item in value.values()):
-        return {key: change(item) if isinstance(item, kind) else item for key, item in value.items()}
-    return value
+def _table(pages: tuple[TablePage, ...]) -> dict[int, Any]:
+    return {
+        key: _unpacked(value) if isinstance(value, PackedTrack) else value
+        for page in pages
+        for key, value in zip(page.keys, page.values, strict=True)
+    }
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -35,6 +35,8 @@ from hickory_stream.records import MapSnapshot
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from hickory_stream.records import TrackedObject
+
 OBJECTS, LEDGER, TIMINGS = "objects.json", "ledger.json", "timings.json"
 VIEWS, SHAPES, JOBS = "views", "shapes", "jobs"
 FILES = (OBJECTS, LEDGER, TIMINGS, JOURNAL)
@@ -86,8 +88,7 @@ def remove_map(path: Path) -> None:
             shutil.rmtree(path / name)
 
 
-def files_of(path: Path, snapshot: MapSnapshot) -> set[Path]:
-    """Return the files of views and shapes that a snapshot refers to."""
-    names = {view.name for tracked in snapshot.objects for view in tracked.views}
-    files = {file for name in names for file in crop_files(path / VIEWS, name)}
-    return files | {path / SHAPES / tracked.shape.mesh_name for tracked in snapshot.objects if tracked.shape}
+def files_of(path: Path, tracked: TrackedObject) -> frozenset[Path]:
+    """Return the files of views and shapes that an object refers to."""
+    files = frozenset(file for view in tracked.views for file in crop_files(path / VIEWS, view.name))
+    return files if tracked.shape is None else files | {path / SHAPES / tracked.shape.mesh_name}

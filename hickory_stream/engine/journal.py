@@ -22,6 +22,7 @@ from hickory_stream.confined import OutsideError, open_within
 from hickory_stream.engine.checkpoints import unpacked
 from hickory_stream.engine.journal_format import (
     CHANNELS,
+    CHECKPOINT,
     COLOR,
     EVENT_NAMES,
     JOURNAL,
@@ -66,8 +67,12 @@ class _Place:
 
     start: int
     end: int
-    is_step: bool
+    channel: int
     stamp_ns: int
+
+    @property
+    def is_step(self) -> bool:
+        return self.channel == STEP
 
 
 class Journal:
@@ -152,7 +157,7 @@ class Journal:
         """Return the last checkpoint at or before a step, and the step after which it was made; None: there is none."""
         following = self._steps[index + 1] if index + 1 < len(self._steps) else len(self._places)
         for chunk in range(following - 1, -1, -1):
-            if not self._places[chunk].is_step:
+            if self._places[chunk].channel == CHECKPOINT:
                 return bisect_right(self._steps, chunk) - 1, self._checkpoint(chunk)
         return None
 
@@ -189,11 +194,18 @@ class Journal:
         self._steps = [i for i in self._steps if i < chunk]
 
     def _checkpoint(self, chunk: int) -> Checkpoint:
-        def part(other: int, number: int) -> NDArray[Any]:
-            if not 0 <= other <= chunk:
-                raise ValueError(f"a part is said to lie in chunk {other}")
-            array: NDArray[Any] = self._decoded(self._messages(other)[number].data, "ndarray")
-            return array
+        parts: dict[tuple[int, int], Any] = {}
+
+        def part(other: int, number: int) -> Any:
+            place = (other, number)
+            if place not in parts:
+                if not 0 <= other <= chunk:
+                    raise ValueError(f"a part is said to lie in chunk {other}")
+                # The first message is the document, which no part refers to.
+                if number < 1:
+                    raise ValueError(f"a part is said to be number {number}")
+                parts[place] = decode(self._messages(other)[number].data, part)
+            return parts[place]
 
         checkpoint: Checkpoint = self._decoded(self._messages(chunk)[0].data, "Checkpoint", part)
         try:
@@ -265,7 +277,7 @@ def _scan(data: Any, path: Path) -> list[_Place]:
             chunk = (start, end, struct.unpack_from("<Q", data, start)[0])
         elif opcode == _INDEX_OPCODE and chunk is not None and length >= 2:
             channel = struct.unpack_from("<H", data, start)[0]
-            places.append(_Place(chunk[0], chunk[1], channel == STEP, chunk[2]))
+            places.append(_Place(chunk[0], chunk[1], channel, chunk[2]))
             chunk = None
         at = end
     return places

@@ -13,8 +13,10 @@ from __future__ import annotations
 
 JOURNAL = "journal.mcap"
 PROFILE = "hickory-stream/1"
-STEP, CHECKPOINT, COLOR, TOLD = 1, 2, 3, 4
-TOPICS = {STEP: "step", CHECKPOINT: "checkpoint", COLOR: "color", TOLD: "told"}
+STEP, OLD_CHECKPOINT, COLOR, TOLD, CHECKPOINT = 1, 2, 3, 4, 5
+"""Checkpoints of older journals have records of another form: they are not read, the events are all that is needed."""
+
+TOPICS = {STEP: "step", OLD_CHECKPOINT: "checkpoint", COLOR: "color", TOLD: "told", CHECKPOINT: "checkpoint/2"}
 # A place in this list is part of the format: what is new comes last.
 _EVENTS = (
     "FrameObserved",

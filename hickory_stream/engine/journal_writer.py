@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from mcap.writer import CompressionType, Writer
 
 from hickory_stream.confined import open_new
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
-from hickory_stream.engine.checkpoints import Packer
+from hickory_stream.engine.checkpoints import KEPT_RECORDS, Packer
 from hickory_stream.engine.journal_format import (
     CHANNELS,
     CHECKPOINT,
@@ -22,14 +22,13 @@ from hickory_stream.engine.journal_format import (
     TOLD,
     TOPICS,
 )
-from hickory_stream.engine.record_codec import encode, encode_array
+from hickory_stream.engine.record_codec import encode
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from mcap.records import Message
-    from numpy.typing import NDArray
 
     from hickory_stream.engine.journal import Journal
     from hickory_stream.engine.step import Checkpoint, JournalEntry
@@ -86,7 +85,7 @@ class JournalWriter:
             self._end_chunk()
 
     def checkpoint(self, checkpoint: Checkpoint, stamp_ns: int) -> None:
-        """Add the state after the last step; arrays that an earlier checkpoint holds are referred to."""
+        """Add the state after the last step; what the checkpoint before it holds already is referred to."""
         with disk_errors(self._path):
             self._parts.begin(self._num_chunks)
             document = encode(replace(checkpoint, core=self._packer.packed(checkpoint.core)), self._parts)
@@ -145,28 +144,55 @@ class JournalWriter:
             self.sync()
 
 
+@dataclass(slots=True)
+class _Stored:
+    """An array or a record, where it is stored, and the parts that it refers to itself."""
+
+    part: object
+    place: tuple[int, int]
+    uses: list[_Stored]
+
+
 class _Parts:
-    """Where the arrays of earlier checkpoints are stored: (chunk, number in the chunk), by identity of the array."""
+    """Where the parts of earlier checkpoints are stored: (chunk, number in the chunk), by identity.
+
+    Parts are arrays, which records never change, and immutable records: one and the same needs no comparison.
+    """
 
     def __init__(self) -> None:
-        self._places: dict[int, tuple[NDArray[Any], tuple[int, int]]] = {}
-        self._used: dict[int, tuple[NDArray[Any], tuple[int, int]]] = {}
+        self._places: dict[int, _Stored] = {}
+        self._used: dict[int, _Stored] = {}
+        self._users: list[_Stored] = []
         self._new: list[bytes] = []
         self._chunk = 0
 
     def begin(self, chunk: int) -> None:
         self._chunk, self._new, self._used = chunk, [], {}
 
-    def put(self, array: NDArray[Any], encoded: Callable[[], bytes]) -> tuple[int, int]:
-        """Return where the array is; arrays of records never change, so that one and the same needs no comparison."""
-        del encoded
-        known = self._used.get(id(array)) or self._places.get(id(array))
-        if known is None:
+    def is_part(self, record: object) -> bool:
+        return isinstance(record, KEPT_RECORDS)
+
+    def put(self, part: object, encoded: Callable[[], bytes]) -> tuple[int, int]:
+        """Return where the part is."""
+        stored = self._used.get(id(part)) or self._places.get(id(part))
+        if stored is None:
+            stored = _Stored(part, (0, 0), [])
+            self._users.append(stored)
+            data = encoded()
+            self._users.pop()
+            self._new.append(data)
             # The first message of the chunk is the document.
-            known = (array, (self._chunk, 1 + len(self._new)))
-            self._new.append(encode_array(array))
-        self._used[id(array)] = known
-        return known[1]
+            stored.place = (self._chunk, len(self._new))
+        self._use(stored)
+        if self._users:
+            self._users[-1].uses.append(stored)
+        return stored.place
+
+    def _use(self, stored: _Stored) -> None:
+        if id(stored.part) not in self._used:
+            self._used[id(stored.part)] = stored
+            for other in stored.uses:
+                self._use(other)
 
     def end(self) -> list[bytes]:
         # What this checkpoint did not use is forgotten, so that the arrays of the past can go.

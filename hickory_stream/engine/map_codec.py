@@ -64,11 +64,11 @@ def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
     document = {
         "revision": int(snapshot.revision),
         "stamp_ns": int(snapshot.stamp_ns),
-        "submaps": [_encode_submap(submap, files) for submap in snapshot.submaps],
-        "objects": [_encode_object(tracked, files) for tracked in snapshot.objects],
+        "submaps": [encode_submap(submap, files) for submap in snapshot.submaps],
+        "objects": [encode_object(tracked, files) for tracked in snapshot.objects],
     }
     if snapshot.graph is not None:
-        document["graph"] = _encode_graph(snapshot.graph)
+        document["graph"] = encode_graph(snapshot.graph)
     return document, files
 
 
@@ -105,7 +105,8 @@ def _check_ids(what: str, ids: list[int]) -> None:
 # ---- the records ----------------------------------------------------------------------------------------------------
 
 
-def _encode_submap(submap: Submap, files: dict[str, bytes]) -> Json:
+def encode_submap(submap: Submap, files: dict[str, bytes]) -> Json:
+    """Return a submap as the document has it, and add the content of the files that it names."""
     space = submap.observed_space
     return {
         "id": int(submap.id),
@@ -129,7 +130,8 @@ def _decode_submap(entry: Json, read: Callable[[str], bytes]) -> Submap:
     return Submap(id=entry["id"], world_from_submap=rigid_pose(entry["world_from_submap"]), observed_space=space)
 
 
-def _encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
+def encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
+    """Return an object as the document has it, and add the content of the file that it names."""
     names = [view.name for view in tracked.views]
     return {
         "id": int(tracked.id),
@@ -264,7 +266,8 @@ def _decode_shape(entry: Json) -> ObjectShape:
     )
 
 
-def _encode_graph(graph: PoseGraphRecord) -> Json:
+def encode_graph(graph: PoseGraphRecord) -> Json:
+    """Return a pose graph as the document has it."""
     return {
         "nodes": [
             {

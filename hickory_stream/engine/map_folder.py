@@ -24,7 +24,6 @@ from hickory_stream.engine.folder_layout import (
     VIEWS,
     check_links,
     check_place,
-    files_of,
     remove_map,
 )
 from hickory_stream.engine.folder_lock import FolderLock
@@ -32,6 +31,7 @@ from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.manifest import MANIFEST, Manifest, manifest_json, pretty_json, read_manifest
 from hickory_stream.engine.map_codec import POINTS, SPACE, encode_snapshot
 from hickory_stream.engine.saved_map import open_map
+from hickory_stream.engine.saving import ReferencedFiles, SnapshotEncoder
 from hickory_stream.errors import MapFolderError
 from hickory_stream.json_text import dumps_exactly
 
@@ -125,8 +125,11 @@ class MapFolder:
         self.manifest = manifest
         self._folder_lock = lock
         self._last = snapshot
+        self._encoder = SnapshotEncoder()
+        self._referenced = ReferencedFiles(path)
+        self._unsynced = set(self._referenced.follow(snapshot))
+        self._is_swept = False
         self._shapes_to_keep: set[str] = set()
-        self._on_disk: set[Path] = set()
         self._dropped: set[Path] = set()
         self._drop_requests: deque[Path] = deque()
         self._lock = Lock()
@@ -152,18 +155,20 @@ class MapFolder:
         Raises:
             MapFolderError: the disk refused; the folder opens as of the save before.
         """
-        document, files = encode_snapshot(snapshot)
         with self._lock, disk_errors(self.path):
+            # What the disk refuses is not there for the next save to build on.
+            encoder, self._encoder, was_swept, self._is_swept = self._encoder, SnapshotEncoder(), self._is_swept, False
+            encoded = encoder.encoded(snapshot)
             if self.manifest.digest is not None:
                 # That of the run that is continued: killed from here on, the folder has another map.
                 self.manifest = replace(self.manifest, digest=None, finished_cleanly=False)
                 write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
-            self._write_missing(files)
+            self._write_missing(encoded.new)
             self._sync_referenced(snapshot)
-            write_atomically(self.path / OBJECTS, dumps_exactly(document).encode())
+            write_atomically(self.path / OBJECTS, encoded.document)
             sync(self.path)
-            self._last = snapshot
-            self._remove_unreferenced(set(files))
+            self._last, self._encoder, self._is_swept = snapshot, encoder, was_swept
+            self._remove_unreferenced(encoded.gone)
             self._remove_dropped()
 
     def drop_view(self, name: str) -> None:
@@ -204,6 +209,7 @@ class MapFolder:
             digest=map_digest(self._last),
         )
         with self._lock, disk_errors(self.path):
+            self._referenced.follow(self._last)
             if finished_cleanly:
                 past = {self.shapes / name for name in self._shapes_to_keep}
                 self._dropped.update(self.views.iterdir(), set(self.shapes.iterdir()) - past)
@@ -224,25 +230,32 @@ class MapFolder:
         for name, data in files.items():
             if not (self.path / name).exists():
                 write_atomically(self.path / name, data)
-        sync(self.path / POINTS)
-        sync(self.path / SPACE)
+        for folder in (POINTS, SPACE):
+            if any(name.startswith(f"{folder}/") for name in files):
+                sync(self.path / folder)
 
     def _sync_referenced(self, snapshot: MapSnapshot) -> None:
         """Bring to the disk what others wrote without waiting for it, before the map refers to it."""
-        referenced = files_of(self.path, snapshot)
-        new = {path for path in referenced - self._on_disk if path.exists()}
+        self._unsynced.update(self._referenced.follow(snapshot))
+        new = {path for path in self._unsynced if path.exists()}
         for path in new:
             sync(path)
         if new:
             sync(self.views)
             sync(self.shapes)
-        self._on_disk = referenced & (self._on_disk | new)
+        self._unsynced = {path for path in self._unsynced - new if path in self._referenced}
 
-    def _remove_unreferenced(self, names: set[str]) -> None:
-        for folder in (POINTS, SPACE):
-            for path in (self.path / folder).iterdir():
-                if f"{folder}/{path.name}" not in names:
-                    path.unlink()
+    def _remove_unreferenced(self, gone: Iterable[str]) -> None:
+        """Remove files that the saved map names no more; at first also what others left, or a save that failed."""
+        for name in gone:
+            (self.path / name).unlink(missing_ok=True)
+        if not self._is_swept:
+            names = self._encoder.files
+            for folder in (POINTS, SPACE):
+                for path in (self.path / folder).iterdir():
+                    if f"{folder}/{path.name}" not in names:
+                        path.unlink()
+            self._is_swept = True
 
     def _take_requests(self) -> None:
         """Take the views that were dropped since; `drop_view` appends to the queue without the lock."""
@@ -251,7 +264,7 @@ class MapFolder:
 
     def _remove_dropped(self) -> None:
         self._take_requests()
-        unreferenced = self._dropped - files_of(self.path, self._last)
+        unreferenced = {path for path in self._dropped if path not in self._referenced}
         for path in unreferenced:
             path.unlink(missing_ok=True)
         self._dropped -= unreferenced

@@ -45,10 +45,14 @@ _DAMAGE = (
 
 
 class PartStore(Protocol):
-    """Keeps large arrays beside the document, so that what did not change is not written again."""
+    """Keeps large arrays and some records beside the document, so that what did not change is not written again."""
 
-    def put(self, array: NDArray[Any], encoded: Callable[[], bytes]) -> tuple[int, int]:
-        """Return where an array is kept; `encoded()` gives its bytes if it is new."""
+    def put(self, part: object, encoded: Callable[[], bytes]) -> tuple[int, int]:
+        """Return where an array or a record is kept; `encoded()` gives its bytes if it is new."""
+        ...
+
+    def is_part(self, record: object) -> bool:
+        """Return whether a record is to be kept beside the document."""
         ...
 
 
@@ -61,8 +65,8 @@ def encode(value: Any, parts: PartStore | None = None) -> bytes:
     return cbor2.dumps(_plain(value, parts))
 
 
-def decode(data: bytes, part: Callable[[int, int], NDArray[Any]] | None = None) -> Any:
-    """Return what `encode` was given, lists as tuples; `part` gives an array from where a `PartStore` has put it.
+def decode(data: bytes, part: Callable[[int, int], Any] | None = None) -> Any:
+    """Return what `encode` was given, lists as tuples; `part` gives what is where a `PartStore` has put it.
 
     Raises:
         ValueError: the bytes are damaged, or hold a record that this version does not know.
@@ -104,13 +108,19 @@ def _plain(value: Any, parts: PartStore | None) -> Any:
         case set() | frozenset():
             return cbor2.CBORTag(_SET, [_plain(item, parts) for item in sorted(value)])
         case _ if dataclasses.is_dataclass(value):
-            name = type(value).__name__
-            assert _records().get(name) is type(value), f"{name} is no record of the registry"
-            fields = {f.name: _plain(getattr(value, f.name), parts) for f in dataclasses.fields(value)}
-            return cbor2.CBORTag(_RECORD, [name, fields])
+            if parts is None or not parts.is_part(value):
+                return _record_tag(value, parts)
+            return cbor2.CBORTag(_PART, list(parts.put(value, lambda: cbor2.dumps(_record_tag(value, parts)))))
         case _ if hasattr(value, "items"):
             return cbor2.CBORTag(_MAP, [[_plain(key, parts), _plain(item, parts)] for key, item in value.items()])
     raise TypeError(f"a journal holds no {type(value).__name__}")
+
+
+def _record_tag(value: Any, parts: PartStore | None) -> cbor2.CBORTag:
+    name = type(value).__name__
+    assert _records().get(name) is type(value), f"{name} is no record of the registry"
+    fields = {f.name: _plain(getattr(value, f.name), parts) for f in dataclasses.fields(value)}
+    return cbor2.CBORTag(_RECORD, [name, fields])
 
 
 def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
@@ -139,7 +149,7 @@ def _planes(array: NDArray[Any]) -> bytes:
 class _Reader:
     """Makes values of what CBOR gives; `most_items` are made before it is given up."""
 
-    def __init__(self, part: Callable[[int, int], NDArray[Any]] | None, most_items: int) -> None:
+    def __init__(self, part: Callable[[int, int], Any] | None, most_items: int) -> None:
         self._part = part
         self._left = most_items
 

@@ -37,6 +37,11 @@ def layers_of_keys(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     return (keys & _MASK) - _OFFSET
 
 
+def rows_of_keys(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the (N,) second coordinates of the cells of (N,) keys."""
+    return ((keys >> _BITS) & _MASK) - _OFFSET
+
+
 def keys_of_points(points: NDArray[Any], voxel_m: float) -> NDArray[np.int64]:
     """Return the (N,) keys of the voxels that hold (N, 3) finite points; neither sorted nor unique."""
     keys: NDArray[np.int64] = _keys_of_points(np.ascontiguousarray(points), float(voxel_m))

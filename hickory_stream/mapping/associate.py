@@ -16,13 +16,13 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.cloud import share_near
-from hickory_stream.mapping.track import touching
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from hickory_stream.mapping.track import Track
+    from hickory_stream.mapping.track_table import TrackTable
     from hickory_stream.records import Observation
 
 # Shares that differ by less than this count as equal: they are quotients of the same counts.
@@ -77,7 +77,7 @@ class Match:
 
 
 def associate(
-    observations: Sequence[Observation], tracks: Mapping[int, Track], voxel_m: float, config: AssociateConfig
+    observations: Sequence[Observation], tracks: TrackTable, voxel_m: float, config: AssociateConfig
 ) -> list[Match]:
     """Return one match per observation, in order; `track_id` None: it is a new object.
 
@@ -85,11 +85,10 @@ def associate(
     each unmatched observation goes to the track on which most of its points lie. Where several go to one track, the
     one with the most points on it is the match, and the others are parts of the track.
     """
-    ordered = [tracks[i] for i in sorted(tracks)]
     ious: dict[int, dict[int, float]] = {}
     swollen: dict[int, set[int]] = {}
     for observation in observations:
-        near = touching(bounds_of(observation.points_world), ordered)
+        near = tracks.touching(bounds_of(observation.points_world))
         row = {track.id: box_iou(observation.box, track.box) for track in near}
         ious[observation.index] = {track_id: iou for track_id, iou in row.items() if iou > 0}
         swollen[observation.index] = {track.id for track in near if is_swollen(observation, track, config)}

@@ -36,11 +36,13 @@ from hickory_stream.mapping.loop_searches import ask_for_loops, end_search
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
 from hickory_stream.mapping.moved_submaps import end_elsewhere, place_submaps, recognise
 from hickory_stream.mapping.shape_requests import end_shape, request_shapes
-from hickory_stream.mapping.snapshots import Snapshots, metrics_of
+from hickory_stream.mapping.shape_wishes import ShapeWishes
+from hickory_stream.mapping.snapshots import Snapshots
 from hickory_stream.mapping.submaps import first_submap
-from hickory_stream.mapping.track_ageing import age_tracks, end_tracks
+from hickory_stream.mapping.track_ageing import age_tracks, end_tracks, keep_room
 from hickory_stream.mapping.track_splitting import moved_out, split_tracks
 from hickory_stream.mapping.tracker import Tracker
+from hickory_stream.mapping.view_use import ViewUse
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -64,6 +66,8 @@ class MapperCore:
         self._config = config
         self._tracker = Tracker(config, associator)
         self._snapshots = Snapshots(config.lattice.points_m)
+        self._views = ViewUse()
+        self._wishes = ShapeWishes(config.requests)
         self._state = _new_map(config)
 
     def handle(self, event: Event) -> list[Effect]:
@@ -128,6 +132,7 @@ class MapperCore:
         sightings = moved_out(state, sightings, promoted, config)
         changed_ids = {*(sighting.track_id for sighting in sightings), *promoted, *promoted.values()}
         effects += tracker.merge_tracks(state, changed_ids)
+        state.stirred |= changed_ids
         effects += age_tracks(state, event, config, merges=not tracker.is_told)
         see_space(state, event)
         candidates, keeps = propose_views(state, event, sightings, config.views)
@@ -161,13 +166,13 @@ class MapperCore:
         """Return the effects that end a keyframe or the source: shape requests, dropped views and the publication."""
         state = self._state
         return [
-            *request_shapes(state, self._config.requests, state.support_graph(self._config), is_final=is_final),
-            *drop_unused_views(state),
+            *request_shapes(state, self._wishes, self._config, is_final=is_final),
+            *drop_unused_views(state, self._views),
             Publish(
                 snapshot=self.snapshot(),
                 decisions=state.taken_decisions(),
                 object_ids=object_ids,
-                metrics=metrics_of(state),
+                metrics=self._snapshots.metrics(state),
             ),
         ]
 
@@ -176,8 +181,9 @@ class MapperCore:
     def _poses_corrected(self, event: PosesCorrected) -> list[Effect]:
         """Set corrected submap poses. Data stay in the odometry frame; the correction is applied on output."""
         effects = place_submaps(self._state, event, self._config, merges=not self._tracker.is_told)
+        keep_room(self._state)
         # The decisions are published with the next keyframe.
-        return [*effects, *drop_unused_views(self._state), Publish(snapshot=self.snapshot(), decisions=())]
+        return [*effects, *drop_unused_views(self._state, self._views), Publish(snapshot=self.snapshot(), decisions=())]
 
     def _source_ended(self) -> list[Effect]:
         state = self._state

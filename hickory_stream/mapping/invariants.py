@@ -127,9 +127,12 @@ def _unneeded_views(state: MapState) -> Iterator[str]:
 
 
 def _unordered_votes(state: MapState) -> Iterator[str]:
-    for a, b in state.votes.votes:
-        if not a < b or not {a, b} <= {track.id for track in state.everywhere()}:
-            yield f"#{a} and #{b}"
+    rows = state.votes.rows
+    known = {track.id for track in state.everywhere()}
+    for a, row in rows.items():
+        for b, votes in row.votes.items():
+            if a == b or not {a, b} <= known or b not in rows or rows[b].votes.get(a) != votes:
+                yield f"#{a} and #{b}"
 
 
 def _dead_hosts(state: MapState) -> Iterator[str]:

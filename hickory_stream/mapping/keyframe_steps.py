@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hickory_stream.mapping.observed_space import floor_change
-from hickory_stream.mapping.submaps import with_keyframe, with_seen
+from hickory_stream.mapping.submaps import false_floor, looking_at, with_keyframe, with_seen
 
 if TYPE_CHECKING:
     from hickory_stream.events import FrameObserved
@@ -23,14 +23,15 @@ def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig)
         raise ValueError(f"frame {event.frame_index} came while features of {state.pending.frame_index} are pending")
     state.revision += 1
     state.advance_clock(event.stamp_ns)
-    state.submaps = with_keyframe(state.submaps, event, config.submaps)
+    state.submaps = looking_at(with_keyframe(state.submaps, event, config.submaps), event.space)
     for rejected in event.rejected:
         state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
 
 
 def see_space(state: MapState, event: FrameObserved) -> None:
     """Add the keyframe's observations of free space, structure and floor to the map."""
-    changed = floor_change(state.submaps.space, event.space.floor_z_m)
+    seen_m = event.space.floor_z_m
+    changed = floor_change(state.submaps.space, seen_m, false_floor(state.submaps, seen_m))
     if changed is not None:
         state.decide("floor", None, changed)
     state.submaps = with_seen(state.submaps, event.space)

@@ -11,16 +11,22 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Self
 
 from hickory_stream.mapping.absorbed import Absorbed, views_of, without_lost_views
+from hickory_stream.mapping.room_voxels import RoomVoxels
 from hickory_stream.mapping.support_graph import SupportGraph
 from hickory_stream.mapping.track import Track, without_views
 from hickory_stream.mapping.track_merging import VoteBook
+from hickory_stream.mapping.track_table import TrackTable
 from hickory_stream.records import Decision, View
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hickory_stream.events import SearchLoops
     from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.observed_space import SpaceState
     from hickory_stream.mapping.split_candidates import SplitCandidates
     from hickory_stream.mapping.submaps import Submaps
     from hickory_stream.records import DecisionKind, DropCause, Loop, PoseGraphRecord
@@ -52,17 +58,21 @@ class MapState:
         revision: the number of keyframes.
         next_id, next_ticket: the ids of the next track and of the next shape job.
         pending: the keyframe whose features were requested and have not arrived yet.
+        sight: (2, 3) the bounds of what the last keyframe saw; None before it.
+        judged_ns: the clock when the tracks were judged last, in ns.
+        stirred: the tracks to judge in the next keyframe wherever they lie: they, or what is beside them, have changed.
         kept_views: the names of the views whose pixels are kept.
         loops: what searches for loops gave, believed or not, in the order in which they ended.
         searches: the searches for loops that have not ended yet.
         graph: the pose graph as it was solved last; None before the first loop.
         decisions: the decisions since the last publication.
         num_masks, num_features: the number of masks so far, and of those whose features were requested.
+        room: the voxels of tracks that are part of the room, as the submaps have them; it follows from the tracks.
     """
 
     submaps: Submaps
-    tracks: dict[int, Track] = field(default_factory=dict)
-    elsewhere: dict[int, Track] = field(default_factory=dict)
+    tracks: TrackTable = field(default_factory=TrackTable)
+    elsewhere: TrackTable = field(default_factory=TrackTable)
     votes: VoteBook = field(default_factory=VoteBook)
     split_candidates: SplitCandidates = field(default_factory=dict)
     absorbed: Absorbed = field(default_factory=dict)
@@ -72,6 +82,9 @@ class MapState:
     next_id: int = 1
     next_ticket: int = 1
     pending: PendingFeatures | None = None
+    sight: NDArray[np.float32] | None = None
+    judged_ns: int = 0
+    stirred: set[int] = field(default_factory=set)
     kept_views: set[str] = field(default_factory=set)
     loops: tuple[Loop, ...] = ()
     searches: tuple[SearchLoops, ...] = ()
@@ -79,10 +92,11 @@ class MapState:
     decisions: list[Decision] = field(default_factory=list)
     num_masks: int = 0
     num_features: int = 0
+    room: RoomVoxels = field(default_factory=RoomVoxels)
 
     def ordered(self) -> list[Track]:
         """Return the tracks in the order of their ids."""
-        return [self.tracks[i] for i in sorted(self.tracks)]
+        return self.tracks.ordered()
 
     def everywhere(self) -> list[Track]:
         """Return all tracks, those elsewhere as well, in the order of their ids."""
@@ -97,12 +111,16 @@ class MapState:
         """Return the id of a track, or of the one that it was merged into; None if it was dropped."""
         if track_id is None or track_id in self.tracks or track_id in self.elsewhere:
             return track_id
-        return next((track.id for track in self.everywhere() if track_id in track.merged_ids), None)
+        host_id = self.tracks.host_of(track_id)
+        return self.elsewhere.host_of(track_id) if host_id is None else host_id
 
-    def support_graph(self, config: MappingConfig) -> SupportGraph:
-        """Return the support graph of `tracks`; it follows them as they change."""
+    def support_graph(self, config: MappingConfig, space: SpaceState | None = None) -> SupportGraph:
+        """Return the support graph of `tracks`, which it follows as they change, in a space; None: what is near."""
         return SupportGraph(
-            bodies=self.tracks, space=self.submaps.space, config=config.support, unsupported=config.unsupported
+            bodies=self.tracks,
+            space=self.submaps.space if space is None else space,
+            config=config.support,
+            unsupported=config.unsupported,
         )
 
     def view_names(self) -> set[str]:
@@ -144,7 +162,7 @@ class MapState:
 
     def parts(self) -> dict[str, object]:
         """Return the state by the names of its parts; later events do not change it."""
-        return {part.name: copy(getattr(self, part.name)) for part in fields(self)}
+        return {name: _copied(getattr(self, name)) for name in _PARTS}
 
     @classmethod
     def of_parts(cls, parts: Mapping[str, Any], empty: MapState) -> Self:
@@ -153,16 +171,20 @@ class MapState:
         Raises:
             ValueError: the state was written by another version.
         """
-        expected = {part.name: getattr(empty, part.name) for part in fields(cls)}
+        expected = {name: getattr(empty, name) for name in _PARTS}
         if parts.keys() != expected.keys():
             raise ValueError(f"a state of {sorted(parts)}; expected {sorted(expected)}")
         # A written state has tuples where there were lists.
-        return cls(
+        state = cls(
             **{
-                name: type(expected[name])(value) if isinstance(expected[name], (list, dict, set)) else value
+                name: type(expected[name])(value)
+                if isinstance(expected[name], (list, dict, set, TrackTable))
+                else value
                 for name, value in parts.items()
             }
         )
+        state.room = RoomVoxels.of_tracks(state.tracks, state.submaps.first)
+        return state
 
     def going_on_after(self, later: MapState, lost_views: Collection[str]) -> None:
         """Prepare this earlier state for continuing after the run was rewound to it from the `later` one.
@@ -180,3 +202,11 @@ class MapState:
                 if not lost.isdisjoint(view.name for view in track.views):
                     tracks[track_id] = without_views(track, lost)
         self.absorbed = without_lost_views(self.absorbed, lost)
+
+
+# Everything but what follows from the rest.
+_PARTS = tuple(part.name for part in fields(MapState) if part.name != "room")
+
+
+def _copied(part: object) -> object:
+    return dict(part) if isinstance(part, TrackTable) else copy(part)

@@ -26,6 +26,7 @@ from hickory_stream.mapping.moved import moved_box, moved_shape, moved_view
 from hickory_stream.mapping.submaps import placed_at
 from hickory_stream.mapping.track import is_object, with_cloud
 from hickory_stream.mapping.track_endings import drop, unite
+from hickory_stream.mapping.track_table import TrackTable
 from hickory_stream.mapping.views import sector_of
 from hickory_stream.records import Phase
 
@@ -69,7 +70,8 @@ def set_apart(state: MapState) -> None:
         (here if state.submaps.is_rigid_with_open(track.submap_id) else elsewhere)[track.id] = track
     if elsewhere.keys() != state.elsewhere.keys():
         state.split_candidates = {i: own for i, own in state.split_candidates.items() if i in here}
-    state.tracks, state.elsewhere = here, elsewhere
+    state.tracks, state.elsewhere = TrackTable(here), TrackTable(elsewhere)
+    state.stirred = set(here)
 
 
 def recognise(state: MapState, event: FrameObserved, config: MappingConfig) -> list[Effect]:
@@ -80,7 +82,8 @@ def recognise(state: MapState, event: FrameObserved, config: MappingConfig) -> l
     near = {track.id: track for track in _near(state, bounds, config)}
     if not near:
         return []
-    matches = associate(event.observations, {**state.tracks, **near}, config.lattice.points_m, config.associate)
+    known = TrackTable({track.id: track for one in bounds for track in state.tracks.touching(one)} | near)
+    matches = associate(event.observations, known, config.lattice.points_m, config.associate)
     effects: list[Effect] = []
     for track_id in sorted(near.keys() & {match.track_id for match in matches}):
         effects += _brought_back(state, near[track_id], "a keyframe sees it again")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -21,6 +22,7 @@ from hickory_stream.geometry.voxels import (
     key_of_point,
     keys_of_cells,
     places,
+    rows_of_keys,
     sorted_unique,
     union,
 )
@@ -72,7 +74,48 @@ class FlushConfig(Ranged):
     edge_share: float = number(0.8, 0, 1, "share")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A part of the world, of all heights: the cells of voxels from `low` to below `high`, along x and y."""
+
+    low: tuple[int, int]
+    high: tuple[int, int]
+
+    def holds(self, other: Window) -> bool:
+        """Return whether another window lies within this one."""
+        return all(a <= b and d <= c for a, b, c, d in zip(self.low, other.low, self.high, other.high, strict=True))
+
+    def meets(self, other: Window) -> bool:
+        """Return whether the two have cells in common."""
+        return all(a < d and b < c for a, b, c, d in zip(self.low, other.low, self.high, other.high, strict=True))
+
+    def wider(self, cells: int) -> Window:
+        """Return the window that reaches so many cells further on each side."""
+        (x0, y0), (x1, y1) = self.low, self.high
+        return Window((x0 - cells, y0 - cells), (x1 + cells, y1 + cells))
+
+    def part_of(self, keys: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return where in sorted keys those lie that are within the window."""
+        columns = _columns_between(keys, self.low[0], self.high[0])
+        y = rows_of_keys(keys[columns])
+        return columns.start + np.flatnonzero((y >= self.low[1]) & (y < self.high[1]))
+
+
+def window_of(*sorted_keys: NDArray[np.int64]) -> Window | None:
+    """Return the least window that holds all voxels of these sorted keys; None where there are none."""
+    some = [keys for keys in sorted_keys if len(keys)]
+    if not some:
+        return None
+    ends = np.concatenate([cells_of_keys(keys[[0, -1]])[:, 0] for keys in some])
+    rows = np.concatenate([_ends(rows_of_keys(keys)) for keys in some])
+    return Window((int(ends.min()), int(rows.min())), (int(ends.max()) + 1, int(rows.max()) + 1))
+
+
+def _ends(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.array([values.min(), values.max()])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class SpaceState:
     """The voxels with an observed surface, and the free voxels, as sorted keys.
 
@@ -110,12 +153,16 @@ def empty_space(voxel_m: float) -> SpaceState:
 
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
-    """Return the space after one more keyframe.
+    """Return the space after one more keyframe, if it is all that is known.
 
     The floor height is filtered over keyframes, but a drop, or a change of storey, takes effect at once. If a floor
     appears below the presumed one, structure at the presumed height is withdrawn (`false_floor`).
     """
-    false_m = false_floor(state, seen.floor_z_m)
+    return added(state, seen, false_floor(state, seen.floor_z_m))
+
+
+def added(state: SpaceState, seen: SpaceObservation, false_m: float | None) -> SpaceState:
+    """Return the space, a part of what is known, after one more keyframe; `false_m`: a floor that turned out false."""
     if false_m is not None:
         state = without_level(state, false_m)
     voters = union(seen.structure_keys, seen.surface_keys)
@@ -139,6 +186,8 @@ def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
 
 def joined(spaces: Sequence[SpaceState]) -> SpaceState:
     """Return the union of spaces (at least one) on one lattice: votes add up, the floor is that of the last one."""
+    if len(spaces) == 1:
+        return spaces[0]
     keys, at = np.unique(np.concatenate([space.surface for space in spaces]), return_inverse=True)
     all_hits, all_misses = np.zeros(len(keys), np.int64), np.zeros(len(keys), np.int64)
     np.add.at(all_hits, at, np.concatenate([space.hits for space in spaces]))
@@ -162,6 +211,30 @@ def joined(spaces: Sequence[SpaceState]) -> SpaceState:
     )
 
 
+def extent(state: SpaceState) -> Window | None:
+    """Return the least window that holds a space, None if it is empty; remembered, since old spaces stay the same."""
+    if state not in _EXTENTS:
+        _EXTENTS[state] = window_of(state.free, state.surface, state.room)
+    return _EXTENTS[state]
+
+
+_EXTENTS: WeakKeyDictionary[SpaceState, Window | None] = WeakKeyDictionary()
+
+
+def cut(state: SpaceState, window: Window) -> SpaceState:
+    """Return the part of a space within a window."""
+    voters = window.part_of(state.surface)
+    return replace(
+        state,
+        free=state.free[window.part_of(state.free)],
+        hidden_free=state.hidden_free[window.part_of(state.hidden_free)],
+        surface=state.surface[voters],
+        hits=state.hits[voters],
+        misses=state.misses[voters],
+        room=state.room[window.part_of(state.room)],
+    )
+
+
 def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
     """Return the height of the presumed floor if the floor now seen refutes it, else None.
 
@@ -176,9 +249,12 @@ def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
     return known_m if len(columns) * state.voxel_m * state.voxel_m < _NO_TABLE_M2 else None
 
 
-def floor_change(state: SpaceState, seen_m: float | None) -> str | None:
-    """Return a message if a floor seen at `seen_m` replaces the known floor, None if the floor stays the same."""
-    known_m, false_m = state.floor_z_m, false_floor(state, seen_m)
+def floor_change(state: SpaceState, seen_m: float | None, false_m: float | None) -> str | None:
+    """Return a message if a floor seen at `seen_m` replaces the known floor, None if the floor stays the same.
+
+    `false_m` is the height of the known floor if it is none (`false_floor`).
+    """
+    known_m = state.floor_z_m
     if known_m is None or seen_m is None:
         return None
     if false_m is not None:
@@ -358,16 +434,19 @@ def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> ND
 
     Only votes of keyframes count: a track that was set aside as part of the room must not cause its neighbour to be.
     """
-    return centers_of_keys(_near(state.surface[state.is_structure], box, state.voxel_m, reach_m), state.voxel_m)
-
-
-def _near(keys: NDArray[np.int64], box: OrientedBox, voxel_m: float, reach_m: float) -> NDArray[np.int64]:
-    """Return the sorted keys whose voxels may lie within `reach_m` of a box; they are ordered by x first."""
     x = box.corners_world()[:, 0]
-    low, high = int(np.floor((x.min() - reach_m) / voxel_m)), int(np.floor((x.max() + reach_m) / voxel_m)) + 1
-    least = np.array([[low, -_FAR, -_FAR], [high, -_FAR, -_FAR]])
-    first, last = np.searchsorted(keys, keys_of_cells(least))
-    return keys[first:last]
+    low = int(np.floor((x.min() - reach_m) / state.voxel_m))
+    high = int(np.floor((x.max() + reach_m) / state.voxel_m)) + 1
+    near = _columns_between(state.surface, low, high)
+    is_structure = _is_structure(state.hits[near], state.misses[near])
+    return centers_of_keys(state.surface[near][is_structure], state.voxel_m)
+
+
+def _columns_between(keys: NDArray[np.int64], low: int, high: int) -> slice:
+    """Return where the sorted keys lie whose cells have an x from `low` to below `high`: they are ordered by x."""
+    ends = np.array([[low, -_FAR, -_FAR], [high, -_FAR, -_FAR]])
+    first, last = np.searchsorted(keys, keys_of_cells(np.clip(ends, -_FAR, _FAR - 1)))
+    return slice(int(first), int(last))
 
 
 def as_record(state: SpaceState) -> ObservedSpace:

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
 
 
+# Later than any time of the core's clock: some hundred years.
+_NEVER_NS = 1 << 62
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RequestConfig(Ranged):
     """The budget of shape jobs.
@@ -132,6 +136,11 @@ def _is_new(track: Track) -> bool:
 def _rank(track: Track, config: RequestConfig) -> tuple[bool, float, float, int]:
     """Return the sort key of requests: new objects first, then the increase in S per second, then `gain_of`."""
     return not _is_new(track), -increase_in_score(track) / predicted_s(track, config), -gain_of(track), track.id
+
+
+def may_be_wanted(track: Track, config: RequestConfig) -> bool:
+    """Return whether a shape of a track is wanted now, or once enough time has passed, if nothing of it changes."""
+    return _is_wanted(track, _NEVER_NS, is_final=False, config=config)
 
 
 def _is_wanted(track: Track, clock_ns: int, *, is_final: bool, config: RequestConfig) -> bool:

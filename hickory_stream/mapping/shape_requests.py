@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.events import CancelShape, ShapeReady
+from hickory_stream.mapping.concerned_tracks import REACH_M
 from hickory_stream.mapping.requests import (
     gain_of,
     increase_in_score,
@@ -19,28 +20,29 @@ from hickory_stream.mapping.requests import (
 if TYPE_CHECKING:
     from hickory_stream.events import Effect, ShapeFailed
     from hickory_stream.mapping.map_state import MapState
-    from hickory_stream.mapping.requests import RequestConfig
-    from hickory_stream.mapping.support_graph import SupportGraph
+    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.shape_wishes import ShapeWishes
 
 
-def request_shapes(state: MapState, config: RequestConfig, graph: SupportGraph, *, is_final: bool) -> list[Effect]:
-    """Request the most urgent shapes within the budget of open jobs; at the end, all shapes that are missing.
-
-    `graph` gives the support surface of an object, at which a completed shape ends.
-    """
-    num_open = sum(track.shape_state.open_ticket is not None for track in state.everywhere())
-    replaced = [] if is_final else next_replacements(state.tracks, state.clock_ns, config)
-    wanted = next_requests(state.tracks, num_open, state.clock_ns, is_final=is_final, config=config)
-    effects = [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, config, graph)]
+def request_shapes(state: MapState, wishes: ShapeWishes, mapping: MappingConfig, *, is_final: bool) -> list[Effect]:
+    """Request the most urgent shapes within the budget of open jobs; at the end, all shapes that are missing."""
+    config = mapping.requests
+    wishes.follow(state)
+    num_open = wishes.num_open
+    replaced = [] if is_final else next_replacements(wishes.with_job(state), state.clock_ns, config)
+    maybe = state.tracks if is_final else wishes.wanting(state)
+    wanted = next_requests(maybe, num_open, state.clock_ns, is_final=is_final, config=config)
+    effects = [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, mapping)]
     if is_final:
         missing = next_requests(state.elsewhere, num_open, state.clock_ns, is_final=True, config=config)
-        effects += [effect for track_id in missing for effect in _requested(state, track_id, config, graph)]
+        effects += [effect for track_id in missing for effect in _requested(state, track_id, mapping)]
     return effects
 
 
-def _requested(state: MapState, track_id: int, config: RequestConfig, graph: SupportGraph) -> list[Effect]:
+def _requested(state: MapState, track_id: int, mapping: MappingConfig) -> list[Effect]:
     """Request the shape of a track; an open job of the track is replaced."""
     effects: list[Effect] = []
+    config = mapping.requests
     tracks = state.tracks if track_id in state.tracks else state.elsewhere
     track = tracks[track_id]
     if (gone := track.shape_state.open_ticket) is not None:
@@ -48,7 +50,9 @@ def _requested(state: MapState, track_id: int, config: RequestConfig, graph: Sup
         state.decide("shape", track_id, f"job {gone} is replaced: S grew by {increase_in_score(track):.3f}")
     ticket = state.next_ticket
     state.next_ticket += 1
-    # What lies below a track elsewhere is not known in its own frame.
+    # A completed shape ends at the surface below. What lies below a track elsewhere is not known in its own frame.
+    beside = {other.id: other for other in state.tracks.touching(track.bounds, REACH_M)}
+    graph = replace(state.support_graph(mapping), bodies=beside)
     support = graph.rests_on(track) if tracks is state.tracks else None
     due_ns = (state.stamp_ns or 0) + int(config.latency_s * 1e9)
     request = shape_request(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import as_record, without_room
-from hickory_stream.mapping.submaps import record_of
+from hickory_stream.mapping.submaps import LEAST_BESIDE_M, record_of
 from hickory_stream.mapping.track import as_object
 from hickory_stream.records import MapPrior, MapSnapshot, Phase
 
@@ -18,32 +20,54 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.map_state import MapState
     from hickory_stream.mapping.submaps import SubmapState
     from hickory_stream.mapping.track import Track
+    from hickory_stream.mapping.track_table import Mark
     from hickory_stream.records import ObservedSpace, Submap, TrackedObject
 
 
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """The record of a track at the place of its submap (4, 4)."""
+
+    track: Track
+    place: NDArray[np.float64]
+    item: TrackedObject
+
+
 class Snapshots:
-    """Makes the public records of a state; caches the last ones for reuse."""
+    """Makes the public records of a state; each shares with the last one what has not changed."""
 
     def __init__(self, points_m: float) -> None:
         self._points_m = points_m
-        self._objects: dict[int, tuple[Track, NDArray[np.float64], TrackedObject]] = {}
+        self._marks: tuple[Mark, Mark] | None = None
+        self._places: dict[int, NDArray[np.float64]] = {}
+        self._objects: dict[int, _Shown] = {}
         self._submaps: dict[int, tuple[SubmapState, Submap]] = {}
+        self._phases: dict[int, Phase] = {}
+        self._num_of: Counter[Phase] = Counter()
+        self._scores: dict[int, float] = {}
 
     def snapshot(self, state: MapState) -> MapSnapshot:
         """Return the map as it is now."""
-        shown = {
-            track.id: self._shown(track, state.submaps.world_from(track.submap_id))
-            for track in state.everywhere()
-            if track.phase is not Phase.ROOM
-        }
-        self._objects = shown
+        self._follow(state)
         return MapSnapshot(
             revision=state.revision,
             stamp_ns=state.stamp_ns or 0,
             submaps=tuple(self._submap(submap) for submap in state.submaps.states),
-            objects=tuple(item for _, _, item in shown.values()),
+            objects=tuple(shown.item for shown in self._objects.values()),
             graph=state.graph,
         )
+
+    def metrics(self, state: MapState) -> tuple[tuple[str, float], ...]:
+        """Return named numbers for plots: tracks by phase, the share of masks without features, best scores.
+
+        Of the scores it returns those that have changed since it was called last.
+        """
+        self._follow(state)
+        counts = [(f"core/{phase}", float(self._num_of[phase])) for phase in Phase]
+        saved = 1.0 - state.num_features / state.num_masks if state.num_masks else 0.0
+        scores, self._scores = self._scores, {}
+        best = [(f"score/{track_id}", score) for track_id, score in sorted(scores.items())]
+        return (*counts, ("core/features_saved", saved), *best)
 
     def prior(self, state: MapState) -> MapPrior | None:
         """Return the map prior for perception, in the odometry frame (without corrections); None before a keyframe.
@@ -64,18 +88,53 @@ class Snapshots:
         return self._submap(submaps.states[-1]).observed_space if is_one else as_record(space)
 
     def _known_objects(self, state: MapState) -> tuple[TrackedObject, ...]:
+        # As far around what was seen last as the space reaches at least.
+        near = state.ordered() if state.sight is None else state.tracks.touching(state.sight, LEAST_BESIDE_M)
         known = []
-        for track in state.ordered():
+        for track in near:
             if state.is_judged(track) and track.phase is not Phase.ROOM:
                 shown = self._objects.get(track.id)
-                is_there = shown is not None and shown[0] is track and np.array_equal(shown[1], np.eye(4))
-                known.append(shown[2] if shown is not None and is_there else as_object(track))
+                is_there = shown is not None and shown.track is track and np.array_equal(shown.place, np.eye(4))
+                known.append(shown.item if shown is not None and is_there else as_object(track))
         return tuple(known)
 
-    def _shown(self, track: Track, place: NDArray[np.float64]) -> tuple[Track, NDArray[np.float64], TrackedObject]:
+    def _follow(self, state: MapState) -> None:
+        """Take up the tracks that have changed; all of them where submaps were placed anew."""
+        tables, marks = (state.tracks, state.elsewhere), self._marks
+        places = {submap.id: submap.world_from_submap for submap in state.submaps.states}
+        is_placed_anew = any(places.get(i) is not place for i, place in self._places.items())
+        self._places = places
+        if marks is None or is_placed_anew or any(m.table is not t for m, t in zip(marks, tables, strict=True)):
+            marks = None
+            for track_id in self._phases.keys() - state.tracks.keys() - state.elsewhere.keys():
+                self._take(state, track_id)
+        for table, mark in zip(tables, marks or (None, None), strict=True):
+            for track_id in table.changed_since(mark):
+                self._take(state, track_id)
+        self._marks = (state.tracks.now, state.elsewhere.now)
+
+    def _take(self, state: MapState, track_id: int) -> None:
+        track = state.tracks.get(track_id) or state.elsewhere.get(track_id)
+        phase = None if track is None else track.phase
+        if (before := self._phases.pop(track_id, None)) is not None:
+            self._num_of[before] -= 1
+        if phase is not None:
+            self._phases[track_id] = phase
+            self._num_of[phase] += 1
+        if track is None or phase is Phase.ROOM:
+            self._objects.pop(track_id, None)
+        else:
+            is_between = track_id not in self._objects and track_id < next(reversed(self._objects), 0)
+            self._objects[track_id] = self._shown(track, state.submaps.world_from(track.submap_id))
+            if is_between:
+                self._objects = dict(sorted(self._objects.items()))
+        if track is not None and track.best_view is not None and track.best_view.score is not None:
+            self._scores[track_id] = track.best_view.score
+
+    def _shown(self, track: Track, place: NDArray[np.float64]) -> _Shown:
         shown = self._objects.get(track.id)
-        if shown is None or shown[0] is not track or shown[1] is not place:
-            shown = (track, place, _in_world(as_object(track), place))
+        if shown is None or shown.track is not track or shown.place is not place:
+            shown = _Shown(track, place, _in_world(as_object(track), place))
         return shown
 
     def _submap(self, state: SubmapState) -> Submap:
@@ -83,18 +142,6 @@ class Snapshots:
         if shown is None or shown[0] is not state:
             shown = self._submaps[state.id] = (state, record_of(state))
         return shown[1]
-
-
-def metrics_of(state: MapState) -> tuple[tuple[str, float], ...]:
-    """Return named numbers for plots: tracks by phase, the share of masks without computed features, best scores."""
-    counts = [(f"core/{phase}", float(sum(t.phase is phase for t in state.everywhere()))) for phase in Phase]
-    scores = [
-        (f"score/{track.id}", track.best_view.score)
-        for track in state.everywhere()
-        if track.best_view is not None and track.best_view.score is not None
-    ]
-    saved = 1.0 - state.num_features / state.num_masks if state.num_masks else 0.0
-    return (*counts, ("core/features_saved", saved), *scores)
 
 
 def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.track import Track
 
 # A track that was not seen for this long is at rest: its extent no longer changes.
-_RESTING_NS = 1_000_000_000
+RESTING_S = 1.0
 # A track with more than this share of its points in a wall is structure as a whole, not an object with wall points.
 _MOST_IN_WALL = 0.9
 
@@ -55,7 +55,7 @@ def _is_more_wall(track: Track, space: SpaceState, clock_ns: int, config: Mappin
     Checked only for tracks that are confirmed or at rest, and for those that were already set aside as structure.
     """
     is_settling = track.phase is Phase.TENTATIVE and is_sure(track, config.lifecycle)
-    is_resting = track.phase is Phase.ACTIVE and clock_ns - track.seen_clock_ns > _RESTING_NS
+    is_resting = track.phase is Phase.ACTIVE and clock_ns - track.seen_clock_ns > RESTING_S * 1e9
     if not (is_settling or is_resting or track.phase is Phase.ROOM):
         return False
     return is_flush(space, track.box, config.flush) or is_edge(space, track.box, config.flush)

@@ -23,15 +23,18 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
-from hickory_stream.geometry.voxels import contains, places
+from hickory_stream.geometry.voxels import contains, exchanged, places, union
 from hickory_stream.mapping import observed_space
 from hickory_stream.mapping.observed_space import (
     SpaceState,
-    add,
+    Window,
+    added,
     as_record,
+    cut,
     empty_space,
-    false_floor,
+    extent,
     is_another_storey,
+    window_of,
     without_floor,
 )
 from hickory_stream.mapping.submap_surface import SubmapSurface, no_surface, surface_points, with_points
@@ -48,6 +51,10 @@ if TYPE_CHECKING:
 
 
 _SURE_HITS, _SURE_NORMAL = 2, 0.8
+# The window reaches at least so far around what a keyframe sees: further than any check of a track looks, and than the
+# next keyframe may look beside it. Where it is moved it reaches further by the second length.
+LEAST_BESIDE_M = 4.0
+_MOST_BESIDE_M = 8.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -106,8 +113,9 @@ class Submaps:
 
     That is the space of the submaps from `first` on: of those since the last jump of the odometry, which came before
     submap `since_jump`, the last ones that are rigid with the open one. `owned` (N,) are the sorted keys of the voxels
-    of the closed ones of them, `owners` (N,) the id of the submap that owns each. `last_pose` (4, 4) is the camera's at
-    the last keyframe; None before the first one and after a jump.
+    of the closed ones of them, `owners` (N,) the id of the submap that owns each. Of all this it is what lies within
+    the `window` around what is seen now; None: everything. `last_pose` (4, 4) is the camera's at the last keyframe;
+    None before the first one and after a jump.
     """
 
     states: tuple[SubmapState, ...]
@@ -116,6 +124,7 @@ class Submaps:
     since_jump: int = 0
     owned: NDArray[np.int64]
     owners: NDArray[np.int32]
+    window: Window | None = None
     last_pose: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
@@ -204,6 +213,7 @@ def torn(submaps: Submaps) -> Submaps:
     alone = replace(
         submaps,
         space=empty,
+        window=None,
         first=after,
         since_jump=after,
         owned=np.empty(0, np.int64),
@@ -214,24 +224,56 @@ def torn(submaps: Submaps) -> Submaps:
     return replace(opened, states=(*opened.states[:-1], replace(opened.states[-1], after_jump=True)))
 
 
+def looking_at(submaps: Submaps, seen: SpaceObservation) -> Submaps:
+    """Return the submaps with their space, and the owners of its voxels, of a window around what a keyframe sees."""
+    sight = window_of(seen.free_keys, seen.structure_keys, seen.surface_keys)
+    if submaps.first == submaps.open_id or sight is None:
+        return submaps
+    voxel_m = submaps.space.voxel_m
+    least = sight.wider(round(LEAST_BESIDE_M / voxel_m))
+    if submaps.window is not None and submaps.window.holds(least):
+        return submaps
+    return _within(submaps, least.wider(round(_MOST_BESIDE_M / voxel_m)))
+
+
+def space_around(submaps: Submaps, bounds: NDArray[np.float32], reach_m: float) -> SpaceState:
+    """Return a space that has everything within `reach_m` of bounds (2, 3), be they in the window or far away."""
+    if submaps.window is None:
+        return submaps.space
+    voxel_m = submaps.space.voxel_m
+    low, high = np.floor((bounds[:, :2] + [[-reach_m], [reach_m]]) / voxel_m).astype(np.int64)
+    around = Window((int(low[0]), int(low[1])), (int(high[0]) + 1, int(high[1]) + 1))
+    return submaps.space if submaps.window.holds(around) else _within(submaps, around).space
+
+
+def false_floor(submaps: Submaps, seen_m: float | None) -> float | None:
+    """Return the height of the presumed floor if the floor now seen refutes it, else None, wherever it was seen."""
+    false_m = observed_space.false_floor(submaps.space, seen_m)
+    if false_m is None or submaps.window is None:
+        return false_m
+    # In the window there is a table's worth of it: how much is there elsewhere?
+    everywhere = observed_space.joined([state.space for state in submaps.states[submaps.first :]])
+    return observed_space.false_floor(replace(everywhere, floor_z_m=submaps.space.floor_z_m), seen_m)
+
+
 def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
     """Return the submaps after one more keyframe; a new one is opened on another storey, since each has one floor."""
-    false_m = false_floor(submaps.space, seen.floor_z_m)
+    false_m = false_floor(submaps, seen.floor_z_m)
     if false_m is None and is_another_storey(submaps.space, seen.floor_z_m):
-        submaps = _opened(_closed(submaps))
+        submaps = looking_at(_opened(_closed(submaps)), seen)
     if submaps.first == submaps.open_id:
-        return _alone(submaps, add(submaps.space, seen))
+        return _alone(submaps, added(submaps.space, seen, false_m))
     if false_m is not None:
         # What was concluded from the false floor is withdrawn in all submaps that are judged together.
         kept, judged = submaps.states[: submaps.first], submaps.states[submaps.first :]
         without = tuple(replace(state, space=without_floor(state.space, false_m, seen.floor_z_m)) for state in judged)
         submaps = replace(submaps, states=(*kept, *without))
-    space = add(submaps.space, seen)
+    space = added(submaps.space, seen, false_m)
     free, structure = _by_owner(submaps, seen.free_keys), _by_owner(submaps, seen.structure_keys)
     surface = _by_owner(submaps, seen.surface_keys)
     none = np.empty(0, np.int64)
     changed = {
-        i: add(
+        i: added(
             submaps.states[i].space,
             SpaceObservation(
                 free_keys=free.get(i, none),
@@ -239,6 +281,7 @@ def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
                 surface_keys=surface.get(i, none),
                 floor_z_m=None,
             ),
+            None,
         )
         for i in sorted(free.keys() | structure.keys() | surface.keys())
     }
@@ -247,9 +290,10 @@ def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
 
 def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
     """Return the submaps where these sorted voxels belong to tracks that are part of the room (since the last jump)."""
-    if np.array_equal(submaps.space.room, keys):
+    if submaps.window is None and np.array_equal(submaps.space.room, keys):
         return submaps
-    space = observed_space.with_room(submaps.space, keys)
+    shown = keys if submaps.window is None else keys[submaps.window.part_of(keys)]
+    space = observed_space.with_room(submaps.space, shown)
     if submaps.first == submaps.open_id:
         return _alone(submaps, space)
     owners = _owners(submaps, keys)
@@ -258,6 +302,27 @@ def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
         for i in range(submaps.first, submaps.open_id + 1)
     }
     return _with_spaces(submaps, space, {i: own for i, own in spaces.items() if own is not submaps.states[i].space})
+
+
+def with_room_changed(submaps: Submaps, gone: NDArray[np.int64], new: NDArray[np.int64]) -> Submaps:
+    """Return the submaps where sorted voxels `gone` are no longer those of tracks that are part of the room, `new` are.
+
+    They may lie outside the window.
+    """
+    if len(gone) + len(new) == 0:
+        return submaps
+    window = submaps.window
+    shown_gone, shown_new = (keys if window is None else keys[window.part_of(keys)] for keys in (gone, new))
+    space = observed_space.with_room(submaps.space, exchanged(submaps.space.room, shown_gone, shown_new))
+    if submaps.first == submaps.open_id:
+        return _alone(submaps, space)
+    gone_of, new_of = _by_owner(submaps, gone), _by_owner(submaps, new)
+    none = np.empty(0, np.int64)
+    changed = {}
+    for i in sorted(gone_of.keys() | new_of.keys()):
+        own = submaps.states[i].space
+        changed[i] = observed_space.with_room(own, exchanged(own.room, gone_of.get(i, none), new_of.get(i, none)))
+    return _with_spaces(submaps, space, changed)
 
 
 def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float64]]) -> Submaps:
@@ -309,23 +374,35 @@ def _judged_by_rigid_ones(submaps: Submaps) -> Submaps:
     first = submaps.open_id
     while first > submaps.since_jump and submaps.is_rigid_with_open(first - 1):
         first -= 1
-    if first == submaps.first:
-        return submaps
-    closed = submaps.states[first:-1]
-    keys = [_voxels(state.space) for state in closed]
+    return submaps if first == submaps.first else _within(replace(submaps, first=first), None)
+
+
+def _within(submaps: Submaps, window: Window | None) -> Submaps:
+    """Return the submaps with the space, and the owners of its voxels, of another window; None: of everything."""
+    last = submaps.states[-1].space
+    floor_m = last.floor_z_m if window is None else submaps.space.floor_z_m
+    some = []
+    for state in submaps.states[submaps.first :]:
+        reach = extent(state.space)
+        if reach is not None and (window is None or window.meets(reach)):
+            some.append((state.id, state.space if window is None else cut(state.space, window)))
+    closed = [(i, space) for i, space in some if i != submaps.open_id]
+    keys = [_voxels(space) for _, space in closed]
     owned = np.concatenate([np.empty(0, np.int64), *keys])
     owners = np.concatenate(
-        [np.empty(0, np.int32), *(np.full(len(k), s.id, np.int32) for k, s in zip(keys, closed, strict=True))]
+        [np.empty(0, np.int32), *(np.full(len(k), i, np.int32) for k, (i, _) in zip(keys, closed, strict=True))]
     )
     # Of submaps that were moved apart for a while both may have a voxel: it is the earlier one's again.
     owned, at = np.unique(owned, return_index=True)
-    space = observed_space.joined([state.space for state in submaps.states[first:]])
-    return replace(submaps, first=first, space=space, owned=owned, owners=owners[at])
+    space = observed_space.joined([space for _, space in some] or [empty_space(last.voxel_m)])
+    space = replace(space, floor_z_m=floor_m)
+    return replace(submaps, space=space, owned=owned, owners=owners[at], window=window)
 
 
 def _closed(submaps: Submaps) -> Submaps:
     """Return the submaps with the voxels of the open one assigned to it permanently."""
-    keys = _voxels(submaps.states[-1].space)
+    own = submaps.states[-1].space
+    keys = _voxels(own if submaps.window is None else cut(own, submaps.window))
     owned = np.concatenate([submaps.owned, keys])
     owners = np.concatenate([submaps.owners, np.full(len(keys), submaps.open_id, dtype=np.int32)])
     order = np.argsort(owned, kind="stable")
@@ -359,12 +436,15 @@ def _with_spaces(submaps: Submaps, space: SpaceState, changed: Mapping[int, Spac
 
 
 def _voxels(space: SpaceState) -> NDArray[np.int64]:
-    return np.union1d(np.union1d(space.free, space.surface), space.room)
+    return union(union(space.free, space.surface), space.room)
 
 
 def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:
     """Return (N,) the id of the submap that owns each voxel; new voxels belong to the open one."""
     owners = np.full(len(keys), submaps.open_id, dtype=np.int32)
+    sight = window_of(keys)
+    if submaps.window is not None and sight is not None and not submaps.window.holds(sight):
+        submaps = _within(submaps, sight)
     is_owned = contains(submaps.owned, keys)
     owners[is_owned] = submaps.owners[places(submaps.owned, keys[is_owned])]
     return owners

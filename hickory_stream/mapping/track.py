@@ -98,6 +98,14 @@ class Track:
     aside_evidence: float = 0.0
 
     @property
+    def names_of_views(self) -> tuple[str, ...]:
+        """The names of the kept views, each once."""
+        names = dict.fromkeys(view.name for _, view in self.coverage)
+        if self.best_view is not None:
+            names[self.best_view.name] = None
+        return tuple(names)
+
+    @property
     def views(self) -> tuple[View, ...]:
         """The kept views, each once, in the order of their frames."""
         kept = {view.name: view for _, view in self.coverage}

@@ -6,15 +6,14 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
+from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.mapping.cloud import without
+from hickory_stream.mapping.concerned_tracks import REACH_M, Concerned
 from hickory_stream.mapping.existence import doubted
 from hickory_stream.mapping.lifecycle import Guard, LifeEvent, TrackEffect, is_sure, transition
 from hickory_stream.mapping.observed_space import share_in
 from hickory_stream.mapping.structure_checks import is_seen_through, points_in_wall, why_structure
-from hickory_stream.mapping.submaps import with_room
+from hickory_stream.mapping.submaps import space_around
 from hickory_stream.mapping.track import is_object, sketched, with_cloud
 from hickory_stream.mapping.track_endings import cancelled, drop, unite
 from hickory_stream.records import Phase
@@ -22,20 +21,25 @@ from hickory_stream.records import Phase
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from hickory_stream.events import Effect, FrameObserved
     from hickory_stream.mapping.lifecycle import Transition
     from hickory_stream.mapping.map_state import MapState
     from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.observed_space import SpaceState
     from hickory_stream.mapping.track import Track
 
 
 def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, merges: bool) -> list[Effect]:
-    """Age every track by a keyframe; `merges`: an unsupported track is merged into the one that it is attached to."""
+    """Age the tracks that a keyframe concerns.
+
+    `merges`: an unsupported track is merged into the one that it is attached to.
+    """
     effects: list[Effect] = []
     keep_room(state)  # tracks may have been merged
-    for track_id in sorted(state.tracks):
+    for track_id in Concerned(state, event, config.lifecycle):
         case = Case(state, track_id, config, free_keys=event.space.free_keys, merges=merges)
         effects += [*case.happens(LifeEvent.JUDGED), *case.happens(LifeEvent.AGED)]
         if track_id in state.tracks:
@@ -46,10 +50,7 @@ def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, 
 
 def keep_room(state: MapState) -> None:
     """Update the voxels of the observed space that belong to tracks that are part of the room."""
-    voxel_m = state.submaps.space.voxel_m
-    aside = [track for track in state.ordered() if track.phase is Phase.ROOM and state.is_judged(track)]
-    keys = [keys_of_points(track.solid.points, voxel_m) for track in aside]
-    state.submaps = with_room(state.submaps, sorted_unique(np.concatenate(keys)) if keys else np.empty(0, np.int64))
+    state.submaps = state.room.kept(state.submaps, state.tracks)
 
 
 def settle(state: MapState, config: MappingConfig) -> None:
@@ -125,21 +126,26 @@ class Case:
     @cached_property
     def why_structure(self) -> str | None:
         """Why the track is structure; None if it may be an object."""
-        return why_structure(self.track, self.state.submaps.space, self.state.clock_ns, self.config)
+        return why_structure(self.track, self.space, self.state.clock_ns, self.config)
+
+    @cached_property
+    def space(self) -> SpaceState:
+        """The observed space around the track, as far as any check looks."""
+        return space_around(self.state.submaps, self.track.bounds, REACH_M)
 
     @cached_property
     def attachment(self) -> int | None:
         """The id of the track that this one hangs from; None if it is supported, or no track is near."""
         if not self._merges:
             return None
-        confirmed = (o for o in self.state.tracks.values() if is_object(o))
-        others = (o for o in confirmed if self.state.is_judged(o))
-        support = self.state.support_graph(self.config).hangs_from(self.track, others)
+        beside = self.state.tracks.touching(self.track.bounds, self.config.unsupported.attach_m)
+        others = (o for o in beside if is_object(o) and self.state.is_judged(o))
+        support = self.state.support_graph(self.config, self.space).hangs_from(self.track, others)
         return None if support is None else support.by
 
     def is_in_room(self) -> bool:
         """Return whether most of the track lies on tracks that are part of the room."""
-        space = self.state.submaps.space
+        space = self.space
         share = share_in(space.room, self.track.solid.points, space.voxel_m)
         return share > self.config.lifecycle.structure_share
 
@@ -175,7 +181,9 @@ def _doubt(case: Case, _: Transition) -> list[Effect]:
 def _trim(case: Case, _: Transition) -> list[Effect]:
     """Remove the points in structure, if these are more than a narrow strip along a wall."""
     track = case.track
-    in_wall = points_in_wall(track, case.state.submaps.space, case.config)
+    # A few of its points may lie further away than it reaches without them.
+    space = space_around(case.state.submaps, bounds_of(track.cloud.points), REACH_M)
+    in_wall = points_in_wall(track, space, case.config)
     if in_wall is not None:
         case.state.decide("trim", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
         rest = without(track.cloud, in_wall)

@@ -17,7 +17,7 @@ from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.cloud import fuse, is_near, share_near
 from hickory_stream.mapping.existence import united
 from hickory_stream.mapping.lifecycle import Guard, LifeEvent, transition
-from hickory_stream.mapping.track import Track, touching, with_cloud
+from hickory_stream.mapping.track import Track, with_cloud
 from hickory_stream.mapping.views import better, covers_better
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.mapping.cloud import Cloud
     from hickory_stream.mapping.support_graph import SupportGraph
+    from hickory_stream.mapping.track_table import TrackTable
     from hickory_stream.mapping.views import ViewConfig
 
 
@@ -71,39 +72,75 @@ class Votes:
     apart: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class VoteRow:
+    """The votes of one track with others, by their ids. It never changes."""
+
+    votes: Mapping[int, Votes]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteBook:
-    """The votes of all pairs of tracks (a, b), a < b; pairs without votes are not stored."""
+    """The votes of pairs of tracks: those of a and b are in the rows of both; pairs without votes are in none.
 
-    votes: Mapping[tuple[int, int], Votes] = field(default_factory=dict)
+    A book shares the rows of its predecessor that an update did not touch.
+    """
+
+    rows: Mapping[int, VoteRow] = field(default_factory=dict)
+
+    @property
+    def votes(self) -> dict[tuple[int, int], Votes]:
+        """The votes by pair (a, b), a < b."""
+        return {(a, b): votes for a, row in self.rows.items() for b, votes in row.votes.items() if a < b}
 
     def of(self, a: int, b: int) -> Votes:
         """Return the votes of a pair."""
-        return self.votes.get((min(a, b), max(a, b)), Votes())
+        return self.rows.get(a, _NO_ROW).votes.get(b, _NO_VOTES)
 
     def plus(self, pairs: Iterable[tuple[int, int]], *, together: int = 0, apart: int = 0) -> VoteBook:
         """Return the book with these votes added to each pair."""
-        votes = dict(self.votes)
-        for a, b in pairs:
-            key = (min(a, b), max(a, b))
-            old = votes.get(key, Votes())
-            votes[key] = Votes(old.together + together, old.apart + apart)
-        return VoteBook(votes=votes)
+        added = {pair: Votes(together, apart) for pair in pairs}
+        return self._changed([], added) if added else self
 
     def merged(self, kept: int, gone: int) -> VoteBook:
         """Return the book after track `gone` was merged into `kept`, which takes over its votes."""
-        votes: dict[tuple[int, int], Votes] = {}
-        for (a, b), vote in self.votes.items():
-            a, b = (kept if i == gone else i for i in (a, b))
-            if a != b:
-                key = (min(a, b), max(a, b))
-                old = votes.get(key, Votes())
-                votes[key] = Votes(old.together + vote.together, old.apart + vote.apart)
-        return VoteBook(votes=votes)
+        row = self.rows.get(gone)
+        if row is None:
+            return self
+        return self._changed([gone], {(kept, other): votes for other, votes in row.votes.items() if other != kept})
 
     def without(self, gone: int) -> VoteBook:
         """Return the book without a track that was dropped."""
-        return VoteBook(votes={pair: vote for pair, vote in self.votes.items() if gone not in pair})
+        return self._changed([gone], {}) if gone in self.rows else self
+
+    def _changed(self, gone: Iterable[int], added: Mapping[tuple[int, int], Votes]) -> VoteBook:
+        """Return the book without the rows of some tracks, and with votes added to pairs."""
+        rows = dict(self.rows)
+        new: dict[int, dict[int, Votes]] = {}
+        for track_id in gone:
+            for other in rows.pop(track_id).votes:
+                del _own(new, rows, other)[track_id]
+        for (a, b), more in added.items():
+            old = _own(new, rows, a).get(b, _NO_VOTES)
+            votes = Votes(old.together + more.together, old.apart + more.apart)
+            _own(new, rows, a)[b] = _own(new, rows, b)[a] = votes
+        for track_id, row in new.items():
+            if row:
+                rows[track_id] = VoteRow(row)
+            else:
+                rows.pop(track_id, None)
+        return VoteBook(rows=rows)
+
+
+_NO_ROW = VoteRow({})
+_NO_VOTES = Votes()
+
+
+def _own(new: dict[int, dict[int, Votes]], rows: Mapping[int, VoteRow], track_id: int) -> dict[int, Votes]:
+    """Return the row of a track that an update may change: a copy of the one it had."""
+    if track_id not in new:
+        new[track_id] = dict(rows.get(track_id, _NO_ROW).votes)
+    return new[track_id]
 
 
 def pair_of(a: int, b: int) -> tuple[int, int]:
@@ -148,14 +185,13 @@ def foreign_points(
 
 
 def find_pair(
-    tracks: Mapping[int, Track], changed: Iterable[int], book: VoteBook, graph: SupportGraph, config: MergeConfig
+    tracks: TrackTable, changed: Iterable[int], book: VoteBook, graph: SupportGraph, config: MergeConfig
 ) -> tuple[int, int, str] | None:
     """Return (kept id, gone id, reason) of the first pair of tracks to merge, None if there is none."""
-    ordered = [tracks[i] for i in sorted(tracks)]
     for i in sorted(changed):
         if i not in tracks:
             continue
-        near = touching(tracks[i].bounds, ordered, _FOOT_GAP_M)
+        near = tracks.touching(tracks[i].bounds, _FOOT_GAP_M)
         for other in near:
             if other.id != i and (reason := why_one(tracks[i], other, near, book, graph, config)) is not None:
                 return min(i, other.id), max(i, other.id), reason

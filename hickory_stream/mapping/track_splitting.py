@@ -11,7 +11,7 @@ from hickory_stream.mapping.absorbed import after_split, recalled, restored, wit
 from hickory_stream.mapping.cloud import is_near, share_near, solid_part, without
 from hickory_stream.mapping.existence import Existence
 from hickory_stream.mapping.lifecycle import LifeEvent, first_phase
-from hickory_stream.mapping.track import new_track, touching, with_cloud
+from hickory_stream.mapping.track import new_track, with_cloud
 from hickory_stream.mapping.track_merging import pair_of, why_one
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _split_off(
     pair = pair_of(host_id, new.id)
     votes = state.votes.plus([pair], apart=num_apart).plus([pair], together=candidate.together)
     small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
-    near = touching(new.bounds, [track for track in state.ordered() if track.id != host_id])
+    near = [track for track in state.tracks.touching(new.bounds) if track.id != host_id]
     graph = state.support_graph(config)
     is_part = graph.still_part_of(small, large, near, inside=split.part_inside, max_volume=split.part_volume)
     if is_part is not None or why_one(left, new, near, votes, graph, config.merge) is not None:

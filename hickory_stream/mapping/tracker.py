@@ -16,7 +16,7 @@ from hickory_stream.mapping.existence import Existence, no_evidence, sighted
 from hickory_stream.mapping.lifecycle import LifeEvent, first_phase
 from hickory_stream.mapping.sighting import Sighting
 from hickory_stream.mapping.split_candidates import with_keyframe
-from hickory_stream.mapping.track import grown, new_track, touching
+from hickory_stream.mapping.track import grown, new_track
 from hickory_stream.mapping.track_endings import unite
 from hickory_stream.mapping.track_merging import find_pair, foreign_points, pair_of, pairs_of_groups, pairs_that_meet
 
@@ -162,7 +162,7 @@ class Tracker:
         """Return the other established tracks whose boxes overlap an observation's: its points may belong to them."""
         if self.is_told:
             return []
-        near = touching(bounds_of(observation.points_world), state.ordered())
+        near = state.tracks.touching(bounds_of(observation.points_world))
         least = self._config.merge.neighbor_sightings
         return [other for other in near if other.id != track.id and other.sightings >= least]
 

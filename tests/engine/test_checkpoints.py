@@ -10,6 +10,7 @@ from hickory_stream.engine.checkpoints import PackedTrack, Packer, unpacked
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.mapping.cloud import Cloud, solid_part, without
 from hickory_stream.mapping.track import Track
+from hickory_stream.mapping.track_merging import VoteBook
 from hickory_stream.records import Phase
 
 
@@ -46,11 +47,11 @@ def bytes_of(cloud: Cloud) -> list[bytes]:
 def test_a_packed_state_comes_back_to_the_byte(hits: list[int], sightings: int) -> None:
     cloud = cloud_of(hits)
     track = track_of(cloud, solid_part(cloud, sightings))
-    state = Packer().packed({"_tracks": {1: track}, "_next": 3})
+    state = Packer().packed({"tracks": {1: track}, "_next": 3})
     back = unpacked(state)
     assert back["_next"] == 3
-    assert bytes_of(back["_tracks"][1].cloud) == bytes_of(track.cloud)
-    assert bytes_of(back["_tracks"][1].solid) == bytes_of(track.solid)
+    assert bytes_of(back["tracks"][1].cloud) == bytes_of(track.cloud)
+    assert bytes_of(back["tracks"][1].solid) == bytes_of(track.solid)
 
 
 def test_a_solid_part_that_is_no_choice_of_the_cloud_is_kept_as_it_is() -> None:
@@ -58,16 +59,32 @@ def test_a_solid_part_that_is_no_choice_of_the_cloud_is_kept_as_it_is() -> None:
     moved = replace(without(cloud, np.array([True, False, False])), points=np.ones((2, 3), np.float32))
     for solid in (moved, without(cloud, np.ones(3, bool))):
         track = track_of(cloud, solid)
-        assert Packer().packed({"_tracks": {1: track}})["_tracks"][1] is track
+        assert Packer().packed({"tracks": {1: track}})["tracks"][0].values[0] is track
 
 
 def test_a_track_that_did_not_change_has_the_same_marks_again_and_one_that_did_has_others() -> None:
     packer = Packer()
     cloud = cloud_of([1, 3, 3, 4])
     track = track_of(cloud, without(cloud, cloud.hits < 2))
-    first = packer.packed({"_tracks": {1: track}})["_tracks"][1]
-    second = packer.packed({"_tracks": {1: replace(track, sightings=6)}})["_tracks"][1]
-    third = packer.packed({"_tracks": {1: replace(track, solid=without(cloud, cloud.hits < 4))}})["_tracks"][1]
+    first = packer.packed({"tracks": {1: track}})["tracks"][0].values[0]
+    second = packer.packed({"tracks": {1: replace(track, sightings=6)}})["tracks"][0].values[0]
+    third = packer.packed({"tracks": {1: replace(track, solid=without(cloud, cloud.hits < 4))}})["tracks"][0].values[0]
     assert isinstance(first, PackedTrack)
     assert first.is_solid is second.is_solid
     assert third.is_solid.tolist() == [False, False, False, True]
+
+
+def test_a_page_without_changes_is_the_same_again_and_one_with_a_change_is_not() -> None:
+    packer = Packer()
+    cloud = cloud_of([1, 3, 3, 4])
+    tracks = {i: replace(track_of(cloud, cloud), id=i) for i in (1, 31, 32, 99)}
+    votes = VoteBook().plus([(1, 31)], apart=1).plus([(32, 99)], together=2)
+    before = packer.packed({"tracks": tracks, "votes": votes})
+    after = packer.packed(
+        {"tracks": tracks | {31: replace(tracks[31], sightings=9)}, "votes": votes.plus([(1, 31)], apart=1)}
+    )
+    for name in ("tracks", "votes"):
+        assert [a is b for a, b in zip(before[name], after[name], strict=True)] == [False, True, True]
+    back = unpacked(after)
+    assert back["votes"] == votes.plus([(1, 31)], apart=1)
+    assert {i: track.sightings for i, track in back["tracks"].items()} == {1: 5, 31: 9, 32: 5, 99: 5}

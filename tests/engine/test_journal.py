@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_format import JOURNAL
+from hickory_stream.engine.journal_format import JOURNAL, OLD_CHECKPOINT
 from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
 from hickory_stream.errors import MapFolderError
@@ -101,6 +101,25 @@ def test_a_checkpoint_comes_back_and_writes_no_array_twice(tmp_path: Path) -> No
         assert last[1].core["_c"] == {"a", "b"}
         assert last[1].open_jobs == checkpoint(5).open_jobs
     assert (tmp_path / JOURNAL).stat().st_size < 2 * BIG.nbytes + 8000
+
+
+def test_the_checkpoints_of_an_older_journal_are_left_out_and_its_steps_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hickory_stream.engine.journal_writer.CHECKPOINT", OLD_CHECKPOINT)
+    write(tmp_path)
+    with Journal(tmp_path) as journal:
+        assert [journal.checkpoint_before(i) for i in range(NUM_STEPS)] == [None] * NUM_STEPS
+        assert read_numbers(tmp_path) == list(range(1, NUM_STEPS + 1))
+        # It is gone on with: what is written from now on is read.
+        monkeypatch.undo()
+        writer = JournalWriter(tmp_path, flush_s=0.0, continued=journal)
+        writer.append(entry(NUM_STEPS))
+        writer.checkpoint(checkpoint(NUM_STEPS), 1000 + NUM_STEPS)
+        writer.close()
+    with Journal(tmp_path) as journal:
+        found = [journal.checkpoint_before(i) for i in range(NUM_STEPS + 1)]
+        assert [f and f[0] for f in found] == [None] * NUM_STEPS + [NUM_STEPS]
 
 
 @given(share=st.floats(0.0, 1.0))

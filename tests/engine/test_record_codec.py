@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.graph.solve import solve
-from hickory_stream.mapping.track_merging import VoteBook, Votes
+from hickory_stream.mapping.track_merging import VoteBook
 from hickory_stream.records import Phase
 from tests.engine.snapshot_fixtures import make_snapshot
 from tests.graph.graph_fixtures import solved_graph, walk
@@ -57,7 +57,7 @@ def test_the_factors_of_a_pose_graph_and_its_record_come_back() -> None:
 
 
 def test_keys_of_any_kind_sets_and_enums_come_back() -> None:
-    book = VoteBook(votes={(1, 2): Votes(3, 4), (2, 9): Votes(0, 1)})
+    book = VoteBook().plus([(1, 2)], together=3, apart=4).plus([(2, 9)], apart=1)
     read = decode(encode((book, {"b", "a"}, Phase.DORMANT, {3: (Phase.ACTIVE,)})))
     assert read == (book, {"a", "b"}, Phase.DORMANT, {3: (Phase.ACTIVE,)})
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hickory_stream.geometry.boxes import box_iou
 from hickory_stream.mapping.associate import AssociateConfig, Match, associate
 from hickory_stream.mapping.track import Track
+from hickory_stream.mapping.track_table import TrackTable
 from hickory_stream.records import Observation
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, observation, track
 
@@ -25,7 +26,7 @@ def at(place: tuple[int, int]) -> np.ndarray:
 
 
 def matched(observations: list[Observation], *tracks: Track) -> list[Match]:
-    return associate(observations, {t.id: t for t in tracks}, VOXEL_M, CONFIG)
+    return associate(observations, TrackTable({t.id: t for t in tracks}), VOXEL_M, CONFIG)
 
 
 def pairs(matches: list[Match]) -> dict[int, int | None]:
@@ -101,7 +102,7 @@ def test_of_two_things_on_a_track_the_one_with_more_of_it_is_the_track_however_w
 def test_ties_go_to_the_lower_track_id_whatever_the_order_of_the_tracks() -> None:
     points = box_surface((0, 0, 0.1))
     for ids in ((3, 7), (7, 3)):
-        tracks = {i: track(i, points) for i in ids}
+        tracks = TrackTable({i: track(i, points) for i in ids})
         assert pairs(associate([observation(0, points)], tracks, VOXEL_M, CONFIG)) == {0: 3}
 
 

@@ -25,7 +25,7 @@ from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.mapping.requests import RequestConfig
 from hickory_stream.mapping.split_candidates import SplitCandidate
 from hickory_stream.mapping.submaps import SubmapConfig
-from hickory_stream.mapping.track_merging import MergeConfig, VoteBook, Votes
+from hickory_stream.mapping.track_merging import MergeConfig, VoteBook, VoteRow, Votes
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
 
@@ -139,8 +139,8 @@ DAMAGE: list[tuple[str, Callable[[MapState], object]]] = [
     ("a view belongs to the track that holds it", pending_of_nobody),
     ("the pixels of all views in use are kept", lambda s: s.kept_views.pop()),
     ("no pixels of unused views are kept", lambda s: s.kept_views.add("000099-000")),
-    ("votes are of pairs of tracks", lambda s: setattr(s, "votes", VoteBook(votes={(3, 1): Votes()}))),
-    ("votes are of pairs of tracks", lambda s: setattr(s, "votes", VoteBook(votes={(1, 2): Votes()}))),
+    ("votes are of pairs of tracks", lambda s: setattr(s, "votes", VoteBook(rows={1: VoteRow({3: Votes()})}))),
+    ("votes are of pairs of tracks", lambda s: setattr(s, "votes", VoteBook().plus([(1, 2)]))),
     ("split candidates and absorbed tracks belong to an existing track", lambda s: candidate_of(s, 2)),
     (
         "split candidates and absorbed tracks belong to an existing track",
@@ -192,7 +192,7 @@ def test_the_core_checks_its_state_after_every_event_where_debug_messages_are_lo
     level: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     core = MapperCore(CONFIG)
-    core._state.votes = VoteBook(votes={(8, 9): Votes()})
+    core._state.votes = VoteBook().plus([(8, 9)])
     with caplog.at_level(level, logger="hickory_stream"):
         if level == logging.DEBUG:
             with pytest.raises(InvariantError, match="votes are of pairs of tracks"):

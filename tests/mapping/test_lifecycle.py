@@ -34,6 +34,7 @@ from hickory_stream.mapping.submaps import first_submap, with_room, with_seen
 from hickory_stream.mapping.track import ShapeState
 from hickory_stream.mapping.track_ageing import EFFECTS, GUARDS, Case, end_tracks
 from hickory_stream.mapping.track_merging import merge
+from hickory_stream.mapping.track_table import TrackTable
 from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, space, track
@@ -79,7 +80,7 @@ def there(
         existence=Existence(evidence=evidence, places=np.zeros((1, 3))),
         shape_state=ShapeState() if phase is TENTATIVE else ShapeState(open_ticket=5),
     )
-    state.tracks = {item.id: item, **{other.id: other for other in others}}
+    state.tracks = TrackTable({item.id: item, **{other.id: other for other in others}})
     return state
 
 

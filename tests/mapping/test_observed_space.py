@@ -172,7 +172,9 @@ def test_a_floor_is_none_where_one_appears_that_is_no_step_and_no_storey_lower_a
     now = add(state, space(floor_z_m=0.76 - below_m))
     assert now.floor_z_m == pytest.approx(0.76 - below_m)
     assert len(as_record(now).structure) == (0 if is_false else len(level(0.76, side_m)))
-    assert (floor_change(state, 0.76 - below_m) is not None) == (is_false or below_m > 2)
+    assert (floor_change(state, 0.76 - below_m, false_floor(state, 0.76 - below_m)) is not None) == (
+        is_false or below_m > 2
+    )
 
 
 def test_walls_make_a_table_no_larger_and_stay_where_it_is_withdrawn() -> None:

@@ -19,6 +19,7 @@ from hickory_stream.mapping.track_merging import (
     merge,
     pairs_that_meet,
 )
+from hickory_stream.mapping.track_table import TrackTable
 from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, graph_of, shape, track, view
@@ -42,7 +43,7 @@ def cloud(points: np.ndarray) -> Cloud:
 
 
 def found(book: VoteBook, *tracks: Track) -> tuple[int, int] | None:
-    known = {t.id: t for t in tracks}
+    known = TrackTable({t.id: t for t in tracks})
     pair = find_pair(known, known, book, graph_of(known), CONFIG)
     return pair[:2] if pair is not None else None
 
@@ -148,7 +149,7 @@ def test_what_was_seen_apart_needs_more_overlap_to_be_one() -> None:
 
 def test_only_pairs_with_a_changed_track_are_looked_at() -> None:
     points = box_surface((0, 0, 0.1))
-    known = {1: track(1, points), 2: track(2, points), 3: track(3, box_surface((2, 0, 0.1)))}
+    known = TrackTable({1: track(1, points), 2: track(2, points), 3: track(3, box_surface((2, 0, 0.1)))})
     assert find_pair(known, [3], VoteBook(), graph_of(known), CONFIG) is None
     assert find_pair(known, [2, 99], VoteBook(), graph_of(known), CONFIG) is not None
 

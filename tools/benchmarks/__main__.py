@@ -55,6 +55,7 @@ _HELPERS = {
     "rule_constants",
     "rule_logs",
     "rule_switches",
+    "scale_keyframe",
     "shape_meshes",
     "shape_truth",
     "small_logs",

@@ -1,0 +1,70 @@
+"""Which views are in use: counted by name, and followed from the tracks that have changed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from hickory_stream.mapping.map_state import MapState
+    from hickory_stream.mapping.track import Track
+    from hickory_stream.mapping.track_table import Mark
+
+
+class ViewUse:
+    """By how many tracks each view is held: by those of the map, and by absorbed ones, which a split could restore."""
+
+    def __init__(self) -> None:
+        self._marks: tuple[Mark, Mark] | None = None
+        self._held: dict[int, tuple[str, ...]] = {}
+        self._absorbed: dict[int, tuple[Track, ...]] = {}
+        self._num_holders: Counter[str] = Counter()
+        self._freed: set[str] = set()
+
+    def unused(self, state: MapState) -> list[str]:
+        """Return the names of the kept views that nothing refers to any more, ascending."""
+        tables = (state.tracks, state.elsewhere)
+        marks = self._marks
+        if marks is None or any(mark.table is not table for mark, table in zip(marks, tables, strict=True)):
+            marks = None
+            self._held, self._absorbed, self._num_holders = {}, {}, Counter()
+            self._freed = set(state.kept_views)
+        for table, mark in zip(tables, marks or (None, None), strict=True):
+            for track_id in table.changed_since(mark):
+                # A track that is in neither table is gone; one may have come from the other.
+                track = state.tracks.get(track_id) or state.elsewhere.get(track_id)
+                self._hold(track_id, () if track is None else track.names_of_views)
+        self._marks = (state.tracks.now, state.elsewhere.now)
+        self._follow_absorbed(state)
+        unused = sorted(name for name in self._freed if not self._num_holders[name] and name in state.kept_views)
+        self._freed = set()
+        return unused
+
+    def _hold(self, track_id: int, names: tuple[str, ...]) -> None:
+        before = self._held.pop(track_id, ())
+        if names:
+            self._held[track_id] = names
+        self._count(before, names)
+
+    def _follow_absorbed(self, state: MapState) -> None:
+        known, now = self._absorbed, state.absorbed
+        changed = [host for host, tracks in now.items() if known.get(host) is not tracks]
+        changed += [host for host in known if host not in now]
+        for host in changed:
+            self._count(_names(known.get(host, ())), _names(now.get(host, ())))
+        if changed:
+            self._absorbed = dict(now)
+
+    def _count(self, before: Iterable[str], now: Iterable[str]) -> None:
+        self._num_holders.update(now)
+        for name in before:
+            self._num_holders[name] -= 1
+            if not self._num_holders[name]:
+                del self._num_holders[name]
+                self._freed.add(name)
+
+
+def _names(tracks: Iterable[Track]) -> list[str]:
+    return [name for track in tracks for name in track.names_of_views]
