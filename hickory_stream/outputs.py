@@ -280,6 +280,43 @@ class MapDifferences(TypedDict):
     only_in_b: list[int]
 
 
+class PlaceEvidence(TypedDict):
+    """What the other map saw in an object's place: shares of its `num_clear` points that stand clear of the rest."""
+
+    free: float
+    structure: float
+    objects: float
+    unseen: float
+    num_clear: int
+
+
+class ChangedObject(TypedDict):
+    """What became of an object between two maps, with its id in each that has it, and how probable that is."""
+
+    verdict: Literal["still there", "moved", "gone", "new", "exchanged", "not seen again", "not seen before"]
+    id_a: int | None
+    id_b: int | None
+    probability: float
+    evidence: PlaceEvidence
+    shift_m: list[float] | None
+
+
+class DaysDiffer(TypedDict):
+    """What became of all objects from one map of a place to a later one, which lies at `a_from_b` in it."""
+
+    a_from_b: Matrix
+    sigma_m: float
+    objects: list[ChangedObject]
+
+
+class NotCompared(TypedDict):
+    """Two maps that do not align, and why."""
+
+    aligned: Literal[False]
+    refusal: str
+    reason: str
+
+
 class Blocker(TypedDict):
     """An object that the robot would touch, or null for a wall, and how far it is."""
 
@@ -704,6 +741,8 @@ OUTPUTS: dict[str, Any] = {
     "export": Exported,
     "diff": Differences,
     "diff-maps": MapDifferences,
+    "diff-days": DaysDiffer,
+    "diff-refused": NotCompared,
     "query": Queried,
     "plan": Planned,
     "align": Aligned,

@@ -1,6 +1,7 @@
-"""`hickory-stream diff`: what happened to the objects between two moments of a run, or how two maps of it differ.
+"""`hickory-stream diff`: what happened to the objects between two moments of a run, or between two maps of a place.
 
-Two maps: a live one, and that of its recording, in the same world. Objects are the same whose boxes overlap by half.
+Two maps are aligned first. With `--other` they are in one world already, as a live map and that of its recording are,
+and objects are the same whose boxes overlap by half.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.cli.status import NO_ALIGNMENT
+from hickory_stream.cli.written import add_output, disk_refusals
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -21,10 +24,17 @@ if TYPE_CHECKING:
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
     """Add the command to the command line."""
-    diff = commands.add_parser("diff", parents=[common], help="what happened between two moments of a run")
+    diff = commands.add_parser(
+        "diff", parents=[common], help="what happened between two moments of a run, or from one map to another"
+    )
     diff.set_defaults(run=run)
     diff.add_argument("map", type=Path, metavar="MAP")
-    diff.add_argument("first", metavar="T1", nargs="?", help="seconds from the first keyframe, or a stamp like 17...ns")
+    diff.add_argument(
+        "first",
+        metavar="T1|MAP2",
+        nargs="?",
+        help="seconds from the first keyframe, or a stamp like 17...ns; or a later map of the same place",
+    )
     diff.add_argument("second", metavar="T2", nargs="?")
     diff.add_argument(
         "--other",
@@ -32,6 +42,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         metavar="MAP",
         help="compare the ends of two maps instead, e.g. of a session and its replay",
     )
+    add_output(diff, "-o", "--out", type=Path, metavar="HTML", help="two maps: write a page with plan and pictures")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,6 +50,10 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.cli.values import open_map_at
     from hickory_stream.engine.history.time_travel import stamp_of
 
+    if options.first is not None and options.second is None and Path(options.first).is_dir():
+        return _between_days(options, Path(options.first))
+    if options.out is not None:
+        raise InputError("found -o without a second map, expected MAP MAP2 -o page.html")
     if (options.other is None) != (options.second is not None) or (options.other is not None and options.first):
         raise InputError("found neither T1 and T2 nor --other MAP, or both; expected one of them")
     saved = open_map_at(options.map)
@@ -53,6 +68,50 @@ def run(options: argparse.Namespace) -> int:
             print(f"#{change.object_id:<5} {change.kind:<{width}}  {change.text}")
         if not changes:
             print("nothing has changed")
+    return 0
+
+
+def _between_days(options: argparse.Namespace, later: Path) -> int:
+    """Say what became of every object from one map of a place to a later one."""
+    from hickory_stream.alignment.align import align
+    from hickory_stream.alignment.answer import Alignment
+    from hickory_stream.changes.compare import compare_maps
+    from hickory_stream.changes.page import changes_page
+    from hickory_stream.changes.words import changes_text
+    from hickory_stream.cli.align import answer_text, objects_of
+    from hickory_stream.cli.values import open_map_at
+    from hickory_stream.engine.atomic import write_output
+
+    if options.out is not None and options.out.suffix != ".html":
+        raise InputError(f"found -o {options.out}, expected a name that ends in .html")
+    first, second = open_map_at(options.map), open_map_at(later)
+    for saved in (first, second):
+        if not any(len(submap.observed_space.free) for submap in saved.snapshot.submaps):
+            raise InputError(
+                f"{saved.folder} has no observed space, without which nothing can be called gone; map its log again"
+            )
+    answer = align(objects_of(first), objects_of(second))
+    if not isinstance(answer, Alignment):
+        if options.json:
+            print(output("diff-refused", {"aligned": False, "refusal": answer.refusal.value, "reason": answer.reason}))
+        else:
+            print(answer_text(answer))
+        return NO_ALIGNMENT
+    found = compare_maps(
+        first.snapshot,
+        second.snapshot,
+        answer.a_from_b,
+        answer.translation_sigma_m,
+        with_feature=first.manifest.extractor == second.manifest.extractor,
+    )
+    if options.out is not None:
+        with disk_refusals(options.out, "page"):
+            write_output(options.out, changes_page(first, second, found).encode())
+    if options.json:
+        told = {"a_from_b": found.a_from_b.tolist(), "sigma_m": found.sigma_m}
+        print(output("diff-days", told | {"objects": [dataclasses.asdict(one) for one in found.changes]}, indent=1))
+    else:
+        print(changes_text(found))
     return 0
 
 

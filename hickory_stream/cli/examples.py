@@ -47,8 +47,9 @@ TEXTS: dict[str, tuple[str, str]] = {
         "export demo.map --format glb -o demo.glb",
     ),
     "diff": (
-        "Tell what happened to the objects between two moments of a run.",
-        "diff demo.map 5 12.5",
+        "Tell what happened to the objects between two moments of a run, or from one map of a place to a later one: "
+        "still there, moved, gone, new, exchanged, or not seen; exit status 3 where the maps do not align.",
+        "diff monday.map tuesday.map -o changes.html",
     ),
     "query": (
         "Find the objects of a map that a question asks for, or count them: by size, shape, colour, height and how "

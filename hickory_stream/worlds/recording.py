@@ -25,6 +25,7 @@ from hickory_stream.worlds.building.walk import building_walk
 from hickory_stream.worlds.clutter.families import recipes_of
 from hickory_stream.worlds.clutter.room import clutter_room
 from hickory_stream.worlds.clutter.walk import wander
+from hickory_stream.worlds.days import world_of_day
 from hickory_stream.worlds.depth_camera import DepthCameraConfig
 from hickory_stream.worlds.drift import DriftConfig, drifted
 from hickory_stream.worlds.layouts import LAYOUTS, drawn_mounting, layout_camera, layout_files, open_layout
@@ -92,6 +93,8 @@ class RecordingConfig:
     """The drift of odometry; None: exact poses."""
     building: BuildingSize | None = None
     """How large a building is; None: two floors and twelve rooms."""
+    day: int = 0
+    """How many days the things in the world have been moved, removed and added since it was made (`worlds.days`)."""
     person: bool = False
     """Whether a person walks through the scene."""
     color: ColorCameraConfig | None = None
@@ -110,6 +113,8 @@ class RecordingConfig:
             raise ConfigError(f"images of {self.width}x{self.height}; expected 32 to 4096 pixels a side")
         if self.seed < 0 or self.walk_index < 0:
             raise ConfigError(f"seed {self.seed}, walk {self.walk_index}; expected 0 or more")
+        if self.day < 0 or (self.day and self.scene in (BUILDING, CLUTTER, OUTDOOR)):
+            raise ConfigError(f"day {self.day} in the scene {self.scene}; expected 0 or more, above 0 in rooms only")
         if self.scene not in SCENES:
             raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
         if self.robots and (not self.walk_index < self.robots <= MAX_ROBOTS or self.scene in (CLUTTER, OUTDOOR)):
@@ -247,8 +252,22 @@ def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
         others = set(range(config.robots)) | ({0, 1} if config.scene == "apartment" else set())
         others -= {config.walk_index}
         if not isinstance(trajectory, NoWalk) and not any(isinstance(_walk(world, config, i), NoWalk) for i in others):
-            return world, trajectory
+            return _on_its_day(world, trajectory, config)
     raise _not_walkable(config)
+
+
+def _on_its_day(world: World, trajectory: Trajectory, config: RecordingConfig) -> tuple[World, Trajectory]:
+    """Return the world and the walk through it on the day of a recording; on day 0 as they are."""
+    if not config.day:
+        return world, trajectory
+
+    def walk(changed: World) -> Trajectory | NoWalk:
+        return _walk(changed, config, config.walk_index)
+
+    today = world_of_day(world, config.seed, config.day, lambda changed: not isinstance(walk(changed), NoWalk))
+    found = walk(today)
+    assert not isinstance(found, NoWalk)
+    return today, found
 
 
 def drawn_frame(config: RecordingConfig) -> NDArray[np.float64] | None:

@@ -1,0 +1,227 @@
+"""The comparison of two maps of one place, object by object, once it is known how the maps lie to one another.
+
+Khronos (Schmid et al., RSS 2024) decides from rays whether what was mapped earlier is absent or persists. Here "gone"
+needs free space that the other map observed where the object stood: what was merely not seen stays unknown, and each
+verdict has its probability.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+
+from hickory_stream.changes.evidence import clear_points, evidence_at, seen_places, thinned
+from hickory_stream.changes.likeness import likeness, probability_same
+from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, ObjectChange, Verdict
+from hickory_stream.geometry.boxes import box_iou
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.mapping.moved import moved_object
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.changes.evidence import SeenPlaces
+    from hickory_stream.records import MapSnapshot, TrackedObject
+
+_POINTS_OF_OVERLAP = 300
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Compared:
+    """Two maps with their objects in the frame of map a; `near_m` is how near is on a surface."""
+
+    a: SeenPlaces
+    b: SeenPlaces
+    a_objects: tuple[TrackedObject, ...]
+    b_objects: tuple[TrackedObject, ...]
+    a_from_b: NDArray[np.float64]
+    near_m: float
+    with_feature: bool
+
+    def evidence_in_b(self, i: int) -> Evidence:
+        points = clear_points(self.a, i, self.near_m)
+        return evidence_at(self.b, apply(invert(self.a_from_b), points), self.near_m)
+
+    def evidence_in_a(self, j: int) -> Evidence:
+        points = clear_points(self.b, j, self.near_m)
+        return evidence_at(self.a, apply(self.a_from_b, points), self.near_m)
+
+
+def compare_maps(
+    a: MapSnapshot,
+    b: MapSnapshot,
+    a_from_b: NDArray[np.float64],
+    sigma_m: float,
+    config: ChangesConfig | None = None,
+    *,
+    with_feature: bool = True,
+) -> MapChanges:
+    """Return what became of every object from map a to map b; tentative ones are left out.
+
+    Args:
+        a: the earlier map.
+        b: the later one.
+        a_from_b: (4, 4) where map b lies in map a.
+        sigma_m: how uncertain that is, the standard deviation of a shift.
+        config: when something counts as changed.
+        with_feature: whether the features of both were made by the same extractor.
+    """
+    config = config or ChangesConfig()
+    a_objects, b_objects = (
+        tuple(item for item in one.objects if item.phase is not Phase.TENTATIVE and len(item.points_world))
+        for one in (a, b)
+    )
+    both = _Compared(
+        a=seen_places(a_objects, a.submaps),
+        b=seen_places(b_objects, b.submaps),
+        a_objects=a_objects,
+        b_objects=tuple(moved_object(item, a_from_b) for item in b_objects),
+        a_from_b=a_from_b,
+        near_m=min(config.near_m + 2 * sigma_m, config.most_near_m),
+        with_feature=with_feature,
+    )
+    pairs = _in_one_place(both, config)
+    changes = [_of_pair(both, i, j, overlap, config) for i, j, overlap in pairs]
+    left_a = [i for i in range(len(a_objects)) if i not in {i for i, _, _ in pairs}]
+    left_b = [j for j in range(len(b_objects)) if j not in {j for _, j, _ in pairs}]
+    changes += _of_single(both, left_a, left_b, config)
+    order = {verdict: n for n, verdict in enumerate(Verdict)}
+    changes.sort(key=lambda one: (order[one.verdict], -1 if one.id_a is None else one.id_a, one.id_b or 0))
+    return MapChanges(a_from_b=a_from_b, sigma_m=sigma_m, changes=tuple(changes))
+
+
+def probability_changed(evidence: Evidence, config: ChangesConfig) -> float:
+    """Return how probable it is that an object is not where the other map looked for it: Bayes' rule over looks."""
+    weight = np.log(config.reliable / (1 - config.reliable))
+    prior = np.log(config.change_prior / (1 - config.change_prior))
+    against = config.looks * weight * (evidence.free - evidence.structure - evidence.objects)
+    return float(1.0 / (1.0 + np.exp(-(prior + against))))
+
+
+def _in_one_place(both: _Compared, config: ChangesConfig) -> list[tuple[int, int, float]]:
+    """Return one-to-one pairs of objects in one place, with how much they overlap, the largest sum of all."""
+    overlaps = np.zeros((len(both.a_objects), len(both.b_objects)))
+    for i, one in enumerate(both.a_objects):
+        for j, other in enumerate(both.b_objects):
+            reach = (one.box.diagonal_m + other.box.diagonal_m) / 2
+            if np.linalg.norm(one.box.center - other.box.center) < reach:
+                overlaps[i, j] = _overlap(one, other, both.near_m)
+    overlaps[overlaps < config.min_overlap] = 0.0
+    rows, columns = linear_sum_assignment(overlaps, maximize=True)
+    return [(int(i), int(j), float(overlaps[i, j])) for i, j in zip(rows, columns, strict=True) if overlaps[i, j] > 0]
+
+
+def _overlap(one: TrackedObject, other: TrackedObject, near_m: float) -> float:
+    iou = box_iou(one.box, other.box)
+    if iou <= 0:
+        return 0.0
+    some, others = (thinned(item.points_world, _POINTS_OF_OVERLAP) for item in (one, other))
+    # Distances are to all points of the other, of which there is one in every voxel of a centimetre or two.
+    here = cKDTree(other.points_world).query(some, distance_upper_bound=near_m)[0] <= near_m
+    there = cKDTree(one.points_world).query(others, distance_upper_bound=near_m)[0] <= near_m
+    return max(iou, min(float(here.mean()), float(there.mean())))
+
+
+def _of_pair(both: _Compared, i: int, j: int, overlap: float, config: ChangesConfig) -> ObjectChange:
+    """Return what became of an object where the other map has one, too: it is the same, was moved a little, or not."""
+    one, other = both.a_objects[i], both.b_objects[j]
+    evidence = both.evidence_in_b(i)
+    alike = likeness(one, other, config, with_size=False, with_feature=both.with_feature)
+    same = probability_same(alike, config.look_floor)
+    if alike < config.unlike:
+        return _change(Verdict.EXCHANGED, one, other, 1 - same, evidence)
+    shift = other.box.center - one.box.center
+    is_away = float(np.linalg.norm(shift)) > config.moved_m + both.near_m - config.near_m
+    moved = probability_changed(evidence, config)
+    if is_away and evidence.free >= config.moved_free and moved >= 0.5:
+        return _change(Verdict.MOVED, one, other, moved * same, evidence)
+    # A place that is taken by something alike: overlap speaks for it as free space speaks against it.
+    there = 1 - (1 - overlap) * moved
+    return _change(Verdict.STILL_THERE, one, other, there, evidence)
+
+
+def _of_single(
+    both: _Compared, left_a: Sequence[int], left_b: Sequence[int], config: ChangesConfig
+) -> list[ObjectChange]:
+    """Return what became of objects in whose place the other map has none: moved ones first, then each by itself."""
+    evidence_a = {i: both.evidence_in_b(i) for i in left_a}
+    evidence_b = {j: both.evidence_in_a(j) for j in left_b}
+    # What still shows a surface where it was has not moved away.
+    away = [i for i in left_a if evidence_a[i].free >= evidence_a[i].structure + evidence_a[i].objects]
+    arrived = [j for j in left_b if evidence_b[j].free >= evidence_b[j].structure + evidence_b[j].objects]
+    moved = _moved(both, away, arrived, config)
+    changes = []
+    for i, j, same in moved:
+        left = probability_changed(evidence_a[i], config)
+        one, other = both.a_objects[i], both.b_objects[j]
+        # That it stands elsewhere now is evidence, too: an object that was not seen again is still only one.
+        changes.append(_change(Verdict.MOVED, one, other, same * max(left, 0.5), evidence_a[i]))
+    gone_a, gone_b = {i for i, _, _ in moved}, {j for _, j, _ in moved}
+    changes += [_alone(both.a_objects[i], None, evidence_a[i], config) for i in left_a if i not in gone_a]
+    changes += [_alone(None, both.b_objects[j], evidence_b[j], config) for j in left_b if j not in gone_b]
+    return changes
+
+
+def _moved(
+    both: _Compared, away: Sequence[int], arrived: Sequence[int], config: ChangesConfig
+) -> list[tuple[int, int, float]]:
+    """Return pairs of one object in two places, with the probability that they are one, by their looks alone.
+
+    Of several that look alike, the probability is shared out: of two equal mugs neither is known to be the one.
+    """
+    alike = np.array(
+        [
+            [
+                likeness(both.a_objects[i], both.b_objects[j], config, with_size=True, with_feature=both.with_feature)
+                for j in arrived
+            ]
+            for i in away
+        ]
+    ).reshape(len(away), len(arrived))
+    rows, columns = linear_sum_assignment(alike, maximize=True)
+    found = []
+    for r, c in zip(rows, columns, strict=True):
+        rivals = max(np.delete(alike[r], c).max(initial=0.0), np.delete(alike[:, c], r).max(initial=0.0))
+        same = probability_same(float(alike[r, c]), config.look_floor + float(rivals) * config.look_floor)
+        if same >= config.alike:
+            found.append((away[r], arrived[c], same))
+    return found
+
+
+def _alone(
+    one: TrackedObject | None, other: TrackedObject | None, evidence: Evidence, config: ChangesConfig
+) -> ObjectChange:
+    """Return what is said of an object of one map where the other one has no object."""
+    changed = probability_changed(evidence, config)
+    is_earlier = one is not None
+    if changed >= config.min_probability and evidence.free >= config.min_free:
+        return _change(Verdict.GONE if is_earlier else Verdict.NEW, one, other, changed, evidence)
+    if evidence.structure + evidence.objects > 0.5 and 1 - changed >= config.min_probability:
+        # Its surface is there, as a part of something else in the other map.
+        return _change(Verdict.STILL_THERE, one, other, 1 - changed, evidence)
+    verdict = Verdict.NOT_SEEN_AGAIN if is_earlier else Verdict.NOT_SEEN_BEFORE
+    return _change(verdict, one, other, 1 - changed, evidence)
+
+
+def _change(
+    verdict: Verdict, one: TrackedObject | None, other: TrackedObject | None, probability: float, evidence: Evidence
+) -> ObjectChange:
+    shift = None
+    if verdict is Verdict.MOVED and one is not None and other is not None:
+        x, y, z = (round(float(part), 4) for part in other.box.center - one.box.center)
+        shift = (x, y, z)
+    return ObjectChange(
+        verdict=verdict,
+        id_a=None if one is None else one.id,
+        id_b=None if other is None else other.id,
+        probability=round(min(max(probability, 0.0), 1.0), 4),
+        evidence=evidence,
+        shift_m=shift,
+    )

@@ -1,0 +1,109 @@
+"""What one map saw where another one has an object: free space, a surface, or nothing.
+
+Of a plate on a table most points lie within a few centimetres of the table: that the other map saw a surface there says
+nothing of the plate. So only those points count that stand clear of everything else in the object's own map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.changes.records import Evidence
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.voxels import contains, keys_of_cells
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import Submap, TrackedObject
+
+_POINTS_OF_SURFACE = 2500
+_POINTS_OF_EVIDENCE = 200
+_MIN_CLEAR = 12
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SeenPlaces:
+    """A map as evidence: N objects with a tree of the points of all of them, and the space observed in each submap.
+
+    `owners` (P,) are the places in `objects` of the tree's points.
+    """
+
+    objects: tuple[TrackedObject, ...]
+    submaps: tuple[Submap, ...]
+    tree: cKDTree | None
+    owners: NDArray[np.int64]
+
+
+def seen_places(objects: Sequence[TrackedObject], submaps: Sequence[Submap]) -> SeenPlaces:
+    """Return the evidence that a map is."""
+    clouds = [thinned(item.points_world, _POINTS_OF_SURFACE) for item in objects]
+    points = np.concatenate([np.empty((0, 3), np.float32), *clouds]).astype(np.float64)
+    owners = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
+    tree = cKDTree(points) if len(points) else None
+    return SeenPlaces(objects=tuple(objects), submaps=tuple(submaps), tree=tree, owners=owners)
+
+
+def clear_points(own: SeenPlaces, i: int, near_m: float) -> NDArray[np.float64]:
+    """Return (N, 3) points of object i, in its map, that are near no other object and no structure of that map."""
+    points = thinned(own.objects[i].points_world, _POINTS_OF_EVIDENCE).astype(np.float64)
+    is_clear = ~_on_structure(own, points) & ~_on_objects(own, points, near_m, apart_from=i)
+    return points[is_clear]
+
+
+def evidence_at(other: SeenPlaces, points: NDArray[np.float64], near_m: float) -> Evidence:
+    """Return what a map saw at (N, 3) points in its world; too few of them are no evidence."""
+    if len(points) < _MIN_CLEAR:
+        return Evidence(free=0.0, structure=0.0, objects=0.0, unseen=0.0, num_clear=len(points))
+    on_object = _on_objects(other, points, near_m)
+    on_structure = _on_structure(other, points) & ~on_object
+    is_free = _in_free_space(other, points) & ~on_object & ~on_structure
+    free, structure, objects = (float(mask.mean()) for mask in (is_free, on_structure, on_object))
+    unseen = float((~(is_free | on_structure | on_object)).mean())
+    return Evidence(free=free, structure=structure, objects=objects, unseen=unseen, num_clear=len(points))
+
+
+def thinned(points: NDArray[np.float32], most: int) -> NDArray[np.float32]:
+    """Return at most `most` of the points, at an even stride."""
+    if len(points) <= most:
+        return points
+    return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
+
+
+def _on_objects(
+    places: SeenPlaces, points: NDArray[np.float64], near_m: float, apart_from: int = -1
+) -> NDArray[np.bool_]:
+    if places.tree is None or not len(points):
+        return np.zeros(len(points), dtype=bool)
+    found = places.tree.query_ball_point(points, near_m)
+    return np.array([bool((places.owners[hits] != apart_from).any()) if hits else False for hits in found])
+
+
+def _on_structure(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which points are in a voxel of structure, or beside one."""
+    found = np.zeros(len(points), dtype=bool)
+    for submap in places.submaps:
+        cells = _cells(points, submap)
+        for step in np.ndindex(3, 3, 3):
+            left = np.flatnonzero(~found)
+            keys = keys_of_cells(cells[left] + np.array(step) - 1)
+            found[left] = contains(submap.observed_space.structure, keys)
+    return found
+
+
+def _in_free_space(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    found = np.zeros(len(points), dtype=bool)
+    for submap in places.submaps:
+        found |= contains(submap.observed_space.free, keys_of_cells(_cells(points, submap)))
+    return found
+
+
+def _cells(points: NDArray[np.float64], submap: Submap) -> NDArray[np.int64]:
+    local = apply(invert(submap.world_from_submap), points)
+    return np.floor(local / submap.observed_space.voxel_m).astype(np.int64)

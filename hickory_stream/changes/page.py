@@ -1,0 +1,152 @@
+"""The HTML page of what changed between two maps: a plan, and every object with its pictures and evidence."""
+
+from __future__ import annotations
+
+import base64
+import html
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from hickory_stream.changes.records import Verdict
+from hickory_stream.changes.words import count_text, evidence_text, sentence
+from hickory_stream.engine.crops import read_crop
+from hickory_stream.mapping.moved import moved_object
+from hickory_stream.terminal import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.changes.records import MapChanges, ObjectChange
+    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.records import TrackedObject
+
+_COLORS = {
+    Verdict.STILL_THERE: "#9aa3b5",
+    Verdict.MOVED: "#1c62c4",
+    Verdict.GONE: "#c0392b",
+    Verdict.NEW: "#188c54",
+    Verdict.EXCHANGED: "#8e44ad",
+    Verdict.NOT_SEEN_AGAIN: "#c98a1b",
+    Verdict.NOT_SEEN_BEFORE: "#c98a1b",
+}
+_PICTURE_PX = 150
+_PLAN_PX = 900
+_STYLE = """
+:root { color-scheme: light dark; --ink: #1d2330; --soft: #667; --line: #d5d9e2; --card: #fff; --back: #f3f4f7; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e7e9ee; --soft: #9aa3b5; --line: #343b4a; --card: #1e232e; --back: #14171e; }
+}
+body { font: 15px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--back); margin: 2rem auto;
+  max-width: 1000px; padding: 0 1rem; }
+h1 { font-size: 1.4rem; } h2 { font-size: 1.1rem; margin: 1.8rem 0 .5rem; }
+.soft { color: var(--soft); } svg { background: var(--card); border: 1px solid var(--line); width: 100%; height: auto; }
+.card { display: flex; gap: .9rem; background: var(--card); border: 1px solid var(--line); padding: .6rem;
+  margin: .5rem 0; }
+.card img { width: 120px; height: 120px; object-fit: contain; background: var(--back); }
+.bar { display: flex; height: 9px; width: 260px; margin-top: .4rem; } .bar i { display: block; height: 9px; }
+.tag { color: #fff; padding: 0 .45rem; border-radius: 3px; }
+"""
+
+
+def changes_page(first: SavedMap, second: SavedMap, found: MapChanges) -> str:
+    """Return the page as HTML, in one file without network access.
+
+    Raises:
+        MapFolderError: a view cannot be read.
+    """
+    a = {item.id: item for item in first.snapshot.objects}
+    b = {item.id: item for item in second.snapshot.objects}
+    placed_b = {i: moved_object(item, found.a_from_b) for i, item in b.items()}
+    names = [html.escape(visible(str(saved.folder))) for saved in (first, second)]
+    parts = [
+        f"<h1>From {names[0]} to {names[1]}</h1>",
+        f"<p>{html.escape(count_text(found))}</p>",
+        _plan(found, a, placed_b),
+    ]
+    for verdict in (*(one for one in Verdict if one is not Verdict.STILL_THERE), Verdict.STILL_THERE):
+        rows = [change for change in found.changes if change.verdict is verdict]
+        if rows:
+            parts.append(f"<h2>{verdict}: {len(rows)}</h2>")
+            parts += [_card(change, first, second, a, b) for change in rows]
+    body = "\n".join(parts)
+    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>What changed</title><style>{_STYLE}</style>'
+    return f"{head}{body}</html>\n"
+
+
+def _card(
+    change: ObjectChange,
+    first: SavedMap,
+    second: SavedMap,
+    a: Mapping[int, TrackedObject],
+    b: Mapping[int, TrackedObject],
+) -> str:
+    pictures = ""
+    if change.id_a is not None:
+        pictures += _picture(first, a[change.id_a])
+    if change.id_b is not None:
+        pictures += _picture(second, b[change.id_b])
+    evidence = change.evidence
+    bar = "".join(
+        f'<i style="width:{100 * share:.1f}%;background:{color}"></i>'
+        for share, color in (
+            (evidence.free, "#6db6e8"),
+            (evidence.objects, "#b5744a"),
+            (evidence.structure, "#7a6a5a"),
+            (evidence.unseen, "#cfd3db"),
+        )
+    )
+    tag = f'<span class="tag" style="background:{_COLORS[change.verdict]}">{change.verdict}</span>'
+    return (
+        f'<div class="card">{pictures}<div>{tag} <b>{html.escape(sentence(change))}</b>'
+        f'<div class="soft">{html.escape(evidence_text(change))}</div><div class="bar">{bar}</div></div></div>'
+    )
+
+
+def _picture(saved: SavedMap, item: TrackedObject) -> str:
+    if item.best_view is None:
+        return ""
+    rgb = read_crop(saved.views, item.best_view.name).rgb
+    scale = _PICTURE_PX / max(rgb.shape[:2])
+    size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
+    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    data = base64.b64encode(cv2.imencode(".jpg", small[..., ::-1])[1].tobytes()).decode()
+    return f'<img alt="#{item.id}" src="data:image/jpeg;base64,{data}">'
+
+
+def _plan(found: MapChanges, a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject]) -> str:
+    """Return an SVG from above, in the frame of map a: every footprint in the colour of what became of it."""
+    shown = [item for items in (a, b) for item in items.values()]
+    if not shown:
+        return ""
+    corners = np.concatenate([item.box.corners_world()[:, :2] for item in shown])
+    low, high = corners.min(axis=0) - 0.4, corners.max(axis=0) + 0.4
+    scale = _PLAN_PX / float(high[0] - low[0])
+
+    def at(point: NDArray[np.float64]) -> tuple[float, float]:
+        return float((point[0] - low[0]) * scale), float((high[1] - point[1]) * scale)
+
+    drawn = []
+    for change in reversed(found.changes):
+        color = _COLORS[change.verdict]
+        for item, dash in ((a.get(change.id_a or -1), ""), (b.get(change.id_b or -1), ' stroke-dasharray="5 4"')):
+            if item is None or (dash and change.verdict is Verdict.STILL_THERE and change.id_a is not None):
+                continue
+            signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+            half = item.box.half_extents_m[:2] * signs
+            outline = item.box.center[:2] + half @ item.box.world_from_box[:2, :2].T
+            points = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(at, outline))
+            drawn.append(f'<polygon points="{points}" fill="{color}" fill-opacity=".25" stroke="{color}"{dash}/>')
+            x, y = at(item.box.center)
+            drawn.append(f'<text x="{x:.1f}" y="{y:.1f}" font-size="13" fill="{color}">{item.id}</text>')
+        if change.verdict is Verdict.MOVED and change.id_a is not None and change.id_b is not None:
+            (x0, y0), (x1, y1) = at(a[change.id_a].box.center), at(b[change.id_b].box.center)
+            drawn.append(
+                f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{color}" stroke-width="2"/>'
+            )
+    height = float(high[1] - low[1]) * scale
+    told = "solid: the first map; dashed: the second"
+    return f'<svg viewBox="0 0 {_PLAN_PX} {height:.0f}">{"".join(drawn)}</svg><p class="soft">{told}</p>'

@@ -1,0 +1,110 @@
+"""What is said of an object that one or both of two maps have, and what it rests on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from hickory_stream.ranges import Ranged, number
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+class Verdict(StrEnum):
+    """What became of an object from map a to map b.
+
+    `NOT_SEEN_AGAIN` is of an object of a whose place map b did not observe, `NOT_SEEN_BEFORE` of one of b whose place
+    map a did not: neither says that it is gone, or new.
+    """
+
+    STILL_THERE = "still there"
+    MOVED = "moved"
+    GONE = "gone"
+    NEW = "new"
+    EXCHANGED = "exchanged"
+    NOT_SEEN_AGAIN = "not seen again"
+    NOT_SEEN_BEFORE = "not seen before"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Evidence:
+    """What the other map saw in an object's place: shares of the points of it that stand clear of its surroundings.
+
+    `free`: rays passed; `structure` and `objects`: a surface of the room, or of an object, is there; `unseen`: nobody
+    looked. They add up to 1, or are all 0 where nothing of it stands clear (`num_clear`).
+    """
+
+    free: float
+    structure: float
+    objects: float
+    unseen: float
+    num_clear: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObjectChange:
+    """What became of one object, with its id in each map that has it, and how probable that is.
+
+    `evidence` is what the other map saw in its place; of a pair, what map b saw in the place of map a's object.
+    `shift_m` is how far a moved object's centre moved, in the frame of map a.
+    """
+
+    verdict: Verdict
+    id_a: int | None
+    id_b: int | None
+    probability: float
+    evidence: Evidence
+    shift_m: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MapChanges:
+    """All objects of two maps: `changes` by verdict, then id. `a_from_b` (4, 4) is where the second map lies."""
+
+    a_from_b: NDArray[np.float64]
+    sigma_m: float
+    changes: tuple[ObjectChange, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChangesConfig(Ranged):
+    """When an object is said to have changed.
+
+    Attributes:
+        near_m: a point lies on a surface that is at most this far, and twice the alignment's uncertainty, away.
+        most_near_m: ... but at most this far, however uncertain the alignment is.
+        min_overlap: two objects are in one place if their boxes share this much (intersection over union), or if this
+            share of each one's points lies on the other.
+        moved_m: an object in the same place has moved if its centre is farther away than this ...
+        moved_free: ... and at least this share of its clear points is free space by now.
+        change_prior: the probability that an object is removed, moved or added from one map to the next.
+        looks: as how many independent looks all clear points of an object count: what is wrong with one is often wrong
+            with its neighbour.
+        reliable: the probability that one look is right.
+        min_probability: what is less probable is left unknown.
+        min_free: share of the clear points that must be free space before anything is called gone, or new.
+        size_sigma, color_sigma: two sightings of one object differ by this in the logarithm of its sides, and in CIE
+            Lab.
+        look_floor: any two objects look alike to this degree by chance.
+        alike: the probability of being the same by its looks from which a new object is one that moved.
+        unlike: the degree of likeness in colour and feature below which what is in one place was exchanged.
+    """
+
+    near_m: float = number(0.04, 0, 1, "m")
+    most_near_m: float = number(0.12, 0, 1, "m")
+    min_overlap: float = number(0.25, 0, 1, "share")
+    moved_m: float = number(0.12, 0, 10, "m")
+    moved_free: float = number(0.3, 0, 1, "share")
+    change_prior: float = number(0.1, 0, 1, "probability")
+    looks: float = number(6.0, 1, 1000, "looks")
+    reliable: float = number(0.86, 0.5, 1, "probability")
+    min_probability: float = number(0.8, 0.5, 1, "probability")
+    min_free: float = number(0.4, 0, 1, "share")
+    size_sigma: float = number(0.25, 0.001, 10, "ratio")
+    color_sigma: float = number(12.0, 0.1, 1000, "CIE Lab")
+    look_floor: float = number(0.1, 1e-6, 1, "degree")
+    alike: float = number(0.7, 0, 1, "probability")
+    unlike: float = number(0.08, 0, 1, "degree")

@@ -1,0 +1,111 @@
+"""What is said of objects between two maps of one room, of which it is known what happened."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hickory_stream.changes.compare import compare_maps, probability_changed
+from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, Verdict
+from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
+from hickory_stream.mapping.moved import moved_object
+from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
+from tests.navigation.rooms import seen_room, snapshot
+
+if TYPE_CHECKING:
+    from hickory_stream.records import MapSnapshot, TrackedObject
+
+RED, BLUE = (200, 40, 30), (40, 60, 190)
+A_FROM_B = from_rotation_translation(yaw_rotation(0.7), np.array([2.0, -1.0, 0.3]))
+
+
+def crate(
+    object_id: int, x: float, y: float, size: tuple[float, float, float] = (0.5, 0.4, 0.4), color: tuple = RED
+) -> TrackedObject:
+    return make_object(object_id, box_mesh(size, color), placed(x, y, size[2] / 2))
+
+
+def said(before: MapSnapshot, after: MapSnapshot) -> dict[tuple[int | None, int | None], Verdict]:
+    return {(one.id_a, one.id_b): one.verdict for one in compared(before, after).changes}
+
+
+def compared(before: MapSnapshot, after: MapSnapshot) -> MapChanges:
+    """Compare two maps of which the second one has a frame of its own."""
+    b_from_a = invert(A_FROM_B)
+    objects = tuple(moved_object(item, b_from_a) for item in after.objects)
+    submaps = tuple(replace(s, world_from_submap=b_from_a @ s.world_from_submap) for s in after.submaps)
+    return compare_maps(before, replace(after, objects=objects, submaps=submaps), A_FROM_B, 0.01)
+
+
+STAYS, LEAVES, OTHER = crate(1, 1.0, 1.0), crate(2, 1.5, 3.0), crate(3, 4.5, 1.0, (1.0, 0.5, 0.8), BLUE)
+
+
+def test_what_stays_is_still_there_and_what_left_is_gone() -> None:
+    found = compared(snapshot(STAYS, LEAVES), snapshot(replace(STAYS, id=7)))
+    assert {(one.id_a, one.id_b): one.verdict for one in found.changes} == {
+        (1, 7): Verdict.STILL_THERE,
+        (2, None): Verdict.GONE,
+    }
+    assert all(one.probability > 0.9 for one in found.changes)
+    gone = found.changes[-1]
+    assert gone.evidence.free > 0.9
+    assert gone.evidence.free + gone.evidence.structure + gone.evidence.objects + gone.evidence.unseen == pytest.approx(
+        1
+    )
+
+
+def test_what_nobody_looked_at_is_not_gone_and_not_new() -> None:
+    dark = seen_room(dark_m=(0.5, 2.5))
+    assert said(snapshot(LEAVES), snapshot(OTHER, space=dark))[(2, None)] is Verdict.NOT_SEEN_AGAIN
+    assert said(snapshot(OTHER, space=dark), snapshot(LEAVES))[(None, 2)] is Verdict.NOT_SEEN_BEFORE
+
+
+def test_what_appears_where_there_was_free_space_is_new() -> None:
+    assert said(snapshot(STAYS), snapshot(STAYS, OTHER)) == {(1, 1): Verdict.STILL_THERE, (None, 3): Verdict.NEW}
+
+
+@pytest.mark.parametrize(("x", "y"), [(4.5, 3.0), (1.9, 3.0)])
+def test_what_stands_elsewhere_has_moved_by_so_much(x: float, y: float) -> None:
+    found = compared(snapshot(STAYS, OTHER, LEAVES), snapshot(STAYS, OTHER, crate(9, x, y)))
+    [moved] = [one for one in found.changes if one.verdict is Verdict.MOVED]
+    assert (moved.id_a, moved.id_b) == (2, 9)
+    assert moved.shift_m is not None
+    assert np.allclose(moved.shift_m, (x - 1.5, y - 3.0, 0.0), atol=0.05)
+
+
+def test_what_looks_otherwise_in_the_same_place_was_exchanged() -> None:
+    blue = crate(5, 1.0, 1.0, color=BLUE)
+    assert said(snapshot(STAYS), snapshot(blue)) == {(1, 5): Verdict.EXCHANGED}
+
+
+def test_of_two_that_look_alike_neither_is_known_to_be_the_one_that_moved() -> None:
+    twins = (crate(2, 1.5, 3.0), crate(3, 4.5, 1.0))
+    certain = compared(snapshot(twins[0]), snapshot(crate(9, 4.5, 3.0))).changes[0]
+    shared = [one for one in compared(snapshot(*twins), snapshot(crate(9, 4.5, 3.0))).changes if one.id_b == 9]
+    assert certain.verdict is Verdict.MOVED
+    assert shared[0].probability < certain.probability
+
+
+def test_a_plate_on_a_table_is_not_still_there_because_the_table_is() -> None:
+    table = crate(1, 1.5, 3.0, (1.2, 0.8, 0.7), BLUE)
+    bowl = make_object(2, box_mesh((0.3, 0.3, 0.2), RED), placed(1.5, 3.0, 0.81))
+    assert said(snapshot(table, bowl), snapshot(table))[(2, None)] is Verdict.GONE
+
+
+def test_empty_maps_have_no_changes() -> None:
+    assert compared(snapshot(), snapshot()).changes == ()
+    assert said(snapshot(), snapshot(STAYS)) == {(None, 1): Verdict.NEW}
+
+
+def test_the_probability_of_a_change_follows_bayes_rule() -> None:
+    def seen(free: float, objects: float) -> Evidence:
+        return Evidence(free=free, structure=0.0, objects=objects, unseen=1 - free - objects, num_clear=100)
+
+    config = ChangesConfig(change_prior=0.2, looks=1.0, reliable=0.9)
+    assert probability_changed(seen(0.0, 0.0), config) == pytest.approx(0.2)
+    # One look that is right in nine of ten cases: 0.2 * 0.9 / (0.2 * 0.9 + 0.8 * 0.1).
+    assert probability_changed(seen(1.0, 0.0), config) == pytest.approx(0.18 / 0.26)
+    assert probability_changed(seen(0.0, 1.0), config) == pytest.approx(0.02 / 0.74)

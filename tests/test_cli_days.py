@@ -1,0 +1,57 @@
+"""`diff` of two maps from the command line: what it prints, its page, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.cli import main
+from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+from tests.navigation.rooms import seen_room
+from tests.test_cli_align import save
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pytest
+
+    from hickory_stream.records import MapSnapshot
+
+
+def in_seen_space(made: MapSnapshot) -> MapSnapshot:
+    return replace(made, submaps=tuple(replace(one, observed_space=seen_room()) for one in made.submaps))
+
+
+def test_diff_of_two_maps_prints_every_object_and_writes_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    items = furniture(12, 1)
+    first = save(tmp_path / "monday", in_seen_space(snapshot_of(items, np.eye(4), 1)))
+    second = save(tmp_path / "tuesday", in_seen_space(snapshot_of(items[:10], frame(35, 1, 2), 2)))
+    page = tmp_path / "page.html"
+    assert main(["diff", first, second, "--json", "-o", str(page)]) == 0
+    objects = json.loads(capsys.readouterr().out)["objects"]
+    assert len([one for one in objects if one["verdict"] == "still there"]) == 10
+    assert len([one for one in objects if one["id_b"] is None]) == 2
+    text = page.read_text()
+    assert text.count('class="card"') == len(objects)
+    assert "http" not in text
+    assert main(["diff", first, second]) == 0
+    assert "10 still there" in capsys.readouterr().out
+
+
+def test_maps_that_do_not_align_or_know_no_space_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = save(tmp_path / "a", in_seen_space(snapshot_of(furniture(12, 1), np.eye(4), 1)))
+    other = save(tmp_path / "b", in_seen_space(snapshot_of(furniture(12, 60), np.eye(4), 3)))
+    assert main(["diff", first, other, "--json"]) == 3
+    assert json.loads(capsys.readouterr().out)["aligned"] is False
+    blind = save(tmp_path / "c", replace(snapshot_of(furniture(12, 1), np.eye(4), 1), submaps=()))
+    assert main(["diff", first, blind]) == 2
+    assert "has no observed space" in capsys.readouterr().err
+    assert main(["diff", first, "1", "2", "-o", str(tmp_path / "x.html")]) == 2
+    assert "found -o without a second map" in capsys.readouterr().err
