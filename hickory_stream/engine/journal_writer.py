@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass, replace
+import weakref
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from hickory_stream.confined import open_new
@@ -144,13 +146,20 @@ class JournalWriter:
             self.sync()
 
 
-@dataclass(slots=True)
 class _Stored:
-    """An array or a record, where it is stored, and the parts that it refers to itself."""
+    """An array or a record, where it is stored, and the parts that it refers to itself.
 
-    part: object
-    place: tuple[int, int]
-    uses: list[_Stored]
+    An array is not held: those of a track may be compressed while it stays the same.
+    """
+
+    def __init__(self, part: object) -> None:
+        self.key = id(part)
+        self._part: Callable[[], object] = weakref.ref(part) if isinstance(part, np.ndarray) else lambda: part
+        self.place = (0, 0)
+        self.uses: list[_Stored] = []
+
+    def is_of(self, part: object) -> bool:
+        return self._part() is part
 
 
 class _Parts:
@@ -175,8 +184,8 @@ class _Parts:
     def put(self, part: object, encoded: Callable[[], bytes]) -> tuple[int, int]:
         """Return where the part is."""
         stored = self._used.get(id(part)) or self._places.get(id(part))
-        if stored is None:
-            stored = _Stored(part, (0, 0), [])
+        if stored is None or not stored.is_of(part):
+            stored = _Stored(part)
             self._users.append(stored)
             data = encoded()
             self._users.pop()
@@ -189,8 +198,8 @@ class _Parts:
         return stored.place
 
     def _use(self, stored: _Stored) -> None:
-        if id(stored.part) not in self._used:
-            self._used[id(stored.part)] = stored
+        if self._used.get(stored.key) is not stored:
+            self._used[stored.key] = stored
             for other in stored.uses:
                 self._use(other)
 

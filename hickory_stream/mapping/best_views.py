@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from hickory_stream.events import Effect, FeaturesReady, FrameObserved
     from hickory_stream.mapping.map_state import MapState, PendingFeatures
     from hickory_stream.mapping.sighting import Sighting
-    from hickory_stream.mapping.view_use import ViewUse
     from hickory_stream.mapping.views import ViewConfig
     from hickory_stream.records import MaskFeature, View
 
@@ -59,9 +58,9 @@ def judge_views(state: MapState, pending: PendingFeatures, event: FeaturesReady,
     return effects
 
 
-def drop_unused_views(state: MapState, use: ViewUse) -> list[Effect]:
+def drop_unused_views(state: MapState) -> list[Effect]:
     """Return the effects that drop the pixels of views that nothing refers to any more."""
-    gone = use.unused(state)
+    gone = state.derived.views.unused(state.tracks, state.elsewhere, state.absorbed, state.kept_views)
     state.kept_views.difference_update(gone)
     return [DropView(name=name) for name in gone]
 

@@ -7,7 +7,7 @@ track saw it first, and a cloud is bounded by its surface, not by the number of 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from hickory_stream.compiled import numba
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import coarse_keys, contains, first_not_below, keys_of_points, sorted_unique
+from hickory_stream.mapping.cold_clouds import count_of, unpacked
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,12 +26,22 @@ _MOST_TAIL, _MUCH_SMALLER = 0.35, 0.4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class Cloud:
-    """Sorted voxel `keys` (N,), mean `points` and `colors` (N, 3) as float32, and `hits` (N,): frames per voxel."""
+    """Sorted voxel `keys` (N,), mean `points` and `colors` (N, 3) as float32, and `hits` (N,): frames per voxel.
+
+    Of a cloud that nobody looks at the arrays may be kept compressed (`cold_clouds`), until one is read again.
+    """
 
     keys: NDArray[np.int64]
     points: NDArray[np.float32]
     colors: NDArray[np.float32]
     hits: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return count_of(self)
+
+    def __getattr__(self, name: str) -> Any:
+        # Python asks here only for what is not at hand.
+        return unpacked(self, name)
 
 
 def cloud_of(points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: float) -> Cloud:

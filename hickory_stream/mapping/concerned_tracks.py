@@ -16,6 +16,7 @@ import numpy as np
 from hickory_stream.geometry.voxels import layers_of_keys
 from hickory_stream.mapping.observed_space import window_of
 from hickory_stream.mapping.structure_checks import RESTING_S
+from hickory_stream.mapping.track_table import REACH_M
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.map_state import MapState
     from hickory_stream.mapping.track import Track
     from hickory_stream.mapping.track_table import Mark
-
-REACH_M = 0.5
-"""Further than any check of a track looks around it."""
 
 _ROUNDING_NS = 2
 

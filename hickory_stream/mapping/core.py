@@ -36,13 +36,11 @@ from hickory_stream.mapping.loop_searches import ask_for_loops, end_search
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
 from hickory_stream.mapping.moved_submaps import end_elsewhere, place_submaps, recognise
 from hickory_stream.mapping.shape_requests import end_shape, request_shapes
-from hickory_stream.mapping.shape_wishes import ShapeWishes
 from hickory_stream.mapping.snapshots import Snapshots
 from hickory_stream.mapping.submaps import first_submap
 from hickory_stream.mapping.track_ageing import age_tracks, end_tracks, keep_room
 from hickory_stream.mapping.track_splitting import moved_out, split_tracks
 from hickory_stream.mapping.tracker import Tracker
-from hickory_stream.mapping.view_use import ViewUse
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -66,8 +64,6 @@ class MapperCore:
         self._config = config
         self._tracker = Tracker(config, associator)
         self._snapshots = Snapshots(config.lattice.points_m)
-        self._views = ViewUse()
-        self._wishes = ShapeWishes(config.requests)
         self._state = _new_map(config)
 
     def handle(self, event: Event) -> list[Effect]:
@@ -166,8 +162,8 @@ class MapperCore:
         """Return the effects that end a keyframe or the source: shape requests, dropped views and the publication."""
         state = self._state
         return [
-            *request_shapes(state, self._wishes, self._config, is_final=is_final),
-            *drop_unused_views(state, self._views),
+            *request_shapes(state, self._config, is_final=is_final),
+            *drop_unused_views(state),
             Publish(
                 snapshot=self.snapshot(),
                 decisions=state.taken_decisions(),
@@ -183,7 +179,7 @@ class MapperCore:
         effects = place_submaps(self._state, event, self._config, merges=not self._tracker.is_told)
         keep_room(self._state)
         # The decisions are published with the next keyframe.
-        return [*effects, *drop_unused_views(self._state, self._views), Publish(snapshot=self.snapshot(), decisions=())]
+        return [*effects, *drop_unused_views(self._state), Publish(snapshot=self.snapshot(), decisions=())]
 
     def _source_ended(self) -> list[Effect]:
         state = self._state

@@ -24,6 +24,7 @@ def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig)
     state.revision += 1
     state.advance_clock(event.stamp_ns)
     state.submaps = looking_at(with_keyframe(state.submaps, event, config.submaps), event.space)
+    state.derived.warm.follow(state.tracks, state.sight, state.revision)
     for rejected in event.rejected:
         state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
 

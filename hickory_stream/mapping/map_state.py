@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Self
 
 from hickory_stream.mapping.absorbed import Absorbed, views_of, without_lost_views
+from hickory_stream.mapping.derived import Derived
 from hickory_stream.mapping.room_voxels import RoomVoxels
 from hickory_stream.mapping.support_graph import SupportGraph
 from hickory_stream.mapping.track import Track, without_views
@@ -67,7 +68,7 @@ class MapState:
         graph: the pose graph as it was solved last; None before the first loop.
         decisions: the decisions since the last publication.
         num_masks, num_features: the number of masks so far, and of those whose features were requested.
-        room: the voxels of tracks that are part of the room, as the submaps have them; it follows from the tracks.
+        derived: what follows from the rest.
     """
 
     submaps: Submaps
@@ -92,7 +93,7 @@ class MapState:
     decisions: list[Decision] = field(default_factory=list)
     num_masks: int = 0
     num_features: int = 0
-    room: RoomVoxels = field(default_factory=RoomVoxels)
+    derived: Derived = field(default_factory=Derived)
 
     def ordered(self) -> list[Track]:
         """Return the tracks in the order of their ids."""
@@ -183,7 +184,7 @@ class MapState:
                 for name, value in parts.items()
             }
         )
-        state.room = RoomVoxels.of_tracks(state.tracks, state.submaps.first)
+        state.derived.room = RoomVoxels.of_tracks(state.tracks, state.submaps.first)
         return state
 
     def going_on_after(self, later: MapState, lost_views: Collection[str]) -> None:
@@ -205,7 +206,7 @@ class MapState:
 
 
 # Everything but what follows from the rest.
-_PARTS = tuple(part.name for part in fields(MapState) if part.name != "room")
+_PARTS = tuple(part.name for part in fields(MapState) if part.name != "derived")
 
 
 def _copied(part: object) -> object:

@@ -84,7 +84,7 @@ def best_score(track: Track) -> float:
 
 def predicted_s(track: Track, config: RequestConfig) -> float:
     """Return the predicted duration of a shape job, in seconds."""
-    return config.job_s + config.view_s * len(track.views) + config.kilopoint_s * len(track.solid.keys) / 1000
+    return config.job_s + config.view_s * len(track.views) + config.kilopoint_s * len(track.solid) / 1000
 
 
 def gain_of(track: Track) -> float:
@@ -97,7 +97,7 @@ def gain_of(track: Track) -> float:
         return 10.0
     names = {view.name for view in track.views}
     new_views = len(names - set(state.asked_views)) / max(len(names), 1)
-    growth = len(track.solid.keys) / max(state.asked_points, 1) - 1.0
+    growth = len(track.solid) / max(state.asked_points, 1) - 1.0
     return new_views + min(max(growth, -2.0 * growth), 1.0)
 
 
@@ -121,7 +121,7 @@ def state_of_request(track: Track, ticket: int, clock_ns: int, *, is_replacement
     return ShapeState(
         open_ticket=ticket,
         asked_clock_ns=clock_ns,
-        asked_points=len(track.solid.keys),
+        asked_points=len(track.solid),
         asked_views=tuple(view.name for view in track.views),
         asked_score=best_score(track),
         is_replacement=is_replacement,

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.events import CancelShape, ShapeReady
-from hickory_stream.mapping.concerned_tracks import REACH_M
 from hickory_stream.mapping.requests import (
     gain_of,
     increase_in_score,
@@ -16,21 +15,21 @@ from hickory_stream.mapping.requests import (
     shape_request,
     state_of_request,
 )
+from hickory_stream.mapping.track_table import REACH_M
 
 if TYPE_CHECKING:
     from hickory_stream.events import Effect, ShapeFailed
     from hickory_stream.mapping.map_state import MapState
     from hickory_stream.mapping.mapping_config import MappingConfig
-    from hickory_stream.mapping.shape_wishes import ShapeWishes
 
 
-def request_shapes(state: MapState, wishes: ShapeWishes, mapping: MappingConfig, *, is_final: bool) -> list[Effect]:
+def request_shapes(state: MapState, mapping: MappingConfig, *, is_final: bool) -> list[Effect]:
     """Request the most urgent shapes within the budget of open jobs; at the end, all shapes that are missing."""
-    config = mapping.requests
-    wishes.follow(state)
+    config, wishes = mapping.requests, state.derived.wishes
+    wishes.follow(state.tracks, state.elsewhere, config)
     num_open = wishes.num_open
-    replaced = [] if is_final else next_replacements(wishes.with_job(state), state.clock_ns, config)
-    maybe = state.tracks if is_final else wishes.wanting(state)
+    replaced = [] if is_final else next_replacements(wishes.with_job(state.tracks), state.clock_ns, config)
+    maybe = state.tracks if is_final else wishes.wanting(state.tracks)
     wanted = next_requests(maybe, num_open, state.clock_ns, is_final=is_final, config=config)
     effects = [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, mapping)]
     if is_final:

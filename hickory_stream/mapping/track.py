@@ -166,7 +166,7 @@ def sketched(track: Track, config: TrackConfig) -> Track:
     """Return the track with its sketch updated, if it is an object without a shape and its points have changed."""
     if not is_object(track) or track.shape is not None:
         return track
-    count, before = len(track.solid.points), track.sketched_points
+    count, before = len(track.solid), track.sketched_points
     if abs(count - before) <= config.sketch_growth * before:
         return track
     return replace(track, sketch=sketch(track.solid.points, track.box), sketched_points=count)
@@ -206,6 +206,9 @@ def box_of(points: NDArray[np.float32], voxel_m: float) -> OrientedBox:
 def as_object(track: Track) -> TrackedObject:
     """Return the public record of a track."""
     core = track.solid
+    # The record has the same points, not a copy: a view that nobody writes to.
+    points = core.points.view()
+    points.flags.writeable = False
     return TrackedObject(
         id=track.id,
         phase=track.phase,
@@ -213,7 +216,7 @@ def as_object(track: Track) -> TrackedObject:
         sightings=track.sightings,
         first_seen_ns=track.first_seen_ns,
         last_seen_ns=track.last_seen_ns,
-        points_world=core.points,
+        points_world=points,
         colors=np.round(core.colors).astype(np.uint8),
         box=track.box,
         feature=_mean_feature(track.views),

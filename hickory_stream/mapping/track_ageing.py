@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.mapping.cloud import without
-from hickory_stream.mapping.concerned_tracks import REACH_M, Concerned
+from hickory_stream.mapping.cold_clouds import is_packed, pack_part
+from hickory_stream.mapping.concerned_tracks import Concerned
 from hickory_stream.mapping.existence import doubted
 from hickory_stream.mapping.lifecycle import Guard, LifeEvent, TrackEffect, is_sure, transition
 from hickory_stream.mapping.observed_space import share_in
@@ -16,10 +18,11 @@ from hickory_stream.mapping.structure_checks import is_seen_through, points_in_w
 from hickory_stream.mapping.submaps import space_around
 from hickory_stream.mapping.track import is_object, sketched, with_cloud
 from hickory_stream.mapping.track_endings import cancelled, drop, unite
+from hickory_stream.mapping.track_table import REACH_M
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     import numpy as np
     from numpy.typing import NDArray
@@ -50,13 +53,14 @@ def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, 
 
 def keep_room(state: MapState) -> None:
     """Update the voxels of the observed space that belong to tracks that are part of the room."""
-    state.submaps = state.room.kept(state.submaps, state.tracks)
+    state.submaps = state.derived.room.kept(state.submaps, state.tracks)
 
 
 def settle(state: MapState, config: MappingConfig) -> None:
     """Remove the points of tracks that lie in structure, before the observed space is reset."""
     for track_id in sorted(state.tracks):
-        Case(state, track_id, config).happens(LifeEvent.SPACE_FORGOTTEN)
+        with _as_warm_as_before(state, track_id):
+            Case(state, track_id, config).happens(LifeEvent.SPACE_FORGOTTEN)
 
 
 def end_tracks(state: MapState, config: MappingConfig, *, merges: bool) -> list[Effect]:
@@ -64,8 +68,19 @@ def end_tracks(state: MapState, config: MappingConfig, *, merges: bool) -> list[
     settle(state, config)
     effects: list[Effect] = []
     for track_id in sorted(state.tracks):
-        effects += Case(state, track_id, config, merges=merges).happens(LifeEvent.SOURCE_ENDED)
+        with _as_warm_as_before(state, track_id):
+            effects += Case(state, track_id, config, merges=merges).happens(LifeEvent.SOURCE_ENDED)
     return effects
+
+
+@contextmanager
+def _as_warm_as_before(state: MapState, track_id: int) -> Iterator[None]:
+    """Compress the cloud of a track again that was compressed before the block."""
+    track = state.tracks.get(track_id)
+    was_packed = track is not None and is_packed(track.cloud)
+    yield
+    if was_packed and (track := state.tracks.get(track_id)) is not None:
+        pack_part(track.solid, track.cloud)
 
 
 class Case:

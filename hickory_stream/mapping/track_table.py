@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 _CELL_M = 2.0
 """The side of a cell of the grid: about the size of a large object, so that most tracks lie in one to four."""
 
+REACH_M = 0.5
+"""Further than any check of a track looks around it."""
+
 # Bounds and slacks are compared in single precision, cells are found in double precision.
 _ROUNDING_M = 0.01
 

@@ -6,11 +6,11 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
 
-    from hickory_stream.mapping.map_state import MapState
+    from hickory_stream.mapping.absorbed import Absorbed
     from hickory_stream.mapping.track import Track
-    from hickory_stream.mapping.track_table import Mark
+    from hickory_stream.mapping.track_table import Mark, TrackTable
 
 
 class ViewUse:
@@ -23,22 +23,22 @@ class ViewUse:
         self._num_holders: Counter[str] = Counter()
         self._freed: set[str] = set()
 
-    def unused(self, state: MapState) -> list[str]:
-        """Return the names of the kept views that nothing refers to any more, ascending."""
-        tables = (state.tracks, state.elsewhere)
+    def unused(self, tracks: TrackTable, elsewhere: TrackTable, absorbed: Absorbed, kept: Collection[str]) -> list[str]:
+        """Return the names of the `kept` views that nothing refers to any more, ascending."""
+        tables = (tracks, elsewhere)
         marks = self._marks
         if marks is None or any(mark.table is not table for mark, table in zip(marks, tables, strict=True)):
             marks = None
             self._held, self._absorbed, self._num_holders = {}, {}, Counter()
-            self._freed = set(state.kept_views)
+            self._freed = set(kept)
         for table, mark in zip(tables, marks or (None, None), strict=True):
             for track_id in table.changed_since(mark):
                 # A track that is in neither table is gone; one may have come from the other.
-                track = state.tracks.get(track_id) or state.elsewhere.get(track_id)
+                track = tracks.get(track_id) or elsewhere.get(track_id)
                 self._hold(track_id, () if track is None else track.names_of_views)
-        self._marks = (state.tracks.now, state.elsewhere.now)
-        self._follow_absorbed(state)
-        unused = sorted(name for name in self._freed if not self._num_holders[name] and name in state.kept_views)
+        self._marks = (tracks.now, elsewhere.now)
+        self._follow_absorbed(absorbed)
+        unused = sorted(name for name in self._freed if not self._num_holders[name] and name in kept)
         self._freed = set()
         return unused
 
@@ -48,8 +48,8 @@ class ViewUse:
             self._held[track_id] = names
         self._count(before, names)
 
-    def _follow_absorbed(self, state: MapState) -> None:
-        known, now = self._absorbed, state.absorbed
+    def _follow_absorbed(self, now: Absorbed) -> None:
+        known = self._absorbed
         changed = [host for host, tracks in now.items() if known.get(host) is not tracks]
         changed += [host for host in known if host not in now]
         for host in changed:
