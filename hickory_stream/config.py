@@ -80,6 +80,8 @@ class RunConfig(Ranged):
         cluster: the address of a Dask scheduler, which then has the shapes built instead; `cluster_gpus` is the
             share of the resource GPU that a job needs there.
         shape_cache: shapes that were built from the same input before are not built again.
+        generator: the program of the reconstructor "external", by its TOML or its name; `i_accept` is what its licence
+            asks to be said.
         worker_python: their interpreter, where it is not ours: one in which the chosen reconstructor can run.
         job_timeout_s, job_memory_mb: a shape job that takes longer or more is tried once more, then given up; that
             depends on the machine, so that such a run is marked as not reproducible. So is one whose worker died.
@@ -94,6 +96,8 @@ class RunConfig(Ranged):
     cluster_gpus: float = number(0.0, 0, 64, "GPUs")
     shape_cache: bool = True
     worker_python: str = ""
+    generator: str = ""
+    i_accept: str = ""
     job_timeout_s: float = number(60.0, 1e-9, 1e6, "s")
     job_memory_mb: float = number(4000.0, 1, 1e7, "MB")
     crop_margin: float = number(0.08, 0, 10, "share")

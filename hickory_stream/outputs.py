@@ -616,6 +616,49 @@ class Segmented(TypedDict):
     rejected: list[RejectedMask]
 
 
+class Generator(TypedDict):
+    """One program that makes shapes; `state` is "ok", or what is wrong with it."""
+
+    name: str
+    file: str
+    licence: str
+    acceptance: str
+    state: str
+
+
+class Generators(TypedDict):
+    """The programs in the folder of generators."""
+
+    folder: str
+    generators: list[Generator]
+
+
+class GeneratorChecked(TypedDict):
+    """What a generator made of the built-in object; what comes after `state` is absent where it did not get so far.
+
+    `said` is what it told of itself when it was ready; `cost` is what contradicts the placed mesh.
+    """
+
+    name: str
+    file: str
+    command: str
+    licence: str
+    acceptance: str
+    weights: int
+    missing: list[str]
+    is_usable: bool
+    state: str
+    fingerprint: NotRequired[str]
+    start_s: NotRequired[float]
+    said: NotRequired[dict[str, str]]
+    job_s: NotRequired[float]
+    memory_mb: NotRequired[float]
+    vertices: NotRequired[int]
+    triangles: NotRequired[int]
+    cost: NotRequired[float]
+    picture: NotRequired[str]
+
+
 class ModelsFolder(TypedDict):
     """Where models are looked for."""
 
@@ -758,6 +801,8 @@ OUTPUTS: dict[str, Any] = {
     "evaluate-alignment": AlignmentRows,
     "evaluate-navigation": NavigationRows,
     "segment": Segmented,
+    "generators-list": Generators,
+    "generators-check": GeneratorChecked,
     "models-where": ModelsFolder,
     "models-list": Models,
     "models-add": ModelAdded,

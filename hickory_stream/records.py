@@ -334,7 +334,8 @@ class ObjectShape:
     `mesh_name` is a file in the map folder's `shapes/`, in the object frame; `world_from_object` (4, 4) places it.
     `fitted` and `inflated` are in the world: the inflated ones in the order of those they hold, then boxes around what
     the fit left out; or one box around everything. `seen_share` (N,) is the share of each fitted primitive's surface
-    that was seen rather than generated. `revision` is the ticket of the job that made it.
+    that was seen rather than generated. `revision` is the ticket of the job that made it. `verdict` is why a generated
+    shape took the place of the embedded one, or did not, with its numbers; "" where none was asked for.
     """
 
     revision: int
@@ -346,6 +347,7 @@ class ObjectShape:
     inflated: Superquadrics
     seen_share: NDArray[np.float64]
     containment: Containment
+    verdict: str = ""
 
     def __post_init__(self) -> None:
         plain_name(self.mesh_name, ".glb")

@@ -113,6 +113,7 @@ def test_bash_completes_commands_options_values_and_files(tmp_path: Path, capsys
         (["re"], {"resume", "replay", "render", "relocalise", "reconstruct"}),
         (["evaluate-v"], {"evaluate-views"}),
         (["models", ""], {"list", "add", "check", "where", "-h", "--help"}),
+        (["generators", ""], {"list", "check", "-h", "--help"}),
         (["config", "d"], {"dump"}),
         (["plan", "demo.map", "--pl"], {"--planner"}),
         (["plan", "demo.map", "--planner", ""], {"rrt", "rrt-connect", "rrt-star"}),

@@ -99,6 +99,7 @@ def test_the_ranges_of_the_configuration_are_in_its_schema() -> None:
         ["config", "check", "no.toml"],
         ["models", "where"],
         ["models", "list"],
+        ["generators", "list"],
         ["cache", "show"],
         ["doctor", "no.mcap"],
         ["doctor", "LOG"],

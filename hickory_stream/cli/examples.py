@@ -111,6 +111,15 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Copy an ONNX file to the folder of models, with an entry in its manifest.",
         "models add my.onnx --kind semantic --labels names.txt",
     ),
+    "generators": (
+        "The programs that make shapes here, each described by a TOML; nothing is ever downloaded.",
+        "generators list",
+    ),
+    "generators list": ("List the generators, their licences, and what they lack.", "generators list --json"),
+    "generators check": (
+        "Start a generator and give it a built-in object: versions, seconds, memory, and a picture of what it made.",
+        "generators check triposr -o check.png",
+    ),
     "models check": (
         "Run a model on a built-in picture: provider, warm-up, time, and what it gives.",
         "models check fastsam-s -o check.png",

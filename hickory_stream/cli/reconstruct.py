@@ -23,10 +23,11 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status: 1 where there is no shape this time, either."""
+    from hickory_stream.engine.generators.choose import reconstructor_of
     from hickory_stream.engine.jobs import JOB, MESH, read_job, write_result
     from hickory_stream.errors import HickoryError
     from hickory_stream.ports import NoShape
-    from hickory_stream.shapes.build import build_shape, make_reconstructor
+    from hickory_stream.shapes.build import build_shape
 
     folder: Path = options.view
     if folder.is_symlink() or folder.parent.is_symlink():
@@ -40,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{folder} is no readable job: {error}") from error
-    built = build_shape(inputs, make_reconstructor(config.reconstructor, config), config)
+    built = build_shape(inputs, reconstructor_of(config), config)
     try:
         write_result(folder, built, config.reconstructor)
     except OSError as error:

@@ -46,11 +46,15 @@ FAILED, FAILURE = "failed", "failure.json"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ShapeAnswer:
-    """What a job gave: a shape, or the reason why there is none; and what its steps took, in seconds."""
+    """What a job gave: a shape, or the reason why there is none; and what its steps took, in seconds.
+
+    `hit_limit`: something of it was given up at a limit, so that it may come out otherwise again.
+    """
 
     shape: ObjectShape | None
     reason: str
     timings_s: Mapping[str, float]
+    hit_limit: bool = False
 
 
 def job_folder(jobs: Path, ticket: int) -> Path:
@@ -104,11 +108,13 @@ def read_job(folder: Path) -> tuple[ShapeInputs, ShapeConfig]:
 def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) -> None:
     """Write a worker's answer; `result.json` comes last and whole."""
     if isinstance(built, NoShape):
-        result: dict[str, Any] = {"reason": built.reason}
+        result: dict[str, Any] = {"reason": built.reason, "hit_limit": built.hit_limit}
     else:
         write_atomically(folder / MESH, glb_bytes(built.reconstruction.mesh), sync=False)
         result = {
-            "reconstructor": reconstructor,
+            "reconstructor": built.reconstruction.made_by or reconstructor,
+            "verdict": built.reconstruction.verdict,
+            "hit_limit": built.reconstruction.hit_limit,
             "world_from_object": built.reconstruction.world_from_object.tolist(),
             "fitted": encode_superquadrics(built.fitted),
             "inflated": encode_superquadrics(built.inflated),
@@ -138,7 +144,9 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
     try:
         result = json.loads(read_within(folder, RESULT))
         if "reason" in result:
-            return ShapeAnswer(shape=None, reason=result["reason"], timings_s={})
+            return ShapeAnswer(
+                shape=None, reason=result["reason"], timings_s={}, hit_limit=bool(result.get("hit_limit"))
+            )
         # The hash is of what was written, read back: the map's digest then holds for the file.
         mesh_sha256 = sha256_of(mesh_of_glb(read_within(folder, MESH)))
         name = f"{object_id:06d}-{ticket:06d}.glb"
@@ -154,10 +162,11 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
             inflated=decode_superquadrics(result["inflated"]),
             seen_share=result["seen_share"],
             containment=Containment(**result["containment"]),
+            verdict=str(result.get("verdict", "")),
         )
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         raise WorkerError(f"job {ticket}: no readable answer in {folder}: {error}") from error
-    return ShapeAnswer(shape=shape, reason="", timings_s=result["timings_s"])
+    return ShapeAnswer(shape=shape, reason="", timings_s=result["timings_s"], hit_limit=bool(result.get("hit_limit")))
 
 
 def remove_job(folder: Path) -> None:

@@ -239,6 +239,7 @@ def _encode_shape(shape: ObjectShape) -> Json:
             "margin_m": json_number(shape.containment.margin_m),
             "shell_m": json_number(shape.containment.shell_m),
         },
+        **({"verdict": shape.verdict} if shape.verdict else {}),
     }
 
 
@@ -263,6 +264,7 @@ def _decode_shape(entry: Json) -> ObjectShape:
             margin_m=float(checked.get("margin_m", 0.0)),
             shell_m=float(checked.get("shell_m", 0.0)),
         ),
+        verdict=plain_text(entry.get("verdict", "")),
     )
 
 

@@ -90,7 +90,9 @@ class Mapper:
         self._segmenter = segmenter or make_segmenter(self.config.perception)
         self._extractor = extractor or make_extractor(self.config.perception)
         self._is_own = segmenter is None and extractor is None
-        self._processor = processor_of_run(self.config.perception, is_own=self._is_own)
+        # What a generator computes depends on the machine as perception of a caller's own does.
+        is_shown = self._is_own and self.config.shapes.reconstructor != "external"
+        self._processor = processor_of_run(self.config.perception, is_own=is_shown)
         self._core = core or MapperCore(self.config.mapping)
         self._workers = workers or make_workers(self.config)
         self._rehearsing = threading.Lock()

@@ -167,7 +167,9 @@ def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config:
         box=item.box,
         support_z_m=floors[0],
     )
-    built = build_shape(inputs, make_reconstructor(config.reconstructor, config), config)
+    # No generator is asked for a merge.
+    reconstructor = make_reconstructor("fused" if config.reconstructor == "external" else config.reconstructor, config)
+    built = build_shape(inputs, reconstructor, config)
     if isinstance(built, NoShape):
         return item
     old = item.shape.revision if item.shape is not None else 0
@@ -177,7 +179,7 @@ def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config:
         write_glb(built.reconstruction.mesh, path)
     shape = ObjectShape(
         revision=_MERGED_REVISION + old,
-        reconstructor=config.reconstructor,
+        reconstructor=reconstructor.name,
         mesh_name=name,
         mesh_sha256=sha256_of(read_glb(path)),
         world_from_object=built.reconstruction.world_from_object,

@@ -34,6 +34,7 @@ from hickory_stream.engine.effects import AtHand, EffectRunner, EffectTargets
 from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
 from hickory_stream.engine.frame_reports import final_report, keyframe_report, plain_report
+from hickory_stream.engine.generators.choose import generator_key
 from hickory_stream.engine.history.rewind import rewound_to
 from hickory_stream.engine.keyframe_images import color_of
 from hickory_stream.engine.keyframe_places import KeyframePlaces
@@ -77,7 +78,7 @@ class Run:
         self._reader = Reader(config, parts.segmenter, self._stop, mode=parts.mode)
         self._choice = KeyframeChoice(parts.mode, config.keyframes)
         self._places = KeyframePlaces(config.registration)
-        cache = ShapeCache(cache_folder("shapes")) if config.run.shape_cache else None
+        cache = ShapeCache(cache_folder("shapes"), generator_key(config)) if config.run.shape_cache else None
         self._shapes = ShapeQueue(folder, parts.workers, config.shapes, cache)
         self._recorder = Recorder(folder, parts.journal)
         self._steps = StepWriter(

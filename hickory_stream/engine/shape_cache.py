@@ -22,19 +22,23 @@ from hickory_stream.engine.processor import processor_of_shapes
 logger = logging.getLogger(__name__)
 
 _ANSWER = ("mesh.glb", "result.json")
-_CODE = ("shapes", "geometry")
+_CODE = ("shapes", "geometry", "engine/generators")
 _LIBRARIES = ("numpy", "scipy", "numba", "scikit-image", "trimesh")
 
 
 class ShapeCache:
-    """A folder of answers by the hash of their jobs. What the disk refuses is a miss: it is a cache."""
+    """A folder of answers by the hash of their jobs. What the disk refuses is a miss: it is a cache.
 
-    def __init__(self, folder: Path) -> None:
+    `made_by` is the hash of a generator's program and weights, "" where none is asked.
+    """
+
+    def __init__(self, folder: Path, made_by: str = "") -> None:
         self._folder = folder
+        self._made_by = made_by
 
     def key(self, job: Path) -> str:
         """Return the hash of a job's input and of what would answer it."""
-        digest = hashlib.sha256(_environment().encode())
+        digest = hashlib.sha256(f"{_environment()} {self._made_by}".encode())
         for path in sorted(job.iterdir()):
             if path.name not in _ANSWER:
                 content = path.read_bytes()

@@ -187,7 +187,8 @@ class ShapeQueue:
             else:
                 for step, seconds in answer.timings_s.items():
                     self.timings_s[step] += seconds
-                if self._cache is not None and job.cache_key is not None:
+                self._limits_before += answer.hit_limit
+                if self._cache is not None and job.cache_key is not None and not answer.hit_limit:
                     await asyncio.to_thread(self._cache.store, job.cache_key, folder)
                 if answer.shape is not None:
                     self.counts["ready"] += 1

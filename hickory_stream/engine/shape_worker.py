@@ -9,16 +9,18 @@ import contextlib
 import json
 import os
 import queue
+import signal
 import sys
 import threading
 from pathlib import Path
 from typing import Any
 
+from hickory_stream.engine.generators.choose import reconstructor_of
 from hickory_stream.engine.jobs import read_job, write_result
 from hickory_stream.engine.warm_up import warm_up
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import NoShape
-from hickory_stream.shapes.build import build_shape, make_reconstructor
+from hickory_stream.shapes.build import build_shape
 
 
 def main() -> None:
@@ -38,6 +40,9 @@ def main() -> None:
 def _listen(jobs: queue.Queue[str]) -> None:
     for line in sys.stdin:
         jobs.put(line)
+    if hasattr(os, "killpg") and os.getpgrp() == os.getpid():
+        # Its group: a generator that it started, and that hangs, ends with it.
+        os.killpg(0, signal.SIGKILL)
     os._exit(0)
 
 
@@ -49,7 +54,7 @@ def serve(folder: Path) -> str | None:
     """Do one job; return why the worker itself failed, None if it answered."""
     try:
         inputs, config = read_job(folder)
-        built = build_shape(inputs, make_reconstructor(config.reconstructor, config), config)
+        built = build_shape(inputs, reconstructor_of(config), config)
     except Exception as error:  # noqa: BLE001 -- the child's main loop: a poisonous job must not end the worker
         built = NoShape(reason=f"{type(error).__name__}: {error}")
     try:

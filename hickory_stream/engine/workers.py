@@ -20,10 +20,12 @@ from typing import TYPE_CHECKING, Protocol, Self
 import psutil
 
 from hickory_stream.caches import cache_root
+from hickory_stream.engine.generators.spec import CHOICE_VARIABLE
 from hickory_stream.errors import ConfigError, WorkerError
 from hickory_stream.json_text import dumps_exactly
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 logger = logging.getLogger(__name__)
@@ -73,16 +75,19 @@ class WorkerLimits:
 class LocalWorkers:
     """`count` child processes that take jobs from one queue; `python` is their interpreter, ours by default.
 
+    `generator` is the TOML of the program that the reconstructor "external" asks.
+
     Raises:
         ConfigError: there is no such interpreter.
     """
 
-    def __init__(self, count: int, limits: WorkerLimits, python: str = "") -> None:
+    def __init__(self, count: int, limits: WorkerLimits, python: str = "", generator: Path | None = None) -> None:
         if count < 1:
             raise ValueError(f"found {count} workers, expected at least 1")
         self._count = count
         self._limits = limits
         self._python = _interpreter(python)
+        self._environment = {} if generator is None else {CHOICE_VARIABLE: str(generator)}
         self._jobs: asyncio.Queue[tuple[Path, asyncio.Future[str | None]]] = asyncio.Queue()
         self._tasks: list[asyncio.Task[None]] = []
         self._num_open = 0
@@ -159,7 +164,7 @@ class LocalWorkers:
                 await self._end(child)
 
     async def _start(self) -> _Child:
-        child = await _Child.start(self._python, self.niceness)
+        child = await _Child.start(self._python, self.niceness, self._environment)
         self._children.add(child)
         return child
 
@@ -179,7 +184,7 @@ class _Child:
         self._process = process
 
     @classmethod
-    async def start(cls, python: str, niceness: int) -> _Child:
+    async def start(cls, python: str, niceness: int, environment: Mapping[str, str]) -> _Child:
         """Return a child that has said that it is ready, and gives way to others by so much.
 
         Raises:
@@ -193,7 +198,7 @@ class _Child:
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 # The same caches as ours, wherever they are.
-                env={**os.environ, **_ENVIRONMENT, "HICKORY_CACHE": str(cache_root())},
+                env={**os.environ, **_ENVIRONMENT, **environment, "HICKORY_CACHE": str(cache_root())},
                 # A group of its own: Ctrl-C is for the run, which then ends its workers in order.
                 start_new_session=True,
             )
@@ -242,10 +247,11 @@ class _Child:
     async def kill(self) -> None:
         """End the process and wait for it."""
         if self._process.returncode is None:
-            try:
+            # Its group: a generator that it started, and that hangs, ends with it.
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):
                 self._process.kill()
-            except ProcessLookupError:
-                pass
         await self._process.wait()
 
     async def _watch(self, line: asyncio.Task[bytes], limits: WorkerLimits) -> None:

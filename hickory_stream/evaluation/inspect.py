@@ -39,7 +39,8 @@ class ObjectSummary:
     """One object; `size_m` are the sides of the box of layer 1, `layer_bytes` the sizes of layers 1 to 4, 0 if missing.
 
     `place` is the pose and size of its best layer. `supports` are its relations in the support graph.
-    `is_sketched`: it has no layers 2 to 4 yet, but one superquadric fitted to its points.
+    `is_sketched`: it has no layers 2 to 4 yet, but one superquadric fitted to its points. `verdict` is why a generated
+    shape was taken, or was not; "" where none was asked for.
     """
 
     id: int
@@ -58,6 +59,7 @@ class ObjectSummary:
     containment: Containment | None
     is_sketched: bool = False
     supports: tuple[Support, ...] = ()
+    verdict: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -209,6 +211,7 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject, supports: tuple[S
         containment=_containment(saved, shape) if shape else None,
         is_sketched=tracked.sketch is not None,
         supports=supports,
+        verdict=shape.verdict if shape else "",
     )
 
 

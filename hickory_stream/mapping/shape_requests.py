@@ -69,6 +69,11 @@ def _requested(state: MapState, track_id: int, mapping: MappingConfig) -> list[E
     return effects
 
 
+def _told(event: ShapeReady) -> str:
+    found = f"job {event.ticket}: {len(event.shape.fitted)} superquadrics"
+    return f"{found}; {event.shape.verdict}" if event.shape.verdict else found
+
+
 def end_shape(state: MapState, event: ShapeReady | ShapeFailed) -> None:
     """Store the result of a shape job in its track; a result of a job that is no longer wanted is ignored."""
     tracks = state.tracks if event.object_id in state.tracks else state.elsewhere
@@ -78,7 +83,7 @@ def end_shape(state: MapState, event: ShapeReady | ShapeFailed) -> None:
         return
     ended = replace(track.shape_state, open_ticket=None)
     if isinstance(event, ShapeReady):
-        state.decide("shape", track.id, f"job {event.ticket}: {len(event.shape.fitted)} superquadrics")
+        state.decide("shape", track.id, _told(event))
         tracks[track.id] = replace(track, shape=event.shape, shape_state=replace(ended, failures=0))
     else:
         state.decide("shape", track.id, f"job {event.ticket} gave no shape: {event.reason}")

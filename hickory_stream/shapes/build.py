@@ -9,42 +9,72 @@ from typing import TYPE_CHECKING, Literal, assert_never
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.geometry.superquadric_surface import surface_points
 from hickory_stream.ports import BuiltShape, NoShape, Reconstruction, Reconstructor, ShapeInputs
+from hickory_stream.shapes.blend import BlendConfig
 from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
 from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor
+from hickory_stream.shapes.generated import GeneratedReconstructor
 from hickory_stream.shapes.inflate import InflateConfig, inflate
+from hickory_stream.shapes.judgement import JudgementConfig
+from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
 from hickory_stream.shapes.single_view import SingleViewConfig, SingleViewReconstructor
 from hickory_stream.shapes.usable import usable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-ReconstructorName = Literal["fused", "single_view"]
+    from hickory_stream.ports import MeshGenerator
+
+ReconstructorName = Literal["fused", "single_view", "external"]
 
 _SURFACE_POINTS = 500
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShapeConfig:
-    """`reconstructor` makes layer 2, "fused" or "single_view"; the others configure the steps."""
+    """`reconstructor` makes layer 2, "fused", "single_view" or "external"; the others configure the steps.
+
+    "external" is the generator that `run.generator` names; `placement`, `judgement` and `blend` are for its shapes.
+    """
 
     reconstructor: ReconstructorName = "fused"
     fused: FusedConfig = field(default_factory=FusedConfig)
     single_view: SingleViewConfig = field(default_factory=SingleViewConfig)
+    placement: PlacementConfig = field(default_factory=PlacementConfig)
+    judgement: JudgementConfig = field(default_factory=JudgementConfig)
+    blend: BlendConfig = field(default_factory=BlendConfig)
     # A reconstruction is accurate to about a centimetre; a finer grid would fit its noise and take longer.
     fit: FitConfig = field(default_factory=lambda: FitConfig(cells=40))
     inflate: InflateConfig = field(default_factory=InflateConfig)
 
 
-def make_reconstructor(name: ReconstructorName, config: ShapeConfig) -> Reconstructor:
-    """Return the reconstructor of that name."""
+def make_reconstructor(
+    name: ReconstructorName, config: ShapeConfig, generator: MeshGenerator | None = None
+) -> Reconstructor:
+    """Return the reconstructor of that name; "external" asks `generator`.
+
+    Raises:
+        ConfigError: "external" without a generator.
+    """
     if name == "fused":
         return FusedReconstructor(config.fused)
     if name == "single_view":
         return SingleViewReconstructor(config.single_view)
+    if name == "external":
+        if generator is None:
+            raise ConfigError("shapes.reconstructor is external, which needs a generator: name it in run.generator")
+        return GeneratedReconstructor(
+            generator,
+            embedded=FusedReconstructor(config.fused),
+            refiner=EmbeddedPlacement(config.placement),
+            volume=config.fused.volume,
+            blend=config.blend,
+            judgement=config.judgement,
+        )
     assert_never(name)
 
 
@@ -53,7 +83,7 @@ def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: Shape
     started = time.perf_counter()
     reconstruction = reconstructor.reconstruct(inputs)
     if isinstance(reconstruction, NoShape):
-        return NoShape(reason=f"{reconstructor.name}: {reconstruction.reason}")
+        return replace(reconstruction, reason=f"{reconstructor.name}: {reconstruction.reason}")
     try:
         reconstruction = _usable(reconstruction)
     except ValueError as error:

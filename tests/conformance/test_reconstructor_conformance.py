@@ -18,6 +18,7 @@ from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.build import ReconstructorName, ShapeConfig, make_reconstructor
 from hickory_stream.testing import BoxReconstructor
 from tests.engine.run_fixtures import scene_request
+from tests.examples.generators import box_generator
 from tests.examples.hull_reconstructor import HullReconstructor
 
 if TYPE_CHECKING:
@@ -33,7 +34,10 @@ TRUE_VOLUME_M3 = float(np.prod(np.array(TRUTH.high) - np.array(TRUTH.low)))
 
 
 def reconstructors() -> dict[str, Reconstructor]:
-    ours = {name: make_reconstructor(name, ShapeConfig()) for name in get_args(ReconstructorName)}
+    embedded: tuple[ReconstructorName, ...] = ("fused", "single_view")
+    ours = {name: make_reconstructor(name, ShapeConfig()) for name in embedded}
+    # One process of the generator serves all of them.
+    ours["external"] = make_reconstructor("external", ShapeConfig(), box_generator())
     # A reconstructor of one's own adds its line here.
     return {**ours, "box": BoxReconstructor(), "hull": HullReconstructor()}
 

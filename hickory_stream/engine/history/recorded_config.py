@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hickory_stream.config import RunConfig
 
 # Which program is run and which address connected to is never taken from a map, which may come from anybody.
-MACHINE_KEYS = ("worker_python", "cluster")
+MACHINE_KEYS = ("worker_python", "cluster", "generator")
 
 
 def recorded_config(path: Path) -> MapperConfig:
@@ -34,7 +34,7 @@ def recorded_config(path: Path) -> MapperConfig:
 
 
 def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False) -> MapperConfig:
-    """Return the configuration to continue a map with: its own, but interpreter and cluster are those of `own`.
+    """Return the configuration to continue a map with: its own, but the programs and addresses are those of `own`.
 
     `ignores_recorded`: that the map was made with other workers is no reason to refuse.
 
@@ -50,7 +50,7 @@ def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False
                 f"{path} was made with run.{key} = {was!r}, here it is {now!r}; what a map names is never run or "
                 f"connected to: give --set mapper.run.{key}=... if you know it, or --own-workers to go on with yours"
             )
-    machine = {key: getattr(own, key) for key in (*MACHINE_KEYS, "cluster_gpus")}
+    machine = {key: getattr(own, key) for key in (*MACHINE_KEYS, "cluster_gpus", "i_accept")}
     return replace(recorded, run=replace(recorded.run, **machine))
 
 
