@@ -81,6 +81,8 @@ def _shape_values(shape: ObjectShape) -> tuple[Any, ...]:
         _primitive_values(shape.inflated),
         shape.seen_share,
         dataclasses.astuple(shape.containment),
+        # Shapes that were not judged have the digest that they had before there were verdicts.
+        *((shape.verdict,) if shape.verdict else ()),
     )
 
 

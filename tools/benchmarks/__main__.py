@@ -18,6 +18,7 @@ from tools.benchmarks.processes import ROOT
 
 _HELPERS = {
     "__main__",
+    "adapter_fakes",
     "align_unknown",
     "apartment_maps",
     "baseline",
