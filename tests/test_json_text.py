@@ -46,7 +46,11 @@ def test_nothing_else_writes_json() -> None:
     assert writers_in(WRITER.read_text()) != []
     # What alters maps writes JSON that is wrong on purpose.
     wrong = {"map_changes.py", "map_damage.py"}
-    found = [file for file in FILES if file != WRITER and file.name not in wrong and writers_in(file.read_text())]
+    # Adapters run in environments that do not have us.
+    foreign = {"serving.py"}
+    found = [
+        file for file in FILES if file != WRITER and file.name not in wrong | foreign and writers_in(file.read_text())
+    ]
     assert found == []
 
 

@@ -65,7 +65,7 @@ def serve(load: Callable[[], tuple[Callable[[View], Made], dict[str, str]]]) -> 
 
 
 def _say(answers: Any, message: dict[str, Any]) -> None:
-    answers.write(json.dumps(message) + "\n")
+    answers.write(json.dumps(message, allow_nan=False) + "\n")
     answers.flush()
 
 
@@ -80,13 +80,13 @@ def answer(folder: Path, make: Callable[[View], Made]) -> None:
         if len(made.vertices) == 0 or len(made.faces) == 0:
             raise NoShapeError("an empty mesh")
     except NoShapeError as error:
-        (folder / "no_shape.json").write_text(json.dumps({"job": job["job"], "reason": str(error)}))
+        (folder / "no_shape.json").write_text(json.dumps({"job": job["job"], "reason": str(error)}, allow_nan=False))
         return
     (folder / "mesh.glb").write_bytes(glb(made))
     said: dict[str, Any] = {"job": job["job"]}
     if made.camera_from_mesh is not None:
         said["camera_from_mesh"] = np.asarray(made.camera_from_mesh, dtype=np.float64).tolist()
-    (folder / "result.json").write_text(json.dumps(said))
+    (folder / "result.json").write_text(json.dumps(said, allow_nan=False))
 
 
 def read_view(folder: Path, seed: int) -> View:
@@ -137,7 +137,7 @@ def glb(made: Made) -> bytes:
         "bufferViews": views,
         "buffers": [{"byteLength": len(binary)}],
     }
-    text = json.dumps(document).encode()
+    text = json.dumps(document, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
