@@ -762,7 +762,78 @@ class Estimated(TypedDict):
     error: PosesError | None
 
 
+class BatchSaid(TypedDict):
+    """What happens in a batch, in a sentence; on standard error."""
+
+    event: Literal["said"]
+    text: str
+
+
+class BatchLog(TypedDict):
+    """What came of a log; `resumed`: it went on with a map that was begun, `was_there`: it was finished before."""
+
+    log: str
+    map: str
+    was_there: bool
+    name: str
+    state: Literal["mapped", "failed", "disk full"]
+    reason: str
+    digest: str | None
+    processor: str
+    keyframes: int
+    objects: int
+    wall_s: float
+    cpu_s: float
+    map_mb: float
+    resumed: bool
+    worker: str
+
+
+class BatchOverlap(TypedDict):
+    """Two maps that were aligned; `num_pairs` objects agree, or `told` says why none do."""
+
+    a: str
+    b: str
+    is_believed: bool
+    num_pairs: int
+    told: str
+
+
+class BatchMerged(TypedDict):
+    """One map of several logs; `united` of its objects are in several of their maps."""
+
+    map: str
+    logs: list[str]
+    digest: str | None
+    objects: int
+    united: int
+
+
+class BatchJoined(TypedDict):
+    """Where the maps overlap: of all `pairs` those that were `aligned`; `signature_kb` is a place signature's size."""
+
+    pairs: int
+    aligned: list[BatchOverlap]
+    merged: list[BatchMerged]
+    signature_kb: float
+    problems: list[str]
+
+
+class Batch(TypedDict):
+    """What `batch` has made, also in OUT/result.json; `stopped` says why it ended early, "" where it did not."""
+
+    event: Literal["finished"]
+    out: str
+    finished: bool
+    stopped: str
+    wall_s: float
+    logs: list[BatchLog]
+    joined: BatchJoined | None
+
+
 OUTPUTS: dict[str, Any] = {
+    "batch": Batch,
+    "batch-said": BatchSaid,
     "odometry": Estimated,
     "demo": Demonstrated,
     "error": Error,

@@ -193,6 +193,24 @@ class Playing:
         return Ended(status=self._process.returncode, stdout=stdout, stderr=stderr)
 
 
+def test_a_batch_maps_a_log_as_play_does_and_leaves_what_it_has_mapped(
+    made: Made, short_log: Path, coarse_config: Path, tmp_path: Path
+) -> None:
+    asked = ("batch", short_log, "-o", tmp_path / "out", "--config", coarse_config, "--workers", 1, "--merge", "--json")
+    ended = look(*asked)
+    assert ended.status == 0, ended.stderr
+    told = ended.json()
+    assert [log["state"] for log in told["logs"]] == ["mapped"]
+    assert told["logs"][0]["digest"] == made.ended.json()["digest"]
+    assert told["joined"]["pairs"] == 0
+    again = look(*asked).json()
+    assert [log["was_there"] for log in again["logs"]] == [True]
+    assert (tmp_path / "out" / "batch.html").is_file()
+    other = look("batch", short_log, "-o", tmp_path / "out", "--json")
+    assert other.status == 2
+    assert "made with another configuration" in other.stderr
+
+
 EAGER = ("--set", "mapper.mapping.requests.first_sightings=2")
 
 

@@ -39,6 +39,7 @@ LAYERS = (
     ("hickory_stream.engine",),
     ("hickory_stream.sinks", "players", "hickory_stream.evaluation"),
     ("hickory_stream.worlds", "hickory_stream.fleet", "hickory_stream.query", "hickory_stream.changes"),
+    ("hickory_stream.batch",),
     (
         "hickory_stream.settings+hickory_stream.progress+hickory_stream.outputs+hickory_stream.json_schema+hickory_stream.cli+hickory_stream.__main__",
     ),

@@ -11,6 +11,12 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Map a robot while it moves: what arrives is mapped, losses are reported, and ROS need not be installed.",
         "live zenoh://b2.local --out robot.map --for 60",
     ),
+    "batch": (
+        "Map many logs into OUT/maps, each by a process of its own, here or on a Dask cluster whose machines share the "
+        "disks. What was mapped before is left alone, what was interrupted is gone on with. In OUT: batch.html and "
+        "result.json; with --merge also merged.map of the maps that overlap.",
+        "batch monday/*.mcap -o monday --workers 2 --merge",
+    ),
     "fleet": (
         "Map several robots in one run, a process each: their maps are aligned while they grow, robots that agree "
         "share one frame from then on, and the finished maps become one. In OUT: NAME.map of each robot, fleet.map, "

@@ -11,6 +11,7 @@ from typing import Any
 from hickory_stream import __version__
 from hickory_stream.cli import (
     align,
+    batch,
     cache,
     completion,
     config,
@@ -49,6 +50,7 @@ _COMMANDS = (
     play,
     live,
     fleet,
+    batch,
     resume,
     replay,
     doctor,

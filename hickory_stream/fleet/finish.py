@@ -22,10 +22,11 @@ from hickory_stream.merging.groups import groups_of
 from hickory_stream.merging.merge_maps import merge_aligned
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from hickory_stream.alignment.answer import NoAlignment
+    from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.merging.groups import Group
 
@@ -58,15 +59,28 @@ class Finished:
     problems: Mapping[str, str]
 
 
-def merged_path(out: Path, place: int) -> Path:
+def merged_path(out: Path, place: int, name: str = FLEET) -> Path:
     """Return the folder of the merged map of a fleet's frames, `place` from 0."""
-    return out / (f"{FLEET}.map" if place == 0 else f"{FLEET}-{place + 1}.map")
+    return out / (f"{name}.map" if place == 0 else f"{name}-{place + 1}.map")
+
+
+def all_pairs(maps: Sequence[ObjectMap]) -> Iterable[tuple[int, int]]:
+    """Return each two of several maps."""
+    return combinations(range(len(maps)), 2)
 
 
 def finish(
-    folders: Mapping[str, Path], out: Path, *, overwrite: bool, tell: Callable[[str], None] = lambda text: None
+    folders: Mapping[str, Path],
+    out: Path,
+    *,
+    overwrite: bool,
+    tell: Callable[[str], None] = lambda text: None,
+    choose: Callable[[Sequence[ObjectMap]], Iterable[tuple[int, int]]] = all_pairs,
+    name: str = FLEET,
 ) -> Finished:
     """Align and merge the maps of a fleet's robots, in the order of `folders`; `tell` is told what is being done.
+
+    `choose` says which two maps are aligned, (a, b) with a < b; `name` is that of the merged map.
 
     Raises:
         MapFolderError: a merged map cannot be written.
@@ -75,13 +89,13 @@ def finish(
     names = tuple(maps)
     objects = [object_map(saved.snapshot, saved.manifest.extractor) for saved in maps.values()]
     answers = {}
-    for a, b in combinations(range(len(names)), 2):
+    for a, b in choose(objects):
         tell(f"aligning {names[a]} and {names[b]}")
         answers[a, b] = align(objects[a], objects[b])
     groups = groups_of([saved.snapshot for saved in maps.values()], answers)
     joined = sorted((group for group in groups if len(group.members) > 1), key=lambda group: -len(group.members))
     merged = tuple(
-        _merged(group, list(maps.values()), answers, names, merged_path(out, place), overwrite, tell)
+        _merged(group, list(maps.values()), answers, names, merged_path(out, place, name), overwrite, tell)
         for place, group in enumerate(joined)
     )
     return Finished(
@@ -138,7 +152,8 @@ def _merged(
     tell: Callable[[str], None],
 ) -> MergedFrame:
     inputs = [maps[i] for i in group.members]
-    own = {(i, j): answers[a, b] for i, a in enumerate(group.members) for j, b in enumerate(group.members) if i < j}
+    place = {a: i for i, a in enumerate(group.members)}
+    own = {(place[a], place[b]): answer for (a, b), answer in answers.items() if a in place and b in place}
     merged = merge_aligned([saved.snapshot for saved in inputs], own)
     manifest = write_merged_map(
         path,

@@ -1,0 +1,111 @@
+"""A task in a process of its own, from whatever thread of whatever worker: a crash costs one attempt."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.batch.tasks import LogOutcome
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hickory_stream.batch.tasks import LogTask
+
+_ATTEMPTS = 3
+COMMAND = (sys.executable, "-m", "hickory_stream.batch.one_log")
+
+
+def run_task(task: LogTask, is_stopped: Callable[[], bool] = lambda: False) -> LogOutcome:
+    """Map a log and return what came of it.
+
+    A process that is killed is started again, and goes on where it was; unless `is_stopped`, after which the log is
+    left as it is.
+    """
+    status = 0
+    for _ in range(_ATTEMPTS):
+        outcome, status = _attempt(task)
+        if outcome is not None:
+            return outcome
+        if is_stopped():
+            return LogOutcome(name=task.name, state="failed", reason="stopped")
+    reason = f"its process ended with {_status_text(status)}, {_ATTEMPTS} times"
+    return LogOutcome(name=task.name, state="failed", reason=reason)
+
+
+class Children:
+    """The processes that run now, so that they can be ended together."""
+
+    def __init__(self) -> None:
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._lock = threading.Lock()
+
+    def add(self, process: subprocess.Popen[bytes]) -> None:
+        """Remember a process that was started."""
+        with self._lock:
+            self._running.add(process)
+
+    def remove(self, process: subprocess.Popen[bytes]) -> None:
+        """Forget a process that has ended."""
+        with self._lock:
+            self._running.discard(process)
+
+    def kill(self) -> None:
+        """End all of them at once: their maps can be gone on with."""
+        with self._lock:
+            for process in self._running:
+                process.kill()
+
+
+CHILDREN = Children()
+
+
+def _attempt(task: LogTask) -> tuple[LogOutcome | None, int]:
+    """Return what a process says came of the task, None where it died, and its exit status."""
+    environment = dict(os.environ)
+    if task.cores:
+        # Pools of threads are made for as many processors as the process may use.
+        environment |= {name: str(len(task.cores)) for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")}
+    with subprocess.Popen(
+        COMMAND,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=environment,
+        # Ctrl-C is for the batch, which then ends its processes.
+        start_new_session=True,
+    ) as process:
+        CHILDREN.add(process)
+        try:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            try:
+                process.stdin.write(pickle.dumps(task))
+                process.stdin.flush()
+            except BrokenPipeError:
+                return None, process.wait()
+            line = process.stdout.readline()
+            status = process.wait()
+        finally:
+            CHILDREN.remove(process)
+            process.kill()
+    try:
+        return LogOutcome(**json.loads(line)), status
+    except (ValueError, TypeError):
+        return None, status
+
+
+def _status_text(status: int) -> str:
+    return f"signal {signal.Signals(-status).name}" if status < 0 else f"status {status}"
+
+
+def with_cores(task: LogTask, cores: tuple[int, ...]) -> LogTask:
+    """Return a task for some processors: with no more processes that build shapes than these."""
+    mapper = task.mapper
+    return replace(task, cores=cores, mapper=replace(mapper, run=replace(mapper.run, workers=max(1, len(cores)))))

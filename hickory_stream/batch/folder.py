@@ -1,0 +1,93 @@
+"""The folder of a batch: which logs it maps and how, and what came of each, so that it can be gone on with.
+
+`batch.json` is written first, `outcomes/NAME.json` when a log is mapped, each whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.batch.tasks import LogOutcome
+from hickory_stream.engine.atomic import disk_errors, write_atomically
+from hickory_stream.engine.folder_lock import FolderLock
+from hickory_stream.errors import InputError, MapFolderError
+from hickory_stream.json_text import dumps
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+_KIND = "hickory-stream batch"
+_PLAN = "batch.json"
+
+
+class BatchFolder:
+    """Holds a batch's folder until `release`, or the end of the process.
+
+    Raises:
+        MapFolderError: another process writes it, it is no folder of a batch, or the disk refuses.
+        InputError: it holds a batch of other logs, or made otherwise.
+    """
+
+    def __init__(self, path: Path, plan: Mapping[str, Any]) -> None:
+        self.path = path
+        with disk_errors(path):
+            if path.exists() and not (path / _PLAN).is_file() and any(path.iterdir()):
+                raise MapFolderError(f"{path} is there and holds no batch; choose another --out")
+            (path / "maps").mkdir(parents=True, exist_ok=True)
+            (path / "outcomes").mkdir(exist_ok=True)
+            self._lock = FolderLock(path)
+        try:
+            self._agree(plan)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def release(self) -> None:
+        """Let others write the folder."""
+        self._lock.release()
+
+    def map_path(self, name: str) -> Path:
+        """Return where the map of a log lies."""
+        return self.path / "maps" / f"{name}.map"
+
+    def outcome(self, name: str) -> LogOutcome | None:
+        """Return what came of a log that was mapped before; None where it is to be mapped."""
+        try:
+            outcome = LogOutcome(**json.loads((self.path / "outcomes" / f"{name}.json").read_bytes()))
+        except (OSError, ValueError, TypeError):
+            return None
+        return outcome if self.map_path(name).is_dir() else None
+
+    def keep(self, outcome: LogOutcome) -> None:
+        """Remember what came of a log; raises `MapFolderError` where the disk refuses."""
+        path = self.path / "outcomes" / f"{outcome.name}.json"
+        with disk_errors(path):
+            write_atomically(path, dumps(asdict(outcome), indent=1).encode())
+
+    def _agree(self, plan: Mapping[str, Any]) -> None:
+        """Compare what is asked for with what the folder holds; more logs may be added."""
+        path = self.path / _PLAN
+        asked = {"kind": _KIND, **plan}
+        if path.is_file():
+            try:
+                held = json.loads(path.read_bytes())
+            except (OSError, ValueError) as error:
+                raise MapFolderError(f"{path} is damaged: {error}; choose another --out") from error
+            if not isinstance(held, dict) or held.get("kind") != _KIND:
+                raise MapFolderError(f"{path} is no batch; choose another --out")
+            for key, what in (("software", "by another version"), ("config", "with another configuration")):
+                if held.get(key) != asked[key]:
+                    raise InputError(f"{self.path} holds a batch made {what}; choose another --out")
+            changed = [name for name, log in held["logs"].items() if asked["logs"].get(name) != log]
+            if changed:
+                raise InputError(
+                    f"{self.path} holds a batch whose log {changed[0]} is another one, or has changed since; name the "
+                    "same logs in the same order, and new ones after them, or choose another --out"
+                )
+            if held == asked:
+                return
+        with disk_errors(path):
+            write_atomically(path, dumps(asked, indent=1).encode())

@@ -1,0 +1,158 @@
+"""A batch from its beginning, or from where it was left, to its table."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.batch.cluster import outcomes_on
+from hickory_stream.batch.folder import BatchFolder
+from hickory_stream.batch.joining import join_maps
+from hickory_stream.batch.local import outcomes_here
+from hickory_stream.batch.result import BatchResult, Row
+from hickory_stream.batch.tasks import LogOutcome, LogTask, names_of, software
+from hickory_stream.errors import InputError, MapFolderError, WorkerError
+from hickory_stream.json_text import dumps
+from players import note_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Sequence
+
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.sinks.disk_sink import DiskSinkConfig
+    from players import SourceOptions
+
+_FULL = "the disk is full: free space, then the same command goes on"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BatchPlan:
+    """Logs `uris`, and how they are mapped: by `workers` processes here (0: one for each processor) or on a `cluster`.
+
+    `merges`: their maps are aligned and merged.
+    """
+
+    uris: tuple[str, ...]
+    options: SourceOptions
+    out: Path
+    mapper: MapperConfig
+    disk: DiskSinkConfig
+    workers: int = 0
+    cluster: str = ""
+    merges: bool = False
+
+
+def run_batch(plan: BatchPlan, tell: Callable[[str], None] = lambda text: None) -> BatchResult:
+    """Map what is not mapped yet, merge what is to be merged; `tell` is told what happens, in sentences.
+
+    A log that cannot be mapped is a row that says so; the others go on. On a full disk nothing more is begun.
+
+    Raises:
+        InputError: a log is not there, or the folder holds another batch.
+        MapFolderError: another process writes the folder, or a merged map cannot be written.
+        ConfigError: the cluster cannot be used.
+    """
+    missing = [uri for uri in plan.uris if not Path(uri).exists()]
+    if missing:
+        raise InputError(f"there is no log {missing[0]}; give files or folders that are there")
+    started_s = time.monotonic()
+    names = names_of(plan.uris)
+    folder = BatchFolder(plan.out, _told_plan(plan, names))
+    try:
+        before = {name: outcome for name in names if (outcome := folder.outcome(name)) is not None}
+        tasks = [
+            _task(plan, folder, name, uri) for name, uri in zip(names, plan.uris, strict=True) if name not in before
+        ]
+        if before:
+            tell(f"{len(before)} of {len(names)} logs were mapped before")
+        outcomes, stopped = _outcomes(plan, folder, tasks, tell)
+        rows = tuple(_row(folder, name, uri, before, outcomes) for name, uri in zip(names, plan.uris, strict=True))
+        joined = None
+        if plan.merges and not stopped:
+            maps = {name: row.map for name, row in zip(names, rows, strict=True) if row.outcome.state == "mapped"}
+            joined = join_maps(maps, plan.out, tell)
+    finally:
+        folder.release()
+    return BatchResult(out=plan.out, rows=rows, wall_s=time.monotonic() - started_s, joined=joined, stopped=stopped)
+
+
+def _outcomes(
+    plan: BatchPlan, folder: BatchFolder, tasks: Sequence[LogTask], tell: Callable[[str], None]
+) -> tuple[dict[str, LogOutcome], str]:
+    """Return what came of the tasks, and why the batch ended before its end, "" if it did not."""
+    found: dict[str, LogOutcome] = {}
+    with closing(_worked(plan, tasks)) as outcomes:
+        try:
+            for outcome in outcomes:
+                found[outcome.name] = outcome
+                if outcome.state == "mapped":
+                    folder.keep(outcome)
+                tell(f"{len(found)} of {len(tasks)}: {_sentence(outcome)}")
+                if outcome.state == "disk full":
+                    return found, _FULL
+        except (WorkerError, MapFolderError) as error:
+            return found, str(error)
+        except KeyboardInterrupt:
+            return found, "stopped; the same command goes on"
+    return found, ""
+
+
+def _worked(plan: BatchPlan, tasks: Sequence[LogTask]) -> Generator[LogOutcome, None, None]:
+    if not tasks:
+        yield from ()
+    elif plan.cluster:
+        yield from outcomes_on(plan.cluster, tasks)
+    else:
+        yield from outcomes_here(tasks, min(plan.workers or os.cpu_count() or 1, len(tasks)))
+
+
+def _task(plan: BatchPlan, folder: BatchFolder, name: str, uri: str) -> LogTask:
+    return LogTask(
+        name=name,
+        note=note_of([uri], plan.options),
+        out=folder.map_path(name).resolve(),
+        mapper=plan.mapper,
+        disk=plan.disk,
+        software=software(),
+    )
+
+
+def _row(
+    folder: BatchFolder, name: str, uri: str, before: dict[str, LogOutcome], outcomes: dict[str, LogOutcome]
+) -> Row:
+    outcome = before.get(name) or outcomes.get(name)
+    if outcome is None:
+        outcome = LogOutcome(name=name, state="failed", reason="not begun, or left as it was")
+    return Row(uri=uri, map=folder.map_path(name), outcome=outcome, was_there=name in before)
+
+
+def _told_plan(plan: BatchPlan, names: Sequence[str]) -> dict[str, Any]:
+    """Return what a batch is known again by; how it is carried out is no part of it."""
+    config = asdict(plan.mapper)
+    del config["run"]
+    made = dumps([config, asdict(plan.disk), {**note_of([], plan.options)}], sort_keys=True)
+    logs = {
+        name: {"path": str(Path(uri).absolute()), "bytes": _num_bytes(Path(uri))}
+        for name, uri in zip(names, plan.uris, strict=True)
+    }
+    return {"software": software(), "config": hashlib.sha256(made.encode()).hexdigest()[:16], "logs": logs}
+
+
+def _num_bytes(path: Path) -> int:
+    if path.is_dir():
+        return sum(one.stat().st_size for one in path.rglob("*") if one.is_file())
+    return path.stat().st_size
+
+
+def _sentence(outcome: LogOutcome) -> str:
+    if outcome.state != "mapped":
+        return f"{outcome.name}: {outcome.reason}"
+    went_on = ", gone on with" if outcome.resumed else ""
+    return (
+        f"{outcome.name}: {outcome.objects} objects of {outcome.keyframes} keyframes in {outcome.wall_s:.0f} s{went_on}"
+    )

@@ -1,0 +1,97 @@
+"""What a batch asks of a worker: one log to be mapped into one folder, and what came of it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from hickory_stream import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.sinks.disk_sink import DiskSinkConfig
+
+_PACKAGES = ("hickory_stream", "players")
+_LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image")
+_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9_.-]+")
+
+State = Literal["mapped", "failed", "disk full"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LogTask:
+    """One log: its `note` (`players.open_noted`), the map folder to make, and how.
+
+    `software` is the version that is to make it. `cores` are the processors that its processes may use, () for all.
+    """
+
+    name: str
+    note: Mapping[str, Any]
+    out: Path
+    mapper: MapperConfig
+    disk: DiskSinkConfig
+    software: str
+    cores: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LogOutcome:
+    """What came of a log: `reason` says why there is no finished map.
+
+    `wall_s` and `cpu_s` are what the last attempt took; `resumed`: it went on with a map that was begun before.
+    `worker` names the machine and the process that made it.
+    """
+
+    name: str
+    state: State
+    reason: str = ""
+    digest: str | None = None
+    processor: str = ""
+    keyframes: int = 0
+    objects: int = 0
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    map_mb: float = 0.0
+    resumed: bool = False
+    worker: str = ""
+
+
+def names_of(uris: Sequence[str]) -> tuple[str, ...]:
+    """Return a name for each log, which no other has: that of its file, with a number where several are called so."""
+    names: list[str] = []
+    for uri in uris:
+        stem = _NOT_IN_NAMES.sub("-", Path(uri).resolve().stem).strip("-.") or "log"
+        name, number = stem, 1
+        while name in names:
+            number += 1
+            name = f"{stem}-{number}"
+        names.append(name)
+    return tuple(names)
+
+
+@cache
+def software() -> str:
+    """Return what a map depends on beside its log and its configuration: our code, Python, and the libraries."""
+    root = Path(__file__).resolve().parents[2]
+    digest = hashlib.sha256()
+    for package in _PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    libraries = " ".join(f"{name} {_version(name)}" for name in _LIBRARIES)
+    python = ".".join(map(str, sys.version_info[:2]))
+    return f"hickory-stream {__version__} ({digest.hexdigest()[:12]}), Python {python}, {libraries}"
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return "none"

@@ -1,0 +1,48 @@
+"""Place signatures find the maps that overlap without asking all pairs, in whatever frame each map is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hickory_stream.alignment.object_map import taken
+from hickory_stream.batch.place_signature import candidate_pairs, place_signatures
+from hickory_stream.evaluation.maps.fleet import FleetMaps, FleetMapsConfig, simulate_fleet
+from hickory_stream.evaluation.maps.variants import moved_map, random_frame
+
+
+@pytest.fixture(scope="module")
+def fleet() -> FleetMaps:
+    return simulate_fleet(FleetMapsConfig(num_maps=24, difficulty="easy"), 101)
+
+
+def test_maps_with_ten_objects_in_common_are_found_and_few_others_are_asked(fleet: FleetMaps) -> None:
+    asked = set(candidate_pairs(place_signatures(fleet.maps)))
+    overlapping = {pair for pair, count in fleet.common.items() if count >= 10}
+    assert len(overlapping) >= 5
+    assert len(overlapping & asked) >= 0.9 * len(overlapping)
+    assert len(asked) <= 3 * len(overlapping)
+    assert all(a < b for a, b in asked)
+
+
+def test_the_frame_of_a_map_and_the_order_of_its_objects_change_nothing(fleet: FleetMaps) -> None:
+    maps = fleet.maps
+    rng = np.random.default_rng(3)
+    others = [taken(moved_map(one, random_frame(rng)), rng.permutation(len(one))) for one in maps]
+    found, again = (candidate_pairs(place_signatures(both)) for both in (maps, others))
+    # What lies at the border of a bin may fall on its other side.
+    assert len(set(found) ^ set(again)) <= 1
+    assert found
+
+
+def test_a_map_without_objects_or_features_overlaps_nothing_and_breaks_nothing(fleet: FleetMaps) -> None:
+    empty = taken(fleet.maps[0], np.empty(0, dtype=np.int64))
+    one = taken(fleet.maps[0], np.array([0]))
+    assert candidate_pairs(place_signatures([empty, one, fleet.maps[1]])) == {}
+    assert candidate_pairs(place_signatures([])) == {}
+
+
+def test_the_same_map_twice_is_a_pair_and_its_signature_is_compact(fleet: FleetMaps) -> None:
+    signatures = place_signatures([fleet.maps[0], fleet.maps[0]])
+    assert list(candidate_pairs(signatures)) == [(0, 1)]
+    assert signatures[0].num_bytes < 400 * len(fleet.maps[0])
