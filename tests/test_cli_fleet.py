@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
@@ -103,6 +105,35 @@ def test_the_merged_map_is_the_one_that_merge_makes(by_two: Run, tmp_path: Path)
     assert any(len(members) > 1 for members in saved.manifest.source["provenance"].values())
 
 
+def test_a_fleet_that_was_killed_goes_on_to_the_same_joins_and_the_same_map(
+    made: Path, by_two: Run, tmp_path: Path
+) -> None:
+    """Robot 1 has ended, robot 2 was killed as soon as its folder was there."""
+    for i in (1, 2):
+        shutil.copytree(by_two.out / f"robot-{i}.map", tmp_path / f"robot-{i}.map")
+    killed = tmp_path / "robot-2.map"
+    (killed / JOURNAL).write_bytes(b"")
+    manifest = json.loads((killed / "manifest.json").read_text())
+    (killed / "manifest.json").write_text(json.dumps({**manifest, "finished_cleanly": False}))
+    again = fleet(made, tmp_path, made / "f.toml", "--resume")
+    assert again.ended.status == 0, again.ended.stderr
+    assert again.told["joins"] == by_two.told["joins"]
+    assert [one["digest"] for one in again.told["robots"]] == [one["digest"] for one in by_two.told["robots"][:2]]
+    assert again.told["merged"][0]["digest"] == by_two.told["merged"][0]["digest"]
+    assert again.told["notes"] == by_two.told["notes"]
+
+
+def test_a_fleet_goes_on_with_nothing_but_its_own_maps(made: Path, by_two: Run, tmp_path: Path) -> None:
+    nothing = look("fleet", made / "f.toml", "-o", tmp_path / "none", "--resume")
+    assert nothing.status == 2
+    assert "there is nothing to --resume" in nothing.stderr
+    robots = [f"--robot=robot-{i}={made / f'f-{j}.mcap'}" for i, j in ((1, 2), (2, 1))]
+    other = look("fleet", *robots, "-o", by_two.out, "--resume")
+    assert other.status == 2
+    assert "robot robot-1: " in other.stderr
+    assert "was made of" in other.stderr
+
+
 def test_the_recording_has_every_robot_and_moves_it_when_it_is_joined(by_two: Run) -> None:
     columns: dict[str, dict[str, list[Any]]] = {}
     for chunk in RrdReader(by_two.out / "fleet.rrd").stream():
@@ -149,10 +180,25 @@ def test_what_is_no_fleet_is_refused_in_one_line(
     assert said in last
 
 
+def test_play_maps_a_fleet_where_robots_are_named_instead_of_a_log(made: Path, tmp_path: Path) -> None:
+    robots = ("--robot", f"a={made / 'broken.mcap'}", "--robot", f"b={made / 'broken.mcap'}")
+    ended = look("play", *robots, "--out", tmp_path / "out", "--viewer", "none")
+    assert ended.status == 2
+    assert "no robot gave a map: a: " in ended.stderr
+    for more, said in (
+        (("--out", tmp_path / "out", "--frames", "3"), "found --frames, which is for a single log"),
+        ((), "found no --out"),
+    ):
+        refused = look("play", *robots, *more)
+        assert refused.status == 2
+        assert said in refused.stderr
+    assert "found no log" in look("play", "--out", tmp_path / "out").stderr
+
+
 def test_what_is_there_is_not_replaced_unless_asked(made: Path, by_two: Run, tmp_path: Path) -> None:
     ended = look("fleet", made / "f.toml", "-o", by_two.out)
     assert ended.status == 2
-    assert "robot-1.map is there already; --overwrite" in ended.stderr
+    assert "robot-1.map is there already; --overwrite replaces it, --resume goes on" in ended.stderr
     (tmp_path / "robot-1.map").mkdir()
     (tmp_path / "robot-1.map" / "photos").touch()
     assert look("fleet", made / "f.toml", "-o", tmp_path, "--overwrite").status == 2

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.play import make_style
 from hickory_stream.cli.status import INCOMPLETE, STOPPED
-from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.cli.values import read_settings
 from hickory_stream.cli.written import disk_refusals
 from hickory_stream.errors import InputError
@@ -24,6 +23,10 @@ if TYPE_CHECKING:
     from hickory_stream.progress import ProgressPrinter
 
 
+DEFAULTS: dict[str, Any] = {"fleet": None, "resume": False, "every": None, "processes": None, "most_s": None}
+"""What is not said of a fleet whose robots are named on the command line of `play`."""
+
+
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
     """Add the command to the command line."""
     fleet = commands.add_parser(
@@ -37,7 +40,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     fleet.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT", help="the folder for NAME.map, fleet.map and fleet.rrd"
     )
-    fleet.add_argument("--overwrite", action="store_true", help="replace the maps that are there")
+    there = fleet.add_mutually_exclusive_group()
+    there.add_argument("--overwrite", action="store_true", help="replace the maps that are there")
+    there.add_argument("--resume", action="store_true", help="go on with a fleet that was killed or stopped")
     fleet.add_argument("--every", type=int, metavar="N", help="align the maps every N keyframes (10)")
     fleet.add_argument("--processes", type=int, metavar="N", help="robots at a time (as many as processors)")
     fleet.add_argument("--for", type=float, dest="most_s", metavar="S", help="map live robots for so many seconds")
@@ -69,6 +74,7 @@ def run(options: argparse.Namespace) -> int:
         config=config,
         out=options.out,
         overwrite=options.overwrite,
+        resumes=options.resume,
         mapper=settings.mapper,
         disk=settings.disk,
         rerun=settings.rerun,
@@ -156,11 +162,9 @@ def result_text(result: FleetResult) -> str:
 def _notes(result: FleetResult) -> list[str]:
     """Return what is said beside the table: losses, and how to go on with what did not end."""
     lines = [f"{robot.name}: {note}" for robot in result.robots for note in robot.notes]
-    lines += [
-        f"{robot.name}: go on with: {resume_command(robot.map)}, then `merge` the maps"
-        for robot in result.robots
-        if not robot.is_finished and robot.map is not None
-    ]
+    unfinished = [robot.name for robot in result.robots if not robot.is_finished and robot.map is not None]
+    if unfinished:
+        lines.append(f"{', '.join(unfinished)}: the same command with --resume goes on with the fleet")
     return [*lines, *(f"note: {note}" for note in result.notes)]
 
 

@@ -22,7 +22,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         "merge", parents=[common], help="make one map of several that overlap; the inputs are not changed"
     )
     merge.set_defaults(run=run)
-    merge.add_argument("maps", type=Path, metavar="A B", nargs="+", help="maps; the result is in the first one's frame")
+    merge.add_argument(
+        "maps", type=Path, metavar="A B", nargs="+", help="maps; the result is in the frame of the first that is in it"
+    )
     merge.add_argument("-o", "--out", type=Path, required=True, metavar="MAP", help="the map folder to make")
     merge.add_argument("--overwrite", action="store_true", help="replace the map that is there")
 
@@ -77,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
         for outcome in outcomes:
             print(f"{outcome['a']} and {outcome['b']}: {outcome['outcome']}")
         for path in left_out:
-            print(f"{path} was left out: it is aligned with no other map")
+            print(f"{path} was left out: it is aligned with none of the maps that were merged")
         print(f"{options.out}: {result['objects']} objects, {result['united']} of them in several maps" if is_any else
               "nothing was merged")  # fmt: skip
     return 0 if is_any else NO_ALIGNMENT

@@ -26,14 +26,23 @@ if TYPE_CHECKING:
     from hickory_stream.settings import Settings
 
 
+# What `play` has beside what a fleet has, and what it is where it was not said.
+_OF_ONE_LOG = {
+    "rate": "max", "live": False, "loop": 1, "start": 0.0, "end": None, "inject": None, "frames": None, "rrd": None,
+    "costmap": None, "metrics_port": None, "profile": None, "odometry": "auto", "poses": None, "pose_topic": None,
+    "color_topic": None, "depth_topic": None,
+}  # fmt: skip
+
+
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
     """Add the command to the command line."""
     play = commands.add_parser("play", parents=[common, configured], help="map a recorded log")
     play.set_defaults(run=run)
     play.add_argument(
         "source",
-        nargs="+",
-        help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images; several logs are played as one",
+        nargs="*",
+        help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images; several logs are played as one; or, without "
+        "any, --robot NAME=LOG for each robot of a fleet",
     )
     play.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
     play.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
@@ -82,6 +91,10 @@ def run(options: argparse.Namespace) -> int:
     from players import note_of, open_noted
     from players.playback import PlaybackClock
 
+    if not options.source and any("=" in robot for robot in options.robot or ()):
+        return _play_fleet(options)
+    if not options.source:
+        raise InputError("found no log, expected play LOG [LOG ...], or --robot NAME=LOG for each robot of a fleet")
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
     check_viewer(viewer)
@@ -132,6 +145,22 @@ def run(options: argparse.Namespace) -> int:
         for sink in beside:
             sink.close()
     return finish(options, out, played)
+
+
+def _play_fleet(options: argparse.Namespace) -> int:
+    """Map several robots as `fleet` does; the options of a single log are refused."""
+    from argparse import Namespace
+
+    from hickory_stream.cli import fleet
+
+    alone = [
+        f"--{name.replace('_', '-')}" for name, default in _OF_ONE_LOG.items() if getattr(options, name) != default
+    ]
+    if alone:
+        raise InputError(f"found {alone[0]}, which is for a single log; leave it out, or use `fleet FLEET.toml`")
+    if options.out is None:
+        raise InputError("found no --out, expected --out OUT: the folder for the robots' maps and the merged one")
+    return fleet.run(Namespace(**{**vars(options), **fleet.DEFAULTS}))
 
 
 def sinks_beside(options: argparse.Namespace, settings: Settings, *, is_live: bool) -> list[Sink]:

@@ -25,7 +25,9 @@ def add_source_options(command: argparse.ArgumentParser) -> None:
     topics.add_argument("--sync-tolerance", type=float, metavar="MS", help="between colour and depth (half a period)")
     topics.add_argument("--max-pose-gap", type=float, metavar="MS", help="between poses that are interpolated")
     topics.add_argument("--profile", metavar="NAME", help="the kind of log: a name, a TOML file, or none")
-    topics.add_argument("--robot", metavar="NAME", help="the robot whose topics are played, for profiles with robots")
+    topics.add_argument(
+        "--robot", action="append", metavar="NAME", help="the robot whose topics are played, for profiles with robots"
+    )
     topics.add_argument(
         "--odometry",
         choices=("auto", "topic", "lidar", "depth", "small_gicp", "kiss-icp"),
@@ -59,7 +61,7 @@ def source_options(options: argparse.Namespace) -> SourceOptions:
         sync_tolerance_ns=parse_nanoseconds(options.sync_tolerance),
         max_pose_gap_ns=None if gap_ms is None else round(gap_ms * 1e6),
         profile=options.profile,
-        robot=options.robot,
+        robot=options.robot[-1] if options.robot else None,
         clock=options.clock,
         odometry=options.odometry,
         extrinsics=options.extrinsics,

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from hickory_stream.engine.manifest import Manifest
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.saved_map import SavedMap
-    from hickory_stream.merging.merge_maps import Merged, PairOutcome
+    from hickory_stream.merging.layout import PairOutcome
+    from hickory_stream.merging.merge_maps import Merged
     from hickory_stream.merging.objects import MergedObject
     from hickory_stream.records import TrackedObject, View
 
@@ -57,9 +58,10 @@ def write_merged_map(
     Raises:
         MapFolderError: the place is taken or cannot be written, or a file of an input is damaged.
     """
+    used = [saved for i, saved in enumerate(inputs) if i not in merged.left_out]
     # What ran on the machine where the first one was made is no part of this map.
-    config = {name: section for name, section in inputs[0].manifest.config.items() if name != "run"}
-    names = {saved.manifest.extractor for saved in inputs}
+    config = {name: section for name, section in used[0].manifest.config.items() if name != "run"}
+    names = {saved.manifest.extractor for saved in used}
     folder = create_map_folder(
         out,
         config=config,

@@ -57,7 +57,7 @@ class GrowthSink:
         if report.snapshot is None:
             return
         self._unsent = report.snapshot
-        if report.frame is None:  # the report after the last frame: the map as it is finished
+        if report.segmentation is None:  # the report after the last frame: the map as it is finished
             return
         self._keyframes += 1
         self._poses.append(report.world_from_camera)

@@ -34,11 +34,15 @@ _TELL_EVERY_S = 0.2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotTask:
-    """What a process is to do: `every_keyframes` it sends the map; `most_s` and `patience_s` are for live robots."""
+    """What a process is to do: `every_keyframes` it sends the map; `most_s` and `patience_s` are for live robots.
+
+    `resumes`: it goes on with the map that is there.
+    """
 
     robot: Robot
     out: Path
     overwrite: bool
+    resumes: bool
     mapper: MapperConfig
     disk: DiskSinkConfig
     every_keyframes: int
@@ -85,21 +89,40 @@ class _Link:
 
 
 def _mapped(task: RobotTask, link: _Link) -> Ended:
-    from hickory_stream.engine.manifest import read_json
+    from hickory_stream.engine.history.replay import show_until_resumed
+    from hickory_stream.engine.manifest import is_map_folder, read_json
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
+    from hickory_stream.fleet.resuming import has_ended, send_recorded
     from hickory_stream.sinks.disk_sink import DiskSink
     from players.doctor_text import damage_line
 
     span = _Span()
+    resumes = task.resumes and is_map_folder(task.out)
+    if resumes and has_ended(task.out):
+        digest, reason = send_recorded(task.out, task.every_keyframes, link.send, span)
+        return Ended(
+            is_finished=not reason,
+            was_stopped=bool(reason),
+            reason=reason,
+            digest=digest,
+            start_ns=span.start_ns,
+            end_ns=span.end_ns,
+        )
     source, note = _opened(task)
     try:
         streams = (f"  {role}: {topic}" for role, topic in source.info.streams)
         link.send(Opened(text=(f"{source.info.kind}: {source.info.uri}", *streams)))
-        mapper = Mapper(task.mapper, out=task.out, overwrite=task.overwrite)
+        if resumes:
+            mapper = Mapper.resuming(task.out, machine=task.mapper.run)
+        else:
+            mapper = Mapper(task.mapper, out=task.out, overwrite=task.overwrite)
+
+        growth = GrowthSink(task.every_keyframes, mapper.extractor_name, link.send)
+        if resumes:
+            show_until_resumed(task.out, (growth, span))
 
         def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
-            growth = GrowthSink(task.every_keyframes, mapper.extractor_name, link.send)
             return [(DiskSink(folder, task.disk), True), (growth, True), (span, True)]
 
         played = play(
@@ -132,11 +155,10 @@ def _opened(task: RobotTask) -> tuple[Source, dict[str, Any]]:
         from players.live import open_live
 
         source = open_live(robot.uris[0], robot.options, patience_s=task.patience_s, most_s=task.most_s)
-        return source, {"live": robot.uris[0]}
-    from players import note_of, open_noted
+        return source, robot.note
+    from players import open_noted
 
-    note = note_of(robot.uris, robot.options)
-    return open_noted(note, keyframes=task.mapper.keyframes), note
+    return open_noted(robot.note, keyframes=task.mapper.keyframes), robot.note
 
 
 class _Teller:

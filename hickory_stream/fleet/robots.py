@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.config import from_dict
 from hickory_stream.errors import ConfigError
 from hickory_stream.ranges import Ranged, number
-from players import SourceOptions
+from players import SourceOptions, note_of
 from players.live.routes import is_live
 
 if TYPE_CHECKING:
@@ -35,6 +35,11 @@ class Robot:
     def is_live(self) -> bool:
         """Whether it is mapped while it moves."""
         return len(self.uris) == 1 and is_live(self.uris[0])
+
+    @property
+    def note(self) -> dict[str, Any]:
+        """What the manifest of its map says of it, by which the source is opened again."""
+        return {"live": self.uris[0]} if self.is_live else note_of(self.uris, self.options)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

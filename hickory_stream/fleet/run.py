@@ -18,6 +18,7 @@ from hickory_stream.fleet.growth import GrownMap, Rounds
 from hickory_stream.fleet.joins import Joins
 from hickory_stream.fleet.messages import Ended, Moved, Opened
 from hickory_stream.fleet.result import FleetResult, result_of
+from hickory_stream.fleet.resuming import check_same
 from hickory_stream.fleet.robot_process import RobotTask
 from hickory_stream.fleet.robots import FLEET
 from hickory_stream.sinks.rerun_config import RerunConfig
@@ -40,15 +41,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FleetPlan:
-    """A fleet that is to be run into the folder `out`; `overwrite` replaces the maps that are there.
+    """A fleet that is to be run into the folder `out`.
 
-    `viewer` shows it while it runs.
+    `overwrite` replaces the maps that are there, `resumes` goes on with them; `viewer` shows the fleet while it runs.
     """
 
     robots: tuple[Robot, ...]
     config: FleetConfig
     out: Path
     overwrite: bool
+    resumes: bool = False
     mapper: MapperConfig
     disk: DiskSinkConfig
     rerun: RerunConfig = field(default_factory=RerunConfig)
@@ -99,7 +101,7 @@ def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
         ended = run_crew([_task(plan, robot) for robot in plan.robots], processes, run.hear)
         ended = {name: ended[name] for name in names}
         usable = {name: folders[name] for name in names if ended[name].is_finished or ended[name].was_stopped}
-        finished = finish(usable, plan.out, overwrite=plan.overwrite, tell=watcher.said)
+        finished = finish(usable, plan.out, overwrite=plan.overwrite or plan.resumes, tell=watcher.said)
         if not finished.maps and not any(one.was_stopped for one in ended.values()):
             raise InputError(
                 "no robot gave a map: " + "; ".join(f"{name}: {one.reason}" for name, one in ended.items())
@@ -198,6 +200,7 @@ def _task(plan: FleetPlan, robot: Robot) -> RobotTask:
         robot=robot,
         out=plan.map_of(robot.name),
         overwrite=plan.overwrite,
+        resumes=plan.resumes,
         mapper=plan.mapper,
         disk=plan.disk,
         every_keyframes=plan.config.every_keyframes,
@@ -216,14 +219,23 @@ def _check(plan: FleetPlan) -> None:
             raise InputError(f"robot {robot.name}: there is no {missing[0]}; name its log, or a live URI")
     if plan.out.exists() and not plan.out.is_dir():
         raise InputError(f"{plan.out} is a file, expected a folder to make; choose another -o")
-    made = [plan.map_of(robot.name) for robot in plan.robots]
-    made += [merged_path(plan.out, place) for place in range(len(plan.robots) // 2)]
+    own = {plan.map_of(robot.name): robot for robot in plan.robots}
+    made = [*own, *(merged_path(plan.out, place) for place in range(len(plan.robots) // 2))]
     taken = [path for path in (*made, plan.rrd) if path.exists()]
-    if taken and not plan.overwrite:
-        raise InputError(f"{taken[0]} is there already; --overwrite replaces it, or choose another -o")
+    if taken and not (plan.overwrite or plan.resumes):
+        raise InputError(
+            f"{taken[0]} is there already; --overwrite replaces it, --resume goes on with the fleet, or choose "
+            "another -o"
+        )
     foreign = [path for path in made if path.exists() and not is_map_folder(path)]
     if foreign:
         raise InputError(f"{foreign[0]} is no map folder and is not replaced; choose another -o")
+    if plan.resumes:
+        begun = {path: robot for path, robot in own.items() if path.exists()}
+        if not begun:
+            raise InputError(f"{plan.out} has no map of any of these robots: there is nothing to --resume")
+        for path, robot in begun.items():
+            check_same(path, robot)
     try:
         plan.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -16,6 +16,7 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.cloud import share_near
+from hickory_stream.mapping.one_to_one import one_to_one
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -98,12 +99,8 @@ def associate(
         for track_id, iou in row.items()
         if iou >= config.min_iou and track_id not in swollen[index]
     )
-    by_observation: dict[int, int] = {}
-    taken: set[int] = set()
-    for _, candidate_id, index in ranked:
-        if index not in by_observation and candidate_id not in taken:
-            by_observation[index] = candidate_id
-            taken.add(candidate_id)
+    by_observation = dict(one_to_one(((index, track_id) for _, track_id, index in ranked), of_one_kind=False))
+    taken = set(by_observation.values())
     lying: dict[int, tuple[int | None, float]] = {}
     for observation in observations:
         near_ids = [i for i in sorted(ious[observation.index]) if i not in swollen[observation.index]]

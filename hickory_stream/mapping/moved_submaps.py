@@ -23,6 +23,7 @@ from hickory_stream.mapping.associate import associate
 from hickory_stream.mapping.cloud import moved_cloud, share_near
 from hickory_stream.mapping.existence import Existence
 from hickory_stream.mapping.moved import moved_box, moved_shape, moved_view
+from hickory_stream.mapping.one_to_one import one_to_one
 from hickory_stream.mapping.submaps import placed_at
 from hickory_stream.mapping.track import is_object, with_cloud
 from hickory_stream.mapping.track_endings import drop, unite
@@ -31,7 +32,7 @@ from hickory_stream.mapping.views import sector_of
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -98,8 +99,8 @@ def merge_met(state: MapState, before: Submaps, config: MappingConfig) -> list[E
     seen apart.
     """
     effects: list[Effect] = []
-    while pairs := _best_pairs(_met(state, before, config)):
-        for kept_id, gone_id in pairs:
+    while met := sorted(_met(state, before, config)):
+        for kept_id, gone_id in one_to_one(((a, b) for _, a, b in met), of_one_kind=True):
             effects += _united(state, kept_id, gone_id, config)
     return effects
 
@@ -120,17 +121,6 @@ def _united(state: MapState, kept_id: int, gone_id: int, config: MappingConfig) 
         state.elsewhere[gone_id] = replace(there, submap_id=kept.submap_id)
     effects += unite(state, kept_id, gone_id, "a correction of the poses brought them to one place", config)
     return effects
-
-
-def _best_pairs(scored: Iterable[tuple[float, int, int]]) -> list[tuple[int, int]]:
-    """Return one-to-one pairs, the best first."""
-    taken: set[int] = set()
-    pairs = []
-    for _, kept_id, gone_id in sorted(scored):
-        if kept_id not in taken and gone_id not in taken:
-            taken |= {kept_id, gone_id}
-            pairs.append((kept_id, gone_id))
-    return pairs
 
 
 def _met(state: MapState, before: Submaps, config: MappingConfig) -> Iterator[tuple[float, int, int]]:

@@ -193,11 +193,19 @@ def _is_thin(small: Body, large: Body, config: SupportConfig) -> bool:
 
 def _covered_share(body: Body, above: NDArray[np.float32]) -> float:
     """Return the share of a body's footprint that has points above it."""
-    plan, cover = (
-        {(i, j) for i, j in np.floor(points[:, :2] / _COVER_CELL_M).astype(np.int64).tolist()}
-        for points in (body.solid.points, above)
-    )
-    return len(plan & cover) / len(plan)
+    plan = _cells(body.solid.points)
+    low = plan.min(axis=0)
+    in_plan = np.zeros(plan.max(axis=0) - low + 1, dtype=bool)
+    in_plan[tuple((plan - low).T)] = True
+    cover = _cells(above) - low
+    covered = np.zeros_like(in_plan)
+    covered[tuple(cover[((cover >= 0) & (cover < in_plan.shape)).all(axis=1)].T)] = True
+    return int((in_plan & covered).sum()) / int(in_plan.sum())
+
+
+def _cells(points: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return the horizontal cells (N, 2) of points (N, 3)."""
+    return np.floor(points[:, :2] / _COVER_CELL_M).astype(np.int64)
 
 
 def stands_in(large: Body, small: Body, config: SupportConfig) -> bool:

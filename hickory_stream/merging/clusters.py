@@ -1,4 +1,8 @@
-"""Clusters of objects of several maps that are one object: paired by alignments, or in one place after placing."""
+"""Clusters of objects of several maps that are one object: paired by alignments, or in one place after placing.
+
+A map may have several things as one, e.g. a shelf and the dresser before it. What lies on it in another map are several
+objects: none of them is it, unless their boxes agree, or it would take the place of the one.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +12,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hickory_stream.geometry.boxes import box_iou
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.boxes import OrientedBox
+
 Member = tuple[int, int]
 """The index of a map, and the id of an object in it."""
 
 _NEAR_M, _SAMPLE = 0.03, 400
+# Objects of another map that lie on one object before it counts as several; two are what one thing may break into.
+_SEVERAL = 3
+# Boxes of so much IoU are those of one thing.
+_SAME_IOU = 0.3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,22 +40,48 @@ class Pairing:
     residual_m: float
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Place:
+    """Where an object lies in the frame of all: its points (N, 3), and its box."""
+
+    points: NDArray[np.float32]
+    box: OrientedBox
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Meeting:
+    """Two objects of different maps whose surfaces meet: the shares of either one's points that lie on the other.
+
+    `iou` is that of their boxes.
+    """
+
+    a: Member
+    b: Member
+    of_a: float
+    of_b: float
+    iou: float
+
+
 def clusters_of(
-    members: Sequence[Member], pairings: Sequence[Pairing], places: Mapping[Member, NDArray[np.float32]], share: float
+    members: Sequence[Member], pairings: Sequence[Pairing], places: Mapping[Member, Place], share: float
 ) -> list[tuple[Member, ...]]:
     """Return the members in groups, each one object: at most one of each map; groups and members in ascending order.
 
     Args:
         members: all objects.
         pairings: what alignments say; the closest are joined first.
-        places: the points (N, 3) of each object, in one frame.
+        places: where each object lies, in one frame.
         share: two objects of different maps that share this much of the smaller one's surface are one, too.
     """
+    meetings = _meetings(members, places)
+    apart = _apart(meetings, share)
     group_of: dict[Member, set[Member]] = {member: {member} for member in members}
     for pairing in sorted(pairings, key=lambda one: (one.residual_m, one.a, one.b)):
-        _join(group_of, pairing.a, pairing.b)
-    for a, b, _ in sorted(_coincident(members, places, share), key=lambda found: (-found[2], found[0], found[1])):
-        _join(group_of, a, b)
+        if (pairing.a, pairing.b) not in apart:
+            _join(group_of, pairing.a, pairing.b)
+    for found in sorted(meetings, key=lambda found: (-found.of_a - found.of_b, found.a, found.b)):
+        if _is_same(found, share) and (found.a, found.b) not in apart:
+            _join(group_of, found.a, found.b)
     unique = {id(group): tuple(sorted(group)) for group in group_of.values()}
     return sorted(unique.values())
 
@@ -57,22 +95,43 @@ def _join(group_of: dict[Member, set[Member]], a: Member, b: Member) -> None:
             group_of[member] = one
 
 
-def _coincident(
-    members: Sequence[Member], places: Mapping[Member, NDArray[np.float32]], share: float
-) -> list[tuple[Member, Member, float]]:
-    """Return the pairs of different maps whose surfaces meet, with the share of the smaller one's that does."""
-    known = [member for member in members if len(places[member])]
-    low = np.array([places[member].min(axis=0) for member in known]).reshape(-1, 3) - _NEAR_M
-    high = np.array([places[member].max(axis=0) for member in known]).reshape(-1, 3) + _NEAR_M
-    trees = [cKDTree(places[member].astype(np.float64)) for member in known]
+def _is_same(found: _Meeting, share: float) -> bool:
+    """Return whether two objects are one by where they lie: one's surface is the other's, or their boxes agree."""
+    less, more = sorted((found.of_a, found.of_b))
+    return less >= share / 2 and (more >= share or found.iou >= _SAME_IOU)
+
+
+def _apart(meetings: Sequence[_Meeting], share: float) -> set[tuple[Member, Member]]:
+    """Return the pairs, either way round, of which one has several things as one, and the other is a thing of these."""
+    lying_on: dict[tuple[Member, int], int] = {}
+    for found in meetings:
+        for whole, part, met in ((found.a, found.b, found.of_b), (found.b, found.a, found.of_a)):
+            if met >= share / 2:
+                lying_on[whole, part[0]] = lying_on.get((whole, part[0]), 0) + 1
+    pairs = [
+        (found.a, found.b)
+        for found in meetings
+        if found.iou < _SAME_IOU
+        and max(lying_on.get((found.a, found.b[0]), 0), lying_on.get((found.b, found.a[0]), 0)) >= _SEVERAL
+    ]
+    return {*pairs, *((b, a) for a, b in pairs)}
+
+
+def _meetings(members: Sequence[Member], places: Mapping[Member, Place]) -> list[_Meeting]:
+    """Return the pairs of objects of different maps whose surfaces meet anywhere."""
+    known = [member for member in members if len(places[member].points)]
+    low = np.array([places[member].points.min(axis=0) for member in known]).reshape(-1, 3) - _NEAR_M
+    high = np.array([places[member].points.max(axis=0) for member in known]).reshape(-1, 3) + _NEAR_M
+    trees = [cKDTree(places[member].points.astype(np.float64)) for member in known]
     found = []
-    for i in range(len(known)):
+    for i, a in enumerate(known):
         for j in np.flatnonzero(((low <= high[i]) & (high >= low[i])).all(axis=1)):
-            if j > i and known[i][0] != known[j][0]:
-                met = min(_met(places[known[i]], trees[j]), _met(places[known[j]], trees[i]))
-                larger = max(_met(places[known[i]], trees[j]), _met(places[known[j]], trees[i]))
-                if larger >= share and met >= share / 2:
-                    found.append((known[i], known[j], met + larger))
+            b = known[j]
+            if j > i and a[0] != b[0]:
+                of_a, of_b = _met(places[a].points, trees[j]), _met(places[b].points, trees[i])
+                if of_a or of_b:
+                    iou = box_iou(places[a].box, places[b].box)
+                    found.append(_Meeting(a=a, b=b, of_a=of_a, of_b=of_b, iou=iou))
     return found
 
 

@@ -48,9 +48,9 @@ class Relation:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solved:
-    """`world_from_node` (4, 4) of each node that hangs on node 0, None of the others; which relations were believed."""
+    """`root_from_node` (4, 4) of each node that hangs on the root, None of the others; which relations are believed."""
 
-    world_from_node: tuple[NDArray[np.float64] | None, ...]
+    root_from_node: tuple[NDArray[np.float64] | None, ...]
     is_believed: tuple[bool, ...]
 
 
@@ -62,14 +62,14 @@ def odometry(a: int, b: int, a_from_b: NDArray[np.float64]) -> Relation:
     )
 
 
-def solve(num_nodes: int, odometries: Sequence[Relation], alignments: Sequence[Relation]) -> Solved:
-    """Return where the nodes lie in the frame of node 0, and which of the alignments are believed."""
+def solve(num_nodes: int, odometries: Sequence[Relation], alignments: Sequence[Relation], root: int = 0) -> Solved:
+    """Return where the nodes lie in the frame of the root, and which of the alignments are believed."""
     import gtsam
 
-    start = _spanned(num_nodes, odometries, alignments)
+    start = _spanned(num_nodes, odometries, alignments, root)
     graph = gtsam.NonlinearFactorGraph()
     sure = [0]
-    graph.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(np.eye(4)), gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)))
+    graph.add(gtsam.PriorFactorPose3(root, gtsam.Pose3(np.eye(4)), gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)))
     for relation in odometries:
         if start[relation.a] is not None:
             sure.append(graph.size())
@@ -89,9 +89,9 @@ def solve(num_nodes: int, odometries: Sequence[Relation], alignments: Sequence[R
     weights = np.asarray(optimizer.getWeights())
     believed = {i for place, i in enumerate(used) if weights[first + place] > _MIN_WEIGHT}
     # Nodes that only a rejected relation connected are no longer connected.
-    reached = _spanned(num_nodes, odometries, [alignments[i] for i in sorted(believed)])
+    reached = _spanned(num_nodes, odometries, [alignments[i] for i in sorted(believed)], root)
     return Solved(
-        world_from_node=tuple(
+        root_from_node=tuple(
             np.asarray(solution.atPose3(node).matrix()) if reached[node] is not None else None
             for node in range(num_nodes)
         ),
@@ -109,11 +109,11 @@ def _factor(relation: Relation) -> Any:
 
 
 def _spanned(
-    num_nodes: int, odometries: Sequence[Relation], alignments: Sequence[Relation]
+    num_nodes: int, odometries: Sequence[Relation], alignments: Sequence[Relation], root: int
 ) -> list[NDArray[np.float64] | None]:
-    """Return the poses along the tree of the strongest relations from node 0; None for what it does not reach."""
+    """Return the poses along the tree of the strongest relations from the root; None for what it does not reach."""
     poses: list[NDArray[np.float64] | None] = [None] * num_nodes
-    poses[0] = np.eye(4)
+    poses[root] = np.eye(4)
     ordered = sorted([*odometries, *alignments], key=lambda relation: -relation.strength)
     while True:
         for relation in ordered:

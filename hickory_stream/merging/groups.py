@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.merging.merge_maps import laid_out
+from hickory_stream.merging.layout import laid_out
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.alignment.answer import NoAlignment
+    from hickory_stream.merging.layout import Answers
     from hickory_stream.records import MapSnapshot
 
     Pair = tuple[int, int]
-    Answers = Mapping[Pair, Alignment | NoAlignment]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -6,15 +6,12 @@ from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.geometry.rigid import invert
-from hickory_stream.merging.clusters import Pairing, clusters_of
-from hickory_stream.merging.graph import Relation, odometry, solve
+from hickory_stream.merging.clusters import Pairing, Place, clusters_of
+from hickory_stream.merging.layout import largest_layout
 from hickory_stream.merging.objects import MergedObject, placed, united
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import MapSnapshot, Phase, Submap
@@ -22,10 +19,12 @@ from hickory_stream.records import MapSnapshot, Phase, Submap
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from hickory_stream.alignment.answer import NoAlignment
     from hickory_stream.merging.clusters import Member
+    from hickory_stream.merging.layout import Answers, PairOutcome
     from hickory_stream.records import TrackedObject
 
 
@@ -47,18 +46,8 @@ class MergeMapsConfig(Ranged):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class PairOutcome:
-    """What became of two maps: the answer of `align`; `is_believed`: it was an alignment that the others bear out."""
-
-    a: int
-    b: int
-    answer: Alignment | NoAlignment
-    is_believed: bool
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Merged:
-    """The merged map, in the first map's frame.
+    """The merged map, in the frame of the first map that is in it.
 
     `world_from_map` of each map, None where it hangs on no other; `objects` with their `provenance`: of each new id,
     the maps and ids that it was; `first_frames`: where each map's frames are numbered from.
@@ -85,7 +74,7 @@ def merge_maps(
 ) -> Merged:
     """Return one map of several; `progress` is told which two are being aligned.
 
-    A map whose alignments are all refused or contradicted is left out.
+    It is made of those of which the most hang together; a map that does not hang on them is left out.
     """
     config = MergeMapsConfig() if config is None else config
     names = tuple(extractors) or ("",) * len(snapshots)
@@ -99,22 +88,21 @@ def merge_maps(
 
 def merge_aligned(
     snapshots: Sequence[MapSnapshot],
-    answers: Mapping[tuple[int, int], Alignment | NoAlignment],
+    answers: Answers,
     config: MergeMapsConfig | None = None,
 ) -> Merged:
     """Return one map of several that were aligned, as `merge_maps` does; `answers` by the pair (a, b), a < b."""
     config = MergeMapsConfig() if config is None else config
-    world_from_map, pairs = laid_out(snapshots, answers)
+    world_from_map, pairs = largest_layout(snapshots, answers)
     members, items, first_frames = _gathered(snapshots, world_from_map)
     pairings = [
         Pairing(a=(pair.a, matched.id_a), b=(pair.b, matched.id_b), residual_m=matched.residual_m)
         for pair in pairs
-        if pair.is_believed and isinstance(pair.answer, Alignment)
+        if pair.is_believed and world_from_map[pair.a] is not None and isinstance(pair.answer, Alignment)
         for matched in pair.answer.pairs
     ]
-    groups = clusters_of(
-        members, pairings, {member: items[member].points_world for member in members}, config.same_share
-    )
+    places = {member: Place(points=items[member].points_world, box=items[member].box) for member in members}
+    groups = clusters_of(members, pairings, places, config.same_share)
     objects, provenance = _united(groups, items, config)
     snapshot = MapSnapshot(
         revision=max((s.revision for s in snapshots), default=0),
@@ -132,63 +120,6 @@ def merge_aligned(
     )
 
 
-# ---- where the maps lie ---------------------------------------------------------------------------------------------
-
-
-def laid_out(
-    snapshots: Sequence[MapSnapshot], answers: Mapping[tuple[int, int], Alignment | NoAlignment]
-) -> tuple[tuple[NDArray[np.float64] | None, ...], tuple[PairOutcome, ...]]:
-    """Return where every map (4, 4) lies in the frame of the first, None where it hangs on no other, and what of pairs.
-
-    A map's frame is that of its first submap; the others hang on it by odometry.
-    """
-    first_node, nodes = [], 0
-    odometries = []
-    for snapshot in snapshots:
-        first_node.append(nodes)
-        poses = [submap.world_from_submap for submap in snapshot.submaps] or [np.eye(4)]
-        odometries += [
-            odometry(nodes + i - 1, nodes + i, invert(poses[i - 1]) @ poses[i]) for i in range(1, len(poses))
-        ]
-        nodes += len(poses)
-    aligned = [(pair, answer) for pair, answer in answers.items() if isinstance(answer, Alignment)]
-    alignments = [
-        _relation(snapshots, pair, answer, (first_node[pair[0]], first_node[pair[1]])) for pair, answer in aligned
-    ]
-    solved = solve(nodes, odometries, alignments)
-    believed = {pair for (pair, _), holds in zip(aligned, solved.is_believed, strict=True) if holds}
-    poses_of_maps: list[NDArray[np.float64] | None] = []
-    world_from_first = _first_pose(snapshots[0])
-    for snapshot, node in zip(snapshots, first_node, strict=True):
-        pose = solved.world_from_node[node]
-        poses_of_maps.append(None if pose is None else world_from_first @ pose @ invert(_first_pose(snapshot)))
-    outcomes = tuple(
-        PairOutcome(a=a, b=b, answer=answer, is_believed=(a, b) in believed) for (a, b), answer in answers.items()
-    )
-    return tuple(poses_of_maps), outcomes
-
-
-def _relation(
-    snapshots: Sequence[MapSnapshot], pair: tuple[int, int], answer: Alignment, nodes: tuple[int, int]
-) -> Relation:
-    """Return an alignment as a relation between the first submaps of two maps."""
-    pose_a, pose_b = (_first_pose(snapshots[i]) for i in pair)
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = pose_a[:3, :3].T
-    return Relation(
-        a=nodes[0],
-        b=nodes[1],
-        a_from_b=invert(pose_a) @ answer.a_from_b @ pose_b,
-        covariance=turn @ answer.covariance @ turn.T,
-        center_a=pose_a[:3, :3].T @ (answer.center_a - pose_a[:3, 3]),
-        strength=-answer.log10_chance,
-    )
-
-
-def _first_pose(snapshot: MapSnapshot) -> NDArray[np.float64]:
-    return snapshot.submaps[0].world_from_submap if snapshot.submaps else np.eye(4)
-
-
 # ---- what is in them ------------------------------------------------------------------------------------------------
 
 
@@ -197,7 +128,7 @@ def _gathered(
 ) -> tuple[list[Member], dict[Member, TrackedObject], tuple[int, ...]]:
     """Return the objects of all maps that are laid out, in the merged world, and where frames are numbered from.
 
-    The first map keeps its ids; those of the others follow.
+    The first map that is laid out keeps its ids; those of the others follow.
     """
     members: list[Member] = []
     items: dict[Member, TrackedObject] = {}

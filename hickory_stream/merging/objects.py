@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.superquadric import log_implicit_value
 from hickory_stream.mapping.cloud import cloud_of, fuse
 from hickory_stream.mapping.moved import moved_object
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from hickory_stream.records import TrackedObject, View
 
 _VOXEL_M = 0.01
-_NEW_M = 0.02
+_NEW_M, _SAMPLE = 0.02, 2000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -50,13 +51,15 @@ def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: flo
     Args:
         items: at least one; a single one is returned as it is.
         max_views: so many views are kept, the best by score, then by coverage of the object.
-        changed_share: the shape is redone where the others add more than this share of new surface.
+        changed_share: the shape is redone where the others add more than this share of new surface, or where its layer
+            4 leaves out more than this share of all points.
     """
     first = items[0]
     if len(items) == 1:
         return MergedObject(item=first, needs_shape=False)
-    keeper = max(items, key=lambda item: (item.shape is not None, len(item.points_world)))
     points, colors = _fused(items)
+    left_out = {item.id: _share_outside(item, points) for item in items}
+    keeper = min(items, key=lambda item: (left_out[item.id], -len(item.points_world)))
     views = tuple(sorted(_best_views(items, max_views), key=lambda view: view.name))
     scored = [view for view in views if view.score is not None]
     shape = keeper.shape
@@ -75,7 +78,8 @@ def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: flo
         sketch=keeper.sketch,
     )
     # Without views there is nothing to make a shape of but what made none before.
-    needs_shape = bool(views) and (shape is None or _new_share(keeper.points_world, points) > changed_share)
+    changed = max(left_out[keeper.id], _new_share(keeper.points_world, points))
+    needs_shape = bool(views) and changed > changed_share
     return MergedObject(item=item, needs_shape=needs_shape)
 
 
@@ -104,6 +108,16 @@ def _mean_feature(items: Sequence[TrackedObject]) -> NDArray[np.float32] | None:
         return known[0][0]
     total = np.sum([weight * feature.astype(np.float64) for feature, weight in known], axis=0)
     return (total / max(float(np.linalg.norm(total)), 1e-12)).astype(np.float32)
+
+
+def _share_outside(item: TrackedObject, points: NDArray[np.float32]) -> float:
+    """Return the share of points that layer 4 of an object leaves out; all without a shape."""
+    if item.shape is None or not len(points):
+        return 1.0
+    some = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
+    inflated = item.shape.inflated
+    values = np.array([log_implicit_value(inflated, i, some) for i in range(len(inflated))])
+    return float((values > 0).all(axis=0).mean())
 
 
 def _new_share(old: NDArray[np.float32], points: NDArray[np.float32]) -> float:

@@ -101,6 +101,7 @@ def test_a_log_that_cannot_be_read_is_said_by_the_robots_own_process(tmp_path: P
         robot=Robot(name="broken", uris=(str(tmp_path / "broken.mcap"),), options=SourceOptions()),
         out=tmp_path / "broken.map",
         overwrite=False,
+        resumes=False,
         mapper=MapperConfig(),
         disk=DiskSinkConfig(),
         every_keyframes=10,

@@ -10,7 +10,7 @@ import pytest
 
 from hickory_stream.fleet.growth import GrownMap, GrowthSink, Rounds
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.records import Frame, FrameReport, MapSnapshot, Phase
+from hickory_stream.records import Frame, FrameReport, MapSnapshot, Phase, Segmentation
 from tests.alignment.map_fixtures import furniture, snapshot_of
 
 EMPTY = snapshot_of([], np.eye(4))
@@ -23,6 +23,7 @@ FRAME = Frame(
     depth_m=np.ones((3, 4), dtype=np.float32),
     world_from_camera=np.eye(4),
 )
+NOTHING_SEEN = Segmentation(instances=np.zeros((3, 4), dtype=np.int32), structure=np.zeros((3, 4), dtype=bool))
 
 
 def report(index: int, *, frame: Frame | None = FRAME, snapshot: MapSnapshot | None = EMPTY) -> FrameReport:
@@ -34,6 +35,7 @@ def report(index: int, *, frame: Frame | None = FRAME, snapshot: MapSnapshot | N
         world_from_camera=np.eye(4),
         color_bytes=None,
         frame=frame,
+        segmentation=None if frame is None else NOTHING_SEEN,
         snapshot=snapshot,
     )
 

@@ -24,7 +24,7 @@ def relation(a: int, b: int, a_from_b: np.ndarray | None = None, strength: float
 def test_maps_are_laid_out_along_their_alignments() -> None:
     solved = solve(4, [], [relation(0, 1), relation(2, 1), relation(2, 3)])
     assert solved.is_believed == (True, True, True)
-    for pose, true in zip(solved.world_from_node, TRUE, strict=True):
+    for pose, true in zip(solved.root_from_node, TRUE, strict=True):
         assert pose is not None
         assert np.allclose(pose, true, atol=1e-4)
 
@@ -36,7 +36,7 @@ def test_an_alignment_that_the_others_contradict_is_rejected(wrong_at: int) -> N
     relations[wrong_at] = relation(*pairs[wrong_at], a_from_b=frame(80, 1, -4))
     solved = solve(4, [], relations)
     assert [i for i, holds in enumerate(solved.is_believed) if not holds] == [wrong_at]
-    for pose, true in zip(solved.world_from_node, TRUE, strict=True):
+    for pose, true in zip(solved.root_from_node, TRUE, strict=True):
         assert pose is not None
         assert np.allclose(pose, true, atol=1e-2)
 
@@ -46,12 +46,16 @@ def test_odometry_is_never_doubted() -> None:
     wrong = frame(90, 0, 3)
     solved = solve(2, [odometry(0, 1, step)], [relation(0, 1, a_from_b=wrong)])
     assert solved.is_believed == (False,)
-    assert solved.world_from_node[1] is not None
-    assert np.allclose(solved.world_from_node[1], step, atol=1e-2)
+    assert solved.root_from_node[1] is not None
+    assert np.allclose(solved.root_from_node[1], step, atol=1e-2)
 
 
 def test_what_hangs_on_nothing_is_left_out() -> None:
     solved = solve(4, [], [relation(0, 1), relation(2, 3)])
-    assert [pose is not None for pose in solved.world_from_node] == [True, True, False, False]
+    assert [pose is not None for pose in solved.root_from_node] == [True, True, False, False]
     assert solved.is_believed == (True, False)
-    assert [pose is not None for pose in solve(3, [], []).world_from_node] == [True, False, False]
+    assert [pose is not None for pose in solve(3, [], []).root_from_node] == [True, False, False]
+    others = solve(4, [], [relation(0, 1), relation(2, 3)], root=2)
+    assert [pose is not None for pose in others.root_from_node] == [False, False, True, True]
+    assert others.root_from_node[3] is not None
+    assert np.allclose(others.root_from_node[3], invert(TRUE[2]) @ TRUE[3], atol=1e-4)

@@ -10,14 +10,17 @@ import pytest
 from hickory_stream.cli import main
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.saved_map import open_map
+from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.merging.clusters import Pairing, clusters_of
+from hickory_stream.merging.clusters import Pairing, Place, clusters_of
 from hickory_stream.merging.merge_maps import merge_maps
 from tests.alignment.map_fixtures import cloud, frame, furniture, snapshot_of
 from tests.engine.snapshot_fixtures import make_snapshot
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from hickory_stream.records import MapSnapshot
 
@@ -35,6 +38,11 @@ def three() -> list[MapSnapshot]:
         snapshot_of(ITEMS[4:], B_FROM_WORLD, 2),
         snapshot_of([*ITEMS[:3], *ITEMS[7:]], C_FROM_WORLD, 3),
     ]
+
+
+def place(center: NDArray[np.float64], half: NDArray[np.float64], rng: np.random.Generator) -> Place:
+    points = cloud(center, half, rng)
+    return Place(points=points, box=gravity_aligned_box(points, 0.005))
 
 
 def save(path: Path, snapshot: MapSnapshot) -> Path:
@@ -86,18 +94,43 @@ def test_a_map_of_another_place_is_left_out(three: list[MapSnapshot]) -> None:
     assert [(pair.a, pair.b) for pair in merged.pairs if pair.is_believed] == [(0, 1)]
 
 
+def test_where_the_first_map_is_alone_the_others_are_merged_in_the_frame_of_their_first(
+    three: list[MapSnapshot],
+) -> None:
+    merged = merge_maps([snapshot_of(furniture(12, 99), np.eye(4)), *three[1:]])
+    assert merged.left_out == (0,)
+    assert merged.world_from_map[1] is not None
+    assert np.allclose(merged.world_from_map[1], np.eye(4), atol=1e-6)
+    assert merged.world_from_map[2] is not None
+    assert np.allclose(merged.world_from_map[2], B_FROM_WORLD @ invert(C_FROM_WORLD), atol=0.02)
+    assert {i for group in merged.provenance.values() for i, _ in group} == {1, 2}
+    assert [(pair.a, pair.b) for pair in merged.pairs if pair.is_believed] == [(1, 2)]
+
+
 def test_a_cluster_has_one_object_of_each_map_and_surfaces_that_meet_are_one() -> None:
     rng = np.random.default_rng(0)
     half = np.full(3, 0.2)
     members = [(0, 1), (0, 2), (1, 1), (1, 2), (2, 5)]
     spots = {(0, 1): 0.0, (0, 2): 3.0, (1, 1): 0.0, (1, 2): 6.0, (2, 5): 6.0}
-    places = {member: cloud(np.array([x, 0, 0]), half, rng) for member, x in spots.items()}
+    places = {member: place(np.array([x, 0, 0]), half, rng) for member, x in spots.items()}
     pairings = [
         Pairing(a=(0, 1), b=(1, 1), residual_m=0.01),
         # Worse, and it would put two objects of map 0 into one.
         Pairing(a=(0, 2), b=(1, 1), residual_m=0.2),
     ]
     assert clusters_of(members, pairings, places, 0.5) == [((0, 1), (1, 1)), ((0, 2),), ((1, 2), (2, 5))]
+
+
+def test_what_a_map_has_as_one_does_not_take_the_place_of_the_several_things_that_another_has_there() -> None:
+    rng = np.random.default_rng(0)
+    lying = {(0, i): place(np.array([0.6 * i, 0, 0]), np.full(3, 0.2), rng) for i in range(3)}
+    whole = np.concatenate([one.points for one in lying.values()])
+    places = {**lying, (1, 5): Place(points=whole, box=gravity_aligned_box(whole, 0.005))}
+    pairings = [Pairing(a=(0, 1), b=(1, 5), residual_m=0.01)]
+    assert clusters_of(list(places), pairings, places, 0.5) == [((0, 0),), ((0, 1),), ((0, 2),), ((1, 5),)]
+    # Two are what one thing may break into.
+    del places[0, 2]
+    assert clusters_of(list(places), pairings, places, 0.5) == [((0, 0),), ((0, 1), (1, 5))]
 
 
 # ---- on disk --------------------------------------------------------------------------------------------------------

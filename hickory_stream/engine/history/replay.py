@@ -5,6 +5,7 @@ There is no depth in a map folder: what is shown of a keyframe are its image, it
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,36 +40,63 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
         MapFolderError: there is no map or no journal, or it is damaged or of another version.
     """
     config = recorded_config(path)
-    num_keyframes = 0
     try:
         with Journal(path) as journal:
             again = Replay(journal, config.mapping)
-            last: FramePose | None = None
-            camera: Camera | None = None
-            newest: MapSnapshot | None = None
-            map_from_odometry = np.eye(4)
-            for replayed in again.steps(len(journal)):
-                step = replayed.entry.step
-                camera = step.camera
-                last = step.frames[-1] if step.frames else last
-                for sink in sinks:
-                    for report in _reports(replayed, journal, num_keyframes, map_from_odometry):
-                        sink.show(in_map_frame(report, report.snapshot or newest))
-                for event in replayed.entry.events:
-                    if isinstance(event, KeyframeRegistered):
-                        map_from_odometry = event.map_from_odometry
-                newest = replayed.published.snapshot if replayed.published is not None else newest
-                num_keyframes = step.num_keyframes
+            shown = _show(again, journal, sinks)
             snapshot = again.snapshot()
-            if last is not None and camera is not None:
+            if shown.last is not None and shown.camera is not None:
+                pose = compose(shown.map_from_odometry, shown.last.world_from_camera)
+                final = final_report(
+                    shown.last, pose, shown.camera, snapshot, keyframe_index=shown.num_keyframes, decisions=()
+                )
                 for sink in sinks:
-                    pose = compose(map_from_odometry, last.world_from_camera)
-                    final = final_report(last, pose, camera, snapshot, keyframe_index=num_keyframes, decisions=())
                     sink.show(in_map_frame(final, snapshot))
     finally:
         for sink in sinks:
             sink.close()
     return snapshot
+
+
+def show_until_resumed(path: Path, sinks: Sequence[Sink]) -> None:
+    """Show sinks the steps of an interrupted run after which `resume` goes on; they are left open for what comes then.
+
+    Raises:
+        MapFolderError: there is no map or no journal, or it is damaged or of another version.
+    """
+    config = recorded_config(path)
+    with Journal(path) as journal:
+        journal.cut_to_resumable()
+        _show(Replay(journal, config.mapping), journal, sinks)
+
+
+@dataclass(slots=True)
+class _Shown:
+    """How far a run was shown: its last frame and camera, the keyframes, and the correction of the odometry (4, 4)."""
+
+    last: FramePose | None = None
+    camera: Camera | None = None
+    num_keyframes: int = 0
+    map_from_odometry: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+
+
+def _show(again: Replay, journal: Journal, sinks: Sequence[Sink]) -> _Shown:
+    """Show sinks every step of a journal."""
+    shown = _Shown()
+    newest: MapSnapshot | None = None
+    for replayed in again.steps(len(journal)):
+        step = replayed.entry.step
+        shown.camera = step.camera
+        shown.last = step.frames[-1] if step.frames else shown.last
+        for sink in sinks:
+            for report in _reports(replayed, journal, shown.num_keyframes, shown.map_from_odometry):
+                sink.show(in_map_frame(report, report.snapshot or newest))
+        for event in replayed.entry.events:
+            if isinstance(event, KeyframeRegistered):
+                shown.map_from_odometry = event.map_from_odometry
+        newest = replayed.published.snapshot if replayed.published is not None else newest
+        shown.num_keyframes = step.num_keyframes
+    return shown
 
 
 def _reports(

@@ -7,18 +7,23 @@ place without any of them cannot be decided, and an answer about it is right by 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hickory_stream.evaluation.maps.simulate import Difficulty, SimulatedPair, SimulatedWorld, random_pose
+from hickory_stream.evaluation.maps.simulate import (
+    Difficulty,
+    SimulatedObject,
+    SimulatedPair,
+    SimulatedWorld,
+    random_pose,
+)
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from hickory_stream.evaluation.maps.simulate import SimulatedObject
 
 AmbiguousKind = Literal["symmetric", "repeated", "identical-rooms", "different-rooms"]
 
@@ -54,10 +59,28 @@ class AmbiguousConfig:
         return self.breaking >= 2 or self.kind == "different-rooms"
 
 
-def simulate_ambiguous(config: AmbiguousConfig, seed: int) -> SimulatedPair:
-    """Return two maps of one place, the same for the same seed; `common` is empty where they share nothing."""
+Corner = tuple[float, float]
+
+
+def uniform(
+    world: SimulatedWorld, rng: np.random.Generator, count: int, low_m: Corner, high_m: Corner
+) -> list[SimulatedObject]:
+    """Return so many objects at random places of a rectangle."""
+    places = rng.uniform([*low_m, 0.0], [*high_m, _HEIGHT_M], (count, 3))
+    return [world.new_object(place) for place in places]
+
+
+Draw = Callable[[SimulatedWorld, np.random.Generator, int, Corner, Corner], list[SimulatedObject]]
+"""Returns so many objects in a rectangle, between its lower and higher corner; at the corner where it is a point."""
+
+
+def simulate_ambiguous(config: AmbiguousConfig, seed: int, draw: Draw = uniform) -> SimulatedPair:
+    """Return two maps of one place, the same for the same seed; `common` is empty where they share nothing.
+
+    `draw` says how the place is furnished before things of it are repeated.
+    """
     rng = np.random.default_rng([seed, 9])
-    place = _Place(world=SimulatedWorld(config.difficulty, rng), rng=rng, jitter_m=config.jitter_m)
+    place = _Place(world=SimulatedWorld(config.difficulty, rng), rng=rng, jitter_m=config.jitter_m, draw=draw)
     objects, in_a, in_b = _PLACES[config.kind](place, config)
     seen_a = rng.permutation(np.flatnonzero(in_a & (rng.random(len(objects)) < config.seen)))
     seen_b = rng.permutation(np.flatnonzero(in_b & (rng.random(len(objects)) < config.seen)))
@@ -81,11 +104,11 @@ class _Place:
     world: SimulatedWorld
     rng: np.random.Generator
     jitter_m: float
+    draw: Draw
 
-    def drawn(self, count: int, low_m: tuple[float, float], high_m: tuple[float, float]) -> list[SimulatedObject]:
-        """Return so many objects at random places of a rectangle."""
-        places = self.rng.uniform([*low_m, 0.0], [*high_m, _HEIGHT_M], (count, 3))
-        return [self.world.new_object(place) for place in places]
+    def drawn(self, count: int, low_m: Corner, high_m: Corner) -> list[SimulatedObject]:
+        """Return so many objects in a rectangle."""
+        return self.draw(self.world, self.rng, count, low_m, high_m) if count else []
 
     def copies(self, objects: list[SimulatedObject], there_from_here: NDArray[np.float64]) -> list[SimulatedObject]:
         """Return the same models elsewhere."""

@@ -184,22 +184,30 @@ class SimulatedWorld:
 
     def new_object(self, place: NDArray[np.float64]) -> SimulatedObject:
         """Return a true object whose centroid is at `place`."""
-        parts, rng = self._parts, self._rng
-        class_index = int(rng.integers(parts.classes))
-        instance = _direction(rng, parts.instance_dimensions)
-        signal = np.concatenate(
-            [
-                np.sqrt(parts.common) * self._common,
-                np.sqrt(parts.per_class) * self._classes[class_index],
-                np.sqrt(parts.per_instance) * instance,
-            ]
-        )
+        rng = self._rng
+        class_index = int(rng.integers(self._parts.classes))
+        signal = self._signal(class_index)
         if self._difficulty == "easy":
             shape = real_fits()[int(rng.integers(len(real_fits())))]
         else:
             shape = _varied(real_fits()[self._class_shapes[class_index]], _INSTANCE_EXPONENTS, _INSTANCE_AXES, rng)
         turned = moved(shape, from_rotation_translation(yaw_rotation(rng.uniform(0, 2 * np.pi)), np.zeros(3)))
         return SimulatedObject(shape=_centered(turned, place), signal=signal)
+
+    def object_of(self, shape: Superquadrics, kind: int) -> SimulatedObject:
+        """Return a new instance of a kind with a shape of its own; there are no more classes than the world has."""
+        return SimulatedObject(shape=shape, signal=self._signal(kind % self._parts.classes))
+
+    def _signal(self, class_index: int) -> NDArray[np.float64]:
+        """Return what a descriptor of a new instance of a class is without noise."""
+        parts = self._parts
+        return np.concatenate(
+            [
+                np.sqrt(parts.common) * self._common,
+                np.sqrt(parts.per_class) * self._classes[class_index],
+                np.sqrt(parts.per_instance) * _direction(self._rng, parts.instance_dimensions),
+            ]
+        )
 
     def observe(self, objects: list[SimulatedObject], map_from_world: NDArray[np.float64]) -> ObjectMap:
         """Return the map of the objects by one robot."""
