@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-A, B = TypeVar("A"), TypeVar("B")
+A = TypeVar("A")
+B = TypeVar("B")
 
 
 def one_to_one(ranked: Iterable[tuple[A, B]], *, of_one_kind: bool) -> list[tuple[A, B]]:
