@@ -24,6 +24,7 @@ from hickory_stream.alignment.judgement import (
     confronted,
     rival_of,
     why_refused,
+    why_uncertain,
 )
 from hickory_stream.alignment.refinement import refined
 from hickory_stream.alignment.registration import common_covariance, registered
@@ -77,7 +78,11 @@ def align(
     evidence, scores = evidence_of(map_a, map_b, config, shape_scores)
     judged = confronted(map_a, map_b, evidence, hypotheses_of(evidence, config), config)
     refusal = why_refused(map_a, judged, evidence, scores.notes, config)
-    return _answered(map_a, map_b, scores, evidence, judged, config) if refusal is None else refusal
+    if refusal is not None:
+        return refusal
+    placed = _placed(map_a, map_b, evidence, judged[0].hypothesis, config)
+    refusal = None if placed.is_certain(config) else why_uncertain(map_a, judged, evidence, scores.notes, config)
+    return _answered(map_a, map_b, scores, evidence, judged, placed, config) if refusal is None else refusal
 
 
 def evidence_of(
@@ -137,22 +142,12 @@ def _answered(
     scores: PairScores,
     evidence: Evidence,
     judged: tuple[Judged, ...],
+    placed: _Placed,
     config: AlignConfig,
 ) -> Alignment:
-    best, settled = _settled(evidence, judged[0].hypothesis, config)
+    best, settled = placed.best, placed.settled
     points = map_a.centroids[best.pairs[:, 0]]
     center_a = points.mean(axis=0)
-    finer = refined(
-        map_a,
-        map_b,
-        best.pairs,
-        settled.a_from_b,
-        mean=best.a_from_b,
-        prior=centroid_information(points, evidence.sigma_m, config),
-        config=config.refinement,
-    )
-    if finer is not None:
-        settled = levelled(finer.a_from_b, finer.covariance, center_a, config.acceptance.tilt_sigmas_rad)
     common_m = config.refinement.common_m, config.refinement.common_up_m
     max_turn_rad = float(np.radians(config.acceptance.most_tilt_deg))
     common = common_covariance(points, center_a, common_m, max_turn_rad)
@@ -166,10 +161,41 @@ def _answered(
         rival=judged[1].hypothesis if len(judged) > 1 else None,
         contradictions=judged[0].contradictions,
         is_level=settled.is_level,
-        is_refined=finer is not None,
+        is_refined=placed.is_refined,
         notes=scores.notes,
         rivals=tuple(rival_of(map_a, one, evidence, config) for one in judged[1 : 1 + len(judged[0].margins)]),
     )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Placed:
+    """The best hypothesis by its objects alone, and where map b lies: by their surfaces where those were refined."""
+
+    best: Hypothesis
+    settled: Levelled
+    is_refined: bool
+
+    def is_certain(self, config: AlignConfig) -> bool:
+        """Return whether surfaces say how the maps are turned, so that objects may stand in a line."""
+        turn_deg = np.degrees(np.sqrt(np.trace(self.settled.covariance[:3, :3])))
+        return self.is_refined and bool(turn_deg <= config.acceptance.max_turn_deg)
+
+
+def _placed(map_a: ObjectMap, map_b: ObjectMap, evidence: Evidence, found: Hypothesis, config: AlignConfig) -> _Placed:
+    best, settled = _settled(evidence, found, config)
+    points = map_a.centroids[best.pairs[:, 0]]
+    finer = refined(
+        map_a,
+        map_b,
+        best.pairs,
+        settled.a_from_b,
+        mean=best.a_from_b,
+        prior=centroid_information(points, evidence.sigma_m, config),
+        config=config.refinement,
+    )
+    if finer is not None:
+        settled = levelled(finer.a_from_b, finer.covariance, points.mean(axis=0), config.acceptance.tilt_sigmas_rad)
+    return _Placed(best=best, settled=settled, is_refined=finer is not None)
 
 
 def _settled(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> tuple[Hypothesis, Levelled]:

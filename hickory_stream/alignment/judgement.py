@@ -106,18 +106,11 @@ def why_refused(
     notes: tuple[str, ...],
     config: AlignConfig,
 ) -> NoAlignment | None:
-    """Return why the best hypothesis is refused; None if it is accepted."""
+    """Return why the best hypothesis is not believed; None if it is."""
     acceptance = config.acceptance
 
     def refusal(kind: Refusal, reason: str, rivals: tuple[Rival, ...] = ()) -> NoAlignment:
-        return NoAlignment(
-            refusal=kind,
-            reason=reason,
-            hypotheses=tuple(one.hypothesis for one in judged),
-            contradictions=judged[0].contradictions if judged else Contradictions(),
-            notes=notes,
-            rivals=rivals,
-        )
+        return _refusal(judged, notes, kind, reason, rivals)
 
     most = len(judged[0].hypothesis.pairs) if judged else 0
     if most < acceptance.min_pairs:
@@ -138,15 +131,6 @@ def why_refused(
             f"of pairs as good; at most 10^{limit:.1f} are allowed"
         )
         return refusal(Refusal.CHANCE, reason)
-    points = map_a.centroids[best.pairs[:, 0]]
-    spread_m = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(points[:, :2].T))[0], 0.0)))
-    if spread_m < acceptance.min_spread_m:
-        reason = f"the {len(points)} pairs stand in a line: {spread_m:.2f} m across, {acceptance.min_spread_m} m needed"
-        return refusal(Refusal.COLLINEAR, reason)
-    turn_deg = np.degrees(np.sqrt(np.trace(centroid_covariance(points, evidence, best, config)[:3, :3])))
-    if turn_deg > acceptance.max_turn_deg:
-        reason = f"the {len(points)} pairs leave the rotation uncertain by {turn_deg:.1f} degrees"
-        return refusal(Refusal.UNCERTAIN, reason)
     if _is_mirrored(best, evidence, config):
         reason = f"the mirror image of one map fits the other better than its {len(best.pairs)} pairs do"
         return refusal(Refusal.MIRRORED, reason)
@@ -159,6 +143,40 @@ def why_refused(
             Refusal.RIVAL, reason, tuple(rival_of(map_a, one, evidence, config) for one in open_ones(judged, config))
         )
     return None
+
+
+def why_uncertain(
+    map_a: ObjectMap,
+    judged: tuple[Judged, ...],
+    evidence: Evidence,
+    notes: tuple[str, ...],
+    config: AlignConfig,
+) -> NoAlignment | None:
+    """Return why the places of the matched objects leave the rotation open; None if they do not."""
+    acceptance, best = config.acceptance, judged[0].hypothesis
+    points = map_a.centroids[best.pairs[:, 0]]
+    spread_m = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(points[:, :2].T))[0], 0.0)))
+    if spread_m < acceptance.min_spread_m:
+        reason = f"the {len(points)} pairs stand in a line: {spread_m:.2f} m across, {acceptance.min_spread_m} m needed"
+        return _refusal(judged, notes, Refusal.COLLINEAR, reason)
+    turn_deg = np.degrees(np.sqrt(np.trace(centroid_covariance(points, evidence, best, config)[:3, :3])))
+    if turn_deg > acceptance.max_turn_deg:
+        reason = f"the {len(points)} pairs leave the rotation uncertain by {turn_deg:.1f} degrees"
+        return _refusal(judged, notes, Refusal.UNCERTAIN, reason)
+    return None
+
+
+def _refusal(
+    judged: tuple[Judged, ...], notes: tuple[str, ...], kind: Refusal, reason: str, rivals: tuple[Rival, ...] = ()
+) -> NoAlignment:
+    return NoAlignment(
+        refusal=kind,
+        reason=reason,
+        hypotheses=tuple(one.hypothesis for one in judged),
+        contradictions=judged[0].contradictions if judged else Contradictions(),
+        notes=notes,
+        rivals=rivals,
+    )
 
 
 def open_ones(judged: tuple[Judged, ...], config: AlignConfig) -> tuple[Judged, ...]:

@@ -6,9 +6,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.play import make_style
 from hickory_stream.cli.status import INCOMPLETE, STOPPED
-from hickory_stream.cli.values import read_settings
+from hickory_stream.cli.values import make_style, read_settings
 from hickory_stream.cli.written import disk_refusals
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output

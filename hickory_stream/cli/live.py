@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.finish import finish
-from hickory_stream.cli.play import add_run_options, all_sinks, make_style, sinks_beside
+from hickory_stream.cli.play import add_run_options, all_sinks, sinks_beside
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.unfinished import resume_command
-from hickory_stream.cli.values import read_settings, robot_of_option, seconds
+from hickory_stream.cli.values import make_style, read_settings, robot_of_option, seconds
 from hickory_stream.cli.written import add_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output

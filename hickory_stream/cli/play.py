@@ -10,7 +10,7 @@ from hickory_stream.cli.finish import finish
 from hickory_stream.cli.keys import HELP, Keys
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.unfinished import resume_command
-from hickory_stream.cli.values import parse_rate, positive, read_settings, robot_of_option
+from hickory_stream.cli.values import make_style, parse_rate, positive, read_settings, robot_of_option
 from hickory_stream.cli.written import add_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.ports import Sink
-    from hickory_stream.progress import Style
     from hickory_stream.settings import Settings
 
 
@@ -206,11 +205,6 @@ def all_sinks(
         return [*made, *handed_over]
 
     return sinks
-
-
-def make_style(options: argparse.Namespace) -> Style:
-    """Return how the progress is shown."""
-    return "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
 
 
 def make_sinks(

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.finish import finish
-from hickory_stream.cli.play import make_sinks, make_style
+from hickory_stream.cli.play import make_sinks
 from hickory_stream.cli.unfinished import resume_command
-from hickory_stream.cli.values import read_settings
+from hickory_stream.cli.values import make_style, read_settings
 from hickory_stream.errors import MapFolderError
 from hickory_stream.outputs import output
 

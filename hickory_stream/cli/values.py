@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.navigation.robot import Robot
+    from hickory_stream.progress import Style
     from hickory_stream.settings import Settings
 
 
@@ -98,6 +99,11 @@ def robot_of_option(name: str | None, option: str) -> Robot:
         known = ", ".join(robot_names())
         raise ConfigError(f"found no {option}, expected the robot that is to drive: {known}, or a file FILE.toml")
     return load_robot(name)
+
+
+def make_style(options: argparse.Namespace) -> Style:
+    """Return how the progress is shown."""
+    return "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
 
 
 def parse_rate(text: str) -> float | None:

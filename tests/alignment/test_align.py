@@ -19,6 +19,8 @@ from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 
 pytestmark = pytest.mark.timeout(150)
 
+SEVEN = furniture(7, 7)
+
 
 def aligned(answer: Alignment | NoAlignment) -> Alignment:
     assert isinstance(answer, Alignment), answer
@@ -140,6 +142,19 @@ def test_objects_in_a_line_are_refused() -> None:
     order[pair.common[:, 0]] = pair.common[:, 1]
     flat_b = replace(taken(pair.map_b, order), centroids=line)
     assert refused(align(flat_a, flat_b)).refusal is Refusal.COLLINEAR
+
+
+def test_objects_in_a_line_are_aligned_where_their_surfaces_say_how_the_maps_are_turned() -> None:
+    line = [(place * (0, 0, 1) + (1.2 * i, 0, 0), half, feature) for i, (place, half, feature) in enumerate(SEVEN)]
+    b_from_world = frame(70, 2, -1)
+    map_a, map_b = (object_map(snapshot_of(line, pose, i)) for i, pose in enumerate((np.eye(4), b_from_world)))
+    answer = aligned(align(map_a, map_b))
+    assert answer.is_refined
+    assert np.allclose(answer.a_from_b, invert(b_from_world), atol=0.02)
+    assert refused(align(*(replace(one, points=(None,) * 7) for one in (map_a, map_b)))).refusal in (
+        Refusal.COLLINEAR,
+        Refusal.UNCERTAIN,
+    )
 
 
 @pytest.mark.parametrize("counts", [(0, 5), (5, 0), (0, 0)])

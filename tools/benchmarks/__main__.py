@@ -33,6 +33,7 @@ _HELPERS = {
     "foreign_logs",
     "foreign_parts",
     "foreign_runs",
+    "furnished_maps",
     "intervals",
     "keyframe_memory",
     "labelled_clouds",

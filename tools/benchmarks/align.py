@@ -29,9 +29,13 @@ from hickory_stream.evaluation.maps.variants import bent_map
 from hickory_stream.geometry.rigid import apply, invert
 from tools.benchmarks.align_unknown import (
     ambiguous_trial,
+    apartment_trial,
+    furnished_trial,
     jobs_of_ambiguous,
+    jobs_of_apartments,
     jobs_of_squares,
     of_ambiguous,
+    of_apartments,
     of_squares,
     square_trial,
 )
@@ -123,6 +127,12 @@ def measure(options: Options) -> list[Figure]:
     figures += _of_unrelated(options)
     figures += _of_confidence(trials)
     figures += of_ambiguous(_in_processes(ambiguous_trial, jobs_of_ambiguous(options.seed, 2 if options.quick else 40)))
+    figures += of_ambiguous(
+        _in_processes(furnished_trial, jobs_of_ambiguous(options.seed, 1 if options.quick else 20)), suffix="_worlds"
+    )
+    figures += of_apartments(
+        _in_processes(apartment_trial, jobs_of_apartments(options.seed, 4 if options.quick else 20))
+    )
     figures += of_squares(_in_processes(square_trial, jobs_of_squares(options.seed, 8 if options.quick else 100)))
     figures += _of_times(options)
     figures += _of_ablation(options)

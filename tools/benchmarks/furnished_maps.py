@@ -7,6 +7,7 @@ heights of floors and tables, and two apartments have the same kinds of things. 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -28,32 +29,42 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.maps.ambiguous import Corner
     from hickory_stream.evaluation.maps.simulate import SimulatedObject
     from hickory_stream.worlds.object_models import Model
-    from hickory_stream.worlds.scene import Placement, WorldObject
+    from hickory_stream.worlds.scene import Placement
 
-_SEEN = 0.8
+_SEEN, _REACH_M = 0.8, 8.0
 _MIN_SIDE_M = 1.0
 _EXPONENT, _MIN_HALF_M = 0.3, 0.005
 _DRAWS = 4
 
 
-def unrelated_apartments(seed: int, difficulty: Difficulty) -> SimulatedPair:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Furniture:
+    """An object of a place: layer 3, a number for its kind, and the index of its room."""
+
+    shape: Superquadrics
+    kind: int
+    room: int
+
+
+def unrelated_apartments(seeds: tuple[int, int], difficulty: Difficulty) -> SimulatedPair:
     """Return maps of two apartments of different seeds: nothing is in both."""
-    rng = np.random.default_rng([seed, 31])
+    rng = np.random.default_rng([*seeds, 31])
     world = SimulatedWorld(difficulty, rng)
-    one, other = (_objects_of(world, apartment(2 * seed + i).objects) for i in (0, 1))
-    return _pair(world, [*one, *other], _seen(len(one), len(other), 0, rng), rng)
+    one, other = (_new(world, _apartment(seed)) for seed in seeds)
+    is_one = np.arange(len(one) + len(other)) < len(one)
+    is_seen = rng.random(len(is_one)) < _SEEN
+    return _pair(world, [*one, *other], (is_seen & is_one, is_seen & ~is_one), rng)
 
 
 def shared_apartment(seed: int, difficulty: Difficulty) -> SimulatedPair:
     """Return two maps of one apartment: of its four rooms each has three, and two are in both."""
     rng = np.random.default_rng([seed, 32])
     world = SimulatedWorld(difficulty, rng)
-    place = apartment(seed)
-    rooms = np.array([_room_of(item, place.rooms_m) for item in place.objects])
-    order = rng.permutation(len(place.rooms_m))
-    in_a, in_b = rooms != order[0], rooms != order[1]
-    seen = [part & (rng.random(len(rooms)) < _SEEN) for part in (in_a, in_b)]
-    return _pair(world, _objects_of(world, place.objects), (seen[0], seen[1]), rng)
+    furniture = _apartment(seed)
+    rooms = np.array([item.room for item in furniture])
+    left_out = rng.permutation(rooms.max() + 1)
+    in_a, in_b = ((rooms != room) & (rng.random(len(rooms)) < _SEEN) for room in left_out[:2])
+    return _pair(world, _new(world, furniture), (in_a, in_b), rng)
 
 
 def furnished(
@@ -61,7 +72,8 @@ def furnished(
 ) -> list[SimulatedObject]:
     """Return so many objects of furnished rooms in a rectangle; a chair where it is no room (`ambiguous.Draw`)."""
     if min(high_m[0] - low_m[0], high_m[1] - low_m[1]) < _MIN_SIDE_M:
-        return [_object_of(world, chair(rng), at_place(*low_m, 0.0, rng.uniform(0, 2 * np.pi))) for _ in range(count)]
+        stood = [(chair(rng), at_place(*low_m, 0.0, rng.uniform(0, 2 * np.pi))) for _ in range(count)]
+        return _new(world, [_furniture(model, pose, 0) for model, pose in stood])
     placed: list[Placement] = []
     for _ in range(_DRAWS):
         room = Room(rectangle_m=(*low_m, *high_m), keep_free_m=(), placed=placed)
@@ -69,7 +81,7 @@ def furnished(
         if len(placed) >= count:
             break
     kept = rng.permutation(len(placed))[:count]
-    return [_object_of(world, placed[i].model, placed[i].world_from_object) for i in kept]
+    return _new(world, [_furniture(placed[i].model, placed[i].world_from_object, 0) for i in kept])
 
 
 def _pair(
@@ -79,7 +91,7 @@ def _pair(
     rng: np.random.Generator,
 ) -> SimulatedPair:
     in_a, in_b = (rng.permutation(np.flatnonzero(part)) for part in seen)
-    a_from_world, b_from_world = random_pose(0.0, 8.0, rng), random_pose(0.0, 8.0, rng)
+    a_from_world, b_from_world = (random_pose(0.0, _REACH_M, rng) for _ in seen)
     both, rank_a, rank_b = np.intersect1d(in_a, in_b, return_indices=True)
     places = np.array([objects[i].place for i in both]).reshape(-1, 3)
     return SimulatedPair(
@@ -91,35 +103,32 @@ def _pair(
     )
 
 
-def _seen(
-    num_one: int, num_other: int, num_common: int, rng: np.random.Generator
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    is_seen = rng.random(num_one + num_other) < _SEEN
-    is_one = np.arange(num_one + num_other) < num_one
-    return is_seen & is_one, is_seen & ~is_one
+def _new(world: SimulatedWorld, furniture: Sequence[_Furniture]) -> list[SimulatedObject]:
+    return [world.object_of(item.shape, item.kind) for item in furniture]
 
 
-def _room_of(item: WorldObject, rooms_m: Sequence[tuple[float, float, float, float]]) -> int:
-    x, y = item.world_from_object[:2, 3]
-    centers = np.array([((x0 + x1) / 2, (y0 + y1) / 2) for x0, y0, x1, y1 in rooms_m])
-    return int(np.argmin(np.hypot(*(centers - [x, y]).T)))
+@cache
+def _apartment(seed: int) -> tuple[_Furniture, ...]:
+    """Return what stands in an apartment; to draw one takes a second."""
+    place = apartment(seed)
+    middles = np.array([((x0 + x1) / 2, (y0 + y1) / 2) for x0, y0, x1, y1 in place.rooms_m])
+    return tuple(
+        _furniture(
+            item.model,
+            item.world_from_object,
+            int(np.argmin(np.hypot(*(middles - item.world_from_object[:2, 3]).T))),
+        )
+        for item in place.objects
+    )
 
 
-def _objects_of(world: SimulatedWorld, items: Sequence[WorldObject]) -> list[SimulatedObject]:
-    return [_object_of(world, item.model, item.world_from_object) for item in items]
-
-
-def _object_of(world: SimulatedWorld, model: Model, world_from_object: NDArray[np.float64]) -> SimulatedObject:
+def _furniture(model: Model, world_from_object: NDArray[np.float64], room: int) -> _Furniture:
     boxes = [(part.vertices.min(axis=0), part.vertices.max(axis=0)) for part in model.parts]
     shape = Superquadrics(
         exponents=np.full((len(boxes), 2), _EXPONENT),
         semi_axes_m=np.array([np.maximum((high - low) / 2, _MIN_HALF_M) for low, high in boxes]),
         world_from_local=np.array([from_rotation_translation(np.eye(3), (low + high) / 2) for low, high in boxes]),
     )
-    return world.object_of(sorted_by_volume(moved(shape, world_from_object)), _number_of(model.kind))
-
-
-@cache
-def _number_of(kind: str) -> int:
-    """Return a number of a kind that no run changes."""
-    return sum(letter * (i + 1) for i, letter in enumerate(kind.encode()))
+    # A number that no run changes, of which a simulated world takes the remainder.
+    kind = sum(letter * place for place, letter in enumerate(model.kind.encode(), start=1))
+    return _Furniture(shape=sorted_by_volume(moved(shape, world_from_object)), kind=kind, room=room)
