@@ -63,6 +63,7 @@ _HELPERS = {
     "small_logs",
     "small_maps",
     "swept_truth",
+    "true_questions",
     "true_shapes",
 }
 

@@ -1,0 +1,28 @@
+"""Questions from truth: clear ones alone, the same for the same seed, and what they say is so."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.query.grammar import question_of
+from tools.benchmarks.true_questions import true_questions
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_questions_are_understood_and_a_tenth_has_no_answer(demo_truth: Path) -> None:
+    truth = load_truth(demo_truth)
+    questions, again = (true_questions(truth, 40, np.random.default_rng(3)) for _ in range(2))
+    assert questions == again
+    assert len(questions) == len({one.text for one in questions}) == 40
+    assert sum(not one.answers for one in questions) == 4
+    for one in questions:
+        assert question_of(one.text).thing.conditions
+    kinds = {item.id: item.kind for item in truth.objects}
+    seats = [one for one in questions if "to sit on" in one.text]
+    assert seats
+    assert {kinds[i] for one in seats for i in one.answers} <= {"chair", "sofa"}
