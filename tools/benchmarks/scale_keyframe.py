@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import cProfile
 import io
+import itertools
 import json
 import os
 import pstats
@@ -64,6 +65,8 @@ _PITCH_M = 12.8
 """From room to room: a multiple of both lattices, so that a room further on is the same room."""
 _ROOMS_WIDE = 8
 _EVERY = 2
+# Objects in the smaller map, and the keyframes of a room that count.
+_FEW, _FIRST, _LAST = 50, 3, 23
 _STATUS = Path("/proc/self/status")
 
 
@@ -285,40 +288,75 @@ def _features(effect: ComputeFeatures, features: dict[int, MaskFeature]) -> Feat
 
 def map_rooms(
     walk: Walk, folder: Path, *, num_objects: int, profile: dict[int, str] | None = None
-) -> tuple[list[Cost], str]:
-    """Map rooms until there are so many objects; return what each cost, and the map's digest.
+) -> tuple[list[Cost], float, str]:
+    """Map rooms until there are so many objects; return what each cost, the ratio of keyframes, and the map's digest.
 
-    `profile` receives the profile by function of the first room after 0, 50, 200, 1,000 objects.
+    `profile` receives the profile by function of the first room after 20, 200, 1,000 objects.
     """
     mapped = Mapped(walk, folder)
     wanted = [20, 200, 1000] if profile is not None else []
     costs: list[Cost] = []
-    index = 0
-    while True:
+    early: dict[str, object] = {}
+    for index in itertools.count():
         objects = len(mapped.snapshot.objects) if index else 0
+        if objects >= _FEW and not early:
+            early = mapped.core.state()
         mapped.times_s.clear()
         mapped.num_saves = 0
-        profiler = cProfile.Profile(time.process_time) if wanted and objects >= wanted[0] else None
-        if profiler is not None:
-            profiler.enable()
-        keyframes = mapped.room(index)
-        if profiler is not None and profile is not None:
-            profiler.disable()
-            text = io.StringIO()
-            stats = pstats.Stats(profiler, stream=text).sort_stats("tottime")
-            stats.print_stats(35)
-            stats.sort_stats("cumulative").print_stats(70)
-            profile[objects] = text.getvalue()
-            wanted.pop(0)
-            print(text.getvalue(), file=sys.stderr)
-        elif index > 0:
-            costs.append(_cost(mapped, objects, keyframes, folder))
-            print(dumps(asdict(costs[-1])), file=sys.stderr, flush=True)
-        index += 1
+        if profile is not None and wanted and objects >= wanted[0]:
+            profile[wanted.pop(0)] = _profiled(mapped, index)
+        else:
+            keyframes = mapped.room(index)
+            if index > 0:
+                costs.append(_cost(mapped, objects, keyframes, folder))
+                print(dumps(asdict(costs[-1])), file=sys.stderr, flush=True)
         if objects >= num_objects:
             break
     mapped.close()
-    return costs, map_digest(mapped.snapshot)
+    digest = map_digest(mapped.snapshot)
+    few = MapperCore.from_state(MapperConfig().mapping, early)
+    return costs, keyframe_ratio(walk, few, mapped.core, index + 1), digest
+
+
+def keyframe_ratio(walk: Walk, few: MapperCore, many: MapperCore, room: int) -> float:
+    """Return the processor time of the core for the keyframes of a room in one map over that in another.
+
+    Both are given the same keyframes, turn by turn, so that what else the machine does slows both. The first ones,
+    in which the window moves there and what came from a saved state is taken up, do not count.
+    """
+    spent_s = np.array(
+        [
+            [_core_s(core, event, features) for core in ((few, many) if i % 2 else (many, few))][:: 1 if i % 2 else -1]
+            for i, (event, features) in enumerate(keyframes_in(walk, room))
+        ]
+    )
+    few_s, many_s = spent_s[_FIRST:_LAST].sum(axis=0)
+    return float(many_s / few_s)
+
+
+def _core_s(core: MapperCore, event: Event, features: dict[int, MaskFeature]) -> float:
+    began = time.process_time()
+    core.prior()
+    events = [event]
+    while events:
+        for effect in core.handle(events.pop(0)):
+            if isinstance(effect, ComputeFeatures):
+                events.append(_features(effect, features))
+            elif isinstance(effect, SearchLoops):
+                events.append(LoopsSearched(submap_id=effect.submap_id, stamp_ns=effect.due_ns, loops=()))
+    return time.process_time() - began
+
+
+def _profiled(mapped: Mapped, room: int) -> str:
+    profiler = cProfile.Profile(time.process_time)
+    profiler.enable()
+    mapped.room(room)
+    profiler.disable()
+    text = io.StringIO()
+    stats = pstats.Stats(profiler, stream=text).sort_stats("tottime")
+    stats.print_stats(35)
+    stats.sort_stats("cumulative").print_stats(70)
+    return text.getvalue()
 
 
 def _cost(mapped: Mapped, objects: int, keyframes: int, folder: Path) -> Cost:
@@ -340,8 +378,8 @@ def _resident_mb() -> float:
     return int(line.split()[1]) * 1024 / 1e6
 
 
-def scale_costs(walk_folder: Path, out: Path, *, num_objects: int) -> tuple[list[Cost], str]:
-    """Return what each room costs until there are so many objects, and the map's digest, from a process of its own.
+def scale_costs(walk_folder: Path, out: Path, *, num_objects: int) -> tuple[list[Cost], float, str]:
+    """Return what `map_rooms` does, measured in a process of its own.
 
     Raises:
         RuntimeError: the child failed.
@@ -351,7 +389,7 @@ def scale_costs(walk_folder: Path, out: Path, *, num_objects: int) -> tuple[list
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {done.stderr.splitlines()[-1:]}")
     answer = json.loads(done.stdout)
-    return [Cost(**cost) for cost in answer["costs"]], answer["digest"]
+    return [Cost(**cost) for cost in answer["costs"]], answer["keyframe_ratio"], answer["digest"]
 
 
 def main() -> None:
@@ -364,7 +402,7 @@ def main() -> None:
     options = parser.parse_args()
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
     profile: dict[int, str] = {}
-    costs, digest = map_rooms(
+    costs, ratio, digest = map_rooms(
         read_walk(options.walk),
         options.out,
         num_objects=options.objects,
@@ -372,7 +410,7 @@ def main() -> None:
     )
     for objects, text in profile.items():
         Path(f"{options.profile}-{objects}.txt").write_text(text, encoding="utf-8")
-    print(dumps({"costs": [asdict(cost) for cost in costs], "digest": digest}))
+    print(dumps({"costs": [asdict(cost) for cost in costs], "keyframe_ratio": ratio, "digest": digest}))
 
 
 if __name__ == "__main__":
