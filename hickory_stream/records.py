@@ -594,6 +594,7 @@ DecisionKind = Literal[
     "create",  # a track, of a mask
     "merge",  # of two tracks
     "split",  # of a track off another one
+    "part",  # of two tracks that a correction of the poses had merged
     "trim",  # of the points of a track that are those of a wall
     "phase",  # of a track
     "room",  # a track: set aside as part of the room, or an object after all

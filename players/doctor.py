@@ -34,6 +34,8 @@ from players.stream_stats import StreamStats, nearest_ms
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from numpy.typing import NDArray
+
     from hickory_stream.mapping.keyframes import KeyframeConfig
     from hickory_stream.ports import Source
     from players.agreement import ColorAgreement
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
 SOUND, UNUSABLE, WITH_LOSSES = 0, 2, 3
 
+_ENDS_S = 2.0
 _SAMPLES = 12
 # A frame with a larger share of missing depth is not examined for a floor.
 _NO_DEPTH = 0.9
@@ -278,6 +281,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
         color, depth = (
             stats[t.name].stamps(uses_log_time=setup.uses_log_time) for t in (setup.topics.color, setup.topics.depth)
         )
+        judge_ends(found, color, depth)
         apart_ms = nearest_ms(color, depth)
         counts, edges = np.histogram(np.clip(apart_ms, -250, 250), bins=50)
         within = np.abs(apart_ms) <= setup.tolerance_ns / 1e6
@@ -308,6 +312,19 @@ def judge_keyframes(found: Diagnosis, number: int, due: float, seconds: float, c
         found.problems.append(
             f"{number} keyframes in {seconds:.1f} s, {due:.0f} would be due at this motion: frames come too seldom. "
             f"A thing is mapped that is seen in {confirm}; record at 5 Hz or more, or move slower"
+        )
+
+
+def judge_ends(found: Diagnosis, color_ns: NDArray[np.int64], depth_ns: NDArray[np.int64]) -> None:
+    """Say where one of the two cameras stops long before the other: nothing is mapped from then on."""
+    if len(color_ns) == 0 or len(depth_ns) == 0:
+        return
+    early_s = (int(color_ns.max()) - int(depth_ns.max())) / 1e9
+    if abs(early_s) > _ENDS_S:
+        name, other = ("depth", "colour") if early_s > 0 else ("colour", "depth")
+        found.problems.append(
+            f"{name} stops {abs(early_s):.1f} s before {other} does: what comes then cannot be mapped; see why the "
+            "camera stopped"
         )
 
 

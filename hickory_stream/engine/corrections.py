@@ -1,26 +1,46 @@
-"""Corrected poses of submaps: checked when somebody gives them, applied before the next frame."""
+"""Corrections of submaps' poses in a run: those that somebody gives, checked at once, and those that loops make.
+
+Both are applied before a frame is mapped: first what was given since the last one, then the loops that are due.
+"""
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.engine.threads import on_thread
 from hickory_stream.errors import InputError
 from hickory_stream.events import PosesCorrected
 from hickory_stream.geometry.rigid import is_rigid
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping, MutableMapping, Sequence
+    from concurrent.futures import ThreadPoolExecutor
 
     from numpy.typing import NDArray
 
+    from hickory_stream.engine.effects import EffectRunner
+    from hickory_stream.engine.loop_closing import LoopCloser
+
+logger = logging.getLogger(__name__)
+
 
 class Corrections:
-    """Those that the core has not been told of yet, in the order in which they were given."""
+    """Those that the core has not been told of yet, in the order in which they were given, and those of loops.
 
-    def __init__(self) -> None:
+    `counts` are those of the run.
+    """
+
+    def __init__(
+        self, effects: EffectRunner, loops: LoopCloser, thread: ThreadPoolExecutor, counts: MutableMapping[str, int]
+    ) -> None:
+        self._effects = effects
+        self._loops = loops
+        self._thread = thread
+        self._counts = counts
         self._waiting: deque[dict[int, NDArray[np.float64]]] = deque()
         self._is_closed = False
 
@@ -34,23 +54,39 @@ class Corrections:
             raise InputError("the map is finished: poses can be corrected while it is being made")
         self._waiting.append(checked_places(world_from_submap, known))
 
-    def take(self, stamp_ns: int) -> PosesCorrected | None:
-        """Return the next as an event of a stamp, None where none waits."""
-        if not self._waiting:
-            return None
-        places = self._waiting.popleft()
-        return PosesCorrected(
-            stamp_ns=stamp_ns,
-            submap_ids=tuple(places),
-            world_from_submap=np.array(list(places.values())).reshape(-1, 4, 4),
-        )
+    async def apply(self, stamp_ns: int) -> None:
+        """Place submaps where they were said to lie since the last frame."""
+        while self._waiting:
+            places = self._waiting.popleft()
+            self._counts["pose_corrections"] += 1
+            await self._effects.handle(
+                PosesCorrected(
+                    stamp_ns=stamp_ns,
+                    submap_ids=tuple(places),
+                    world_from_submap=np.array(list(places.values())).reshape(-1, 4, 4),
+                )
+            )
+
+    async def close_loops(self, stamp_ns: int, *, all_of_them: bool = False) -> None:
+        """Tell the core of the loops that are due at a stamp, and place the submaps as the graph then has them."""
+        while (event := await self._loops.next_due(None if all_of_them else stamp_ns)) is not None:
+            await self._effects.handle(event)
+            self._counts["loops"] += sum(loop.reason is None for loop in event.loops)
+            corrected = None
+            if event.loops:
+                corrected = await on_thread(self._thread, self._loops.correction, self._effects.core, stamp_ns)
+            if corrected is not None:
+                self._counts["loop_corrections"] += len(corrected.submap_ids) > 0
+                await self._effects.handle(corrected)
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def clear(self) -> None:
-        """Forget those that wait."""
-        self._waiting.clear()
+    def forget(self) -> None:
+        """Forget those that wait, as somebody went back in the log: their submaps may not be there yet."""
+        if self._waiting:
+            logger.warning("%d corrections of poses were for what somebody went back from", len(self._waiting))
+            self._waiting.clear()
 
     def close(self) -> None:
         """Take no more."""

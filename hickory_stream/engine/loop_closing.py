@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.events import LoopsSearched, PosesCorrected
-from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.graph.solution import NoSolution
-from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places, world_from_submaps
-from hickory_stream.loops.search import LoopQuery, Predicted, search_loops
-from hickory_stream.loops.surfaces import Surface
+from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places
+from hickory_stream.loops.predictions import predictions
+from hickory_stream.loops.search import LoopQuery, search_loops
+from hickory_stream.loops.surfaces import Surfaces
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from hickory_stream.graph.config import GraphConfig
     from hickory_stream.loops.config import LoopConfig
     from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.records import Loop, SurveyedSubmap
+    from hickory_stream.records import Loop
 
 logger = logging.getLogger(__name__)
 
@@ -110,53 +110,24 @@ class LoopCloser:
         later_id = submaps[-1].id
         if later_id < self._loops.least_apart or len(submaps[-1].points) < self._loops.least_points:
             return ()
+        predicted = predictions(submaps, search.loops, self._graph, least_apart=self._loops.least_apart)
+        if isinstance(predicted, NoSolution):
+            logger.warning("loops of submap %d are not searched: %s", later_id, predicted.reason)
+            return ()
         return search_loops(
             LoopQuery(
                 later_id=later_id,
-                surfaces={submap.id: _surface(submap) for submap in submaps},
-                predicted=self._predicted(search),
+                surfaces=Surfaces(submaps),
+                predicted=predicted,
                 snapshot=search.snapshot,
                 extractor=self._extractor,
             ),
             self._loops,
         )
 
-    def _predicted(self, search: SearchLoops) -> dict[int, Predicted]:
-        """Return where the graph has the last submap in each that may be a loop, and how well it knows."""
-        from hickory_stream.graph.solve import relative_covariances, solve
-
-        submaps, later = search.submaps, search.submaps[-1]
-        graph = pose_graph(submaps, search.loops, [0] * len(submaps), self._graph)
-        solution = solve(graph, self._graph)
-        if isinstance(solution, NoSolution):
-            logger.warning("loops of submap %d are not searched: %s", later.id, solution.reason)
-            return {}
-        earlier_ids = [submap.id for submap in submaps if submap.id + self._loops.least_apart <= later.id]
-        covariances = relative_covariances(graph, solution, [(i, later.id) for i in earlier_ids])
-        world_from = world_from_submaps(submaps, solution.world_from_node)
-        return {
-            i: Predicted(
-                earlier_from_later=compose(invert(world_from[i]), world_from[later.id]),
-                sigma_m=float(np.sqrt(covariance.diagonal()[3:].max())),
-                sigma_yaw_rad=float(np.sqrt(covariance.diagonal()[:3].max())),
-            )
-            for i, covariance in zip(earlier_ids, covariances, strict=True)
-        }
-
 
 def _accepted(core: MapperCore) -> list[int]:
     """Return the numbers of the loops that the last solution believed."""
-    graph = core.snapshot().graph
-    edges = () if graph is None else graph.loops
+    edges = () if core.graph is None else core.graph.loops
     believed = {(edge.earlier, edge.later) for edge in edges if edge.status == "accepted"}
     return [i for i, loop in enumerate(core.loops) if (loop.earlier, loop.later) in believed]
-
-
-def _surface(submap: SurveyedSubmap) -> Surface:
-    return Surface(
-        points=submap.points.astype(np.float64),
-        normals=submap.normals.astype(np.float64),
-        free=submap.free,
-        voxel_m=submap.voxel_m,
-        anchor=submap.anchor,
-    )

@@ -33,11 +33,11 @@ from hickory_stream.engine.due_shapes import DueShapes, OutOfPatienceError
 from hickory_stream.engine.effects import AtHand, EffectRunner, EffectTargets
 from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
+from hickory_stream.engine.frame_placing import Placing
 from hickory_stream.engine.frame_reports import final_report, keyframe_report, plain_report
 from hickory_stream.engine.generators.choose import generator_key
 from hickory_stream.engine.history.rewind import rewound_to
 from hickory_stream.engine.keyframe_images import color_of
-from hickory_stream.engine.keyframe_places import KeyframePlaces
 from hickory_stream.engine.loop_closing import LoopCloser
 from hickory_stream.engine.loop_delay import LoopDelay
 from hickory_stream.engine.reading import Position, Read, Reader, sensed
@@ -51,7 +51,7 @@ from hickory_stream.engine.step_writer import StepWriter
 from hickory_stream.engine.stopping import Stop
 from hickory_stream.engine.threads import on_thread
 from hickory_stream.errors import RecordingError
-from hickory_stream.events import KeyframeKeptOut, PoseJumped, SourceEnded, WayEnded
+from hickory_stream.events import PoseJumped, SourceEnded, WayEnded
 from hickory_stream.perception.perceive import Perceived, perceive
 from hickory_stream.ports import interrupt, num_seeks, prepared_at
 
@@ -77,7 +77,6 @@ class Run:
         self._clock = RunClock(config.run.time_jump_s)
         self._reader = Reader(config, parts.segmenter, self._stop, mode=parts.mode)
         self._choice = KeyframeChoice(parts.mode, config.keyframes)
-        self._places = KeyframePlaces(config.registration)
         cache = ShapeCache(cache_folder("shapes"), generator_key(config)) if config.run.shape_cache else None
         self._shapes = ShapeQueue(folder, parts.workers, config.shapes, cache)
         self._recorder = Recorder(folder, parts.journal)
@@ -111,13 +110,19 @@ class Run:
             mode=parts.mode,
             grace_s=config.run.grace_s,
         )
-        self._corrections = Corrections()
+        self._corrections = Corrections(self._effects, self._loops, self._thinker, self._clock.counts)
         self._loop_delay = LoopDelay()
-        self._is_keeping_out = False
         self.timings_s: defaultdict[str, float] = defaultdict(float)
+        self._placing = Placing(
+            config.registration,
+            self._effects,
+            self._thinker,
+            counts=self._clock.counts,
+            timings_s=self.timings_s,
+        )
         if parts.resumes is not None:
             self._clock.resume(parts.resumes)
-            self._places.restore(parts.resumes.registration)
+            self._placing.restore(parts.resumes.registration)
             self._announcer.snapshot = parts.core.snapshot()
             for name in parts.resumes.mesh_names:
                 folder.keep_shape(name)
@@ -229,7 +234,7 @@ class Run:
                     if became is not FrameOutcome.MAPPED:
                         self._clock.counts[became.value] += 1
                         await self._announcer.show(
-                            plain_report(read.raw, self._places.where(read.raw.world_from_camera))
+                            plain_report(read.raw, self._placing.where(read.raw.world_from_camera))
                         )
                     self._tell("mapping")
             except OutOfPatienceError:
@@ -241,7 +246,7 @@ class Run:
     async def _arrive(self, read: Read) -> None:
         """Note a frame, and tell the core where its stamp or the odometry has jumped."""
         raw, counts = read.raw, self._clock.counts
-        await self._correct(raw.stamp_ns)
+        await self._corrections.apply(raw.stamp_ns)
         counts.update(read.counts)
         jump = self._clock.jump_before(read)
         if raw.goes_back and self._parts.mode == "playback":
@@ -251,31 +256,13 @@ class Run:
             counts["time_jumps"] += 1
             if self._parts.mode == "playback":
                 await self._due.commit(None)
-            self._places.jumped(is_loop=jump.kind == "loop")
+            self._placing.jumped(is_loop=jump.kind == "loop")
             await self._effects.handle(jump)
         elif raw.after_from_before is not None:
             counts["pose_jumps"] += 1
-            self._places.jumped()
+            self._placing.jumped()
             await self._effects.handle(PoseJumped(stamp_ns=raw.stamp_ns, after_from_before=raw.after_from_before))
         self._steps.add_frame(self._clock.advance(read))
-
-    async def _correct(self, stamp_ns: int) -> None:
-        """Place submaps where they were said to lie since the last frame."""
-        while (event := self._corrections.take(stamp_ns)) is not None:
-            self._clock.counts["pose_corrections"] += 1
-            await self._effects.handle(event)
-
-    async def _close_loops(self, stamp_ns: int, *, all_of_them: bool = False) -> None:
-        """Tell the core of the loops that are due at a stamp, and place the submaps as the graph then has them."""
-        while (event := await self._loops.next_due(None if all_of_them else stamp_ns)) is not None:
-            await self._effects.handle(event)
-            self._clock.counts["loops"] += sum(loop.reason is None for loop in event.loops)
-            corrected = None
-            if event.loops:
-                corrected = await on_thread(self._thinker, self._loops.correction, self._effects.core, stamp_ns)
-            if corrected is not None:
-                self._clock.counts["loop_corrections"] += len(corrected.submap_ids) > 0
-                await self._effects.handle(corrected)
 
     async def _rewind(self, stamp_ns: int) -> None:
         """Restore the core's state before a stamp; events after it that are not in the journal yet are discarded."""
@@ -284,13 +271,10 @@ class Run:
         folder, config, now = self._parts.folder, self._parts.config, self._effects.core
         rewound = await on_thread(self._thinker, rewound_to, folder, config, stamp_ns, now)
         self._effects.core = rewound.core
-        self._places.restore(rewound.registration)
+        self._placing.restore(rewound.registration)
         self._steps.rewind(rewound, self._shapes.rewind(rewound.open_jobs, rewound.answers))
         self._loops.restart(rewound.core.searches)
-        if len(self._corrections):
-            # Their submaps may not be there yet.
-            logger.warning("%d corrections of poses were for what somebody went back from", len(self._corrections))
-            self._corrections.clear()
+        self._corrections.forget()
         self._announcer.publish(await on_thread(self._thinker, rewound.core.snapshot))
 
     # ---- a keyframe --------------------------------------------------------------------------------------------------
@@ -305,7 +289,7 @@ class Run:
                 logger.warning("frame %d cannot be decoded: %s", read.raw.index, error)
                 return FrameOutcome.UNDECODABLE
             frame = sensed(decoded, read.raw.index, self._parts.config.sensor)
-        placed = await self._placed(frame)
+        placed = await self._placing.place(frame)
         if placed is None:
             return FrameOutcome.KEPT_OUT
         if read.frame is None:
@@ -315,39 +299,11 @@ class Run:
         await self._keyframe(read, placed, prepared)
         return FrameOutcome.MAPPED
 
-    async def _placed(self, frame: Frame) -> Frame | None:
-        """Return a keyframe at the pose at which it is mapped, None where it does not fit the map."""
-        started = time.perf_counter()
-        found = await on_thread(self._thinker, self._places.place, frame)
-        self.timings_s["register"] += time.perf_counter() - started
-        if found is None:
-            return frame
-        if isinstance(found, KeyframeKeptOut):
-            if not self._is_keeping_out:
-                logger.warning("frame %d and what follows is kept out of the map: %s", frame.index, found.reason)
-            self._is_keeping_out = True
-            await self._effects.handle(found)
-            return None
-        if found.event.how == "begun anew":
-            logger.warning(
-                "frame %d does not fit the map, nor do those before it: the robot is somewhere else than its odometry "
-                "says, and a new submap begins",
-                frame.index,
-            )
-            self._clock.counts["carried_away"] += 1
-            await self._effects.handle(PoseJumped(stamp_ns=frame.stamp_ns, after_from_before=np.eye(4)))
-        elif self._is_keeping_out:
-            logger.warning("frame %d fits the map again", frame.index)
-        self._is_keeping_out = False
-        self._clock.counts["keyframes_corrected"] += found.event.corrects
-        await self._effects.handle(found.event)
-        return found.frame
-
     async def _keyframe(self, read: Read, frame: Frame, prepared: object) -> None:
         self._clock.num_keyframes += 1
         started = time.perf_counter()
         await self._due.commit(frame.stamp_ns)
-        await self._close_loops(frame.stamp_ns)
+        await self._corrections.close_loops(frame.stamp_ns)
         waited = time.perf_counter()
         perceived = await on_thread(self._thinker, self._perceived, frame, prepared)
         if not np.isfinite(frame.depth_m).any():
@@ -396,16 +352,16 @@ class Run:
         decisions: tuple[Decision, ...] = ()
         self._clock.counts.update(self._reader.lost)
         kind = StepKind.ENDED if self.is_complete else StepKind.CLOSING
-        await self._correct(last.stamp_ns)
+        await self._corrections.apply(last.stamp_ns)
         if self.is_complete and not self._is_source_over:
             await self._effects.handle(WayEnded(stamp_ns=last.stamp_ns))
-            await self._close_loops(last.stamp_ns, all_of_them=True)
+            await self._corrections.close_loops(last.stamp_ns, all_of_them=True)
             published = (await self._effects.handle(SourceEnded(stamp_ns=last.stamp_ns))).published
             decisions = published.decisions if published is not None else ()
         await self._steps.commit(kind, last.stamp_ns)
         await self._due.commit_last(kind, last.stamp_ns, lambda: self._tell("shapes"))
         while len(self._corrections):
-            await self._correct(last.stamp_ns)
+            await self._corrections.apply(last.stamp_ns)
             await self._steps.commit(kind, last.stamp_ns)
         self._corrections.close()
         await self._recorder.written()
@@ -417,7 +373,7 @@ class Run:
         await self._announcer.show(
             final_report(
                 last,
-                self._places.where(last.world_from_camera),
+                self._placing.where(last.world_from_camera),
                 self._clock.camera,
                 snapshot,
                 keyframe_index=index,

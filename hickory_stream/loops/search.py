@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.align_config import AlignConfig
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.loops.config import LoopConfig
+    from hickory_stream.loops.predictions import Predicted
 
 _CELL_M = 0.4
 _WITHIN_SIGMAS = 3.0
@@ -44,18 +45,6 @@ _SURE_M = 0.1
 
 _SAME_M, _SAME_RAD = 0.15, 0.035
 _LEAST_OBJECTS = 4
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Predicted:
-    """Where the graph has the later submap in an earlier one: `earlier_from_later` (4, 4) between their frames.
-
-    `sigma_m` and `sigma_yaw_rad` say how well, in a horizontal direction and about the vertical.
-    """
-
-    earlier_from_later: NDArray[np.float64]
-    sigma_m: float
-    sigma_yaw_rad: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ the other submap saw free space.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -30,7 +31,11 @@ from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.poses.degeneracy import Surfels, degenerate_directions, without_degenerate
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from numpy.typing import NDArray
+
+    from hickory_stream.records import SurveyedSubmap
 
 _NORMAL_M = 0.4
 """So many metres apart are points whose normals differ by a radian: opposite sides are further apart than any gate."""
@@ -83,6 +88,34 @@ class Surface:
     def places(self) -> cKDTree:
         """The points alone."""
         return cKDTree(self.points)
+
+
+class Surfaces(Mapping[int, Surface]):
+    """The surfaces of submaps by their ids, each made when it is first asked for: few are candidates of a search."""
+
+    def __init__(self, submaps: Iterable[SurveyedSubmap]) -> None:
+        self._submaps = {submap.id: submap for submap in submaps}
+        self._made: dict[int, Surface] = {}
+
+    def __getitem__(self, submap_id: int) -> Surface:
+        """Return a submap's surface."""
+        if submap_id not in self._made:
+            submap = self._submaps[submap_id]
+            self._made[submap_id] = Surface(
+                points=submap.points.astype(np.float64),
+                normals=submap.normals.astype(np.float64),
+                free=submap.free,
+                voxel_m=submap.voxel_m,
+                anchor=submap.anchor,
+            )
+        return self._made[submap_id]
+
+    def __iter__(self) -> Iterator[int]:
+        """Return the ids."""
+        return iter(self._submaps)
+
+    def __len__(self) -> int:
+        return len(self._submaps)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

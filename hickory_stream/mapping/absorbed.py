@@ -71,6 +71,15 @@ def after_split(absorbed: Mapping[int, tuple[Track, ...]], host_id: int, before:
     return {**updated, host_id: rest} if rest else updated
 
 
+def after_parting(
+    absorbed: Mapping[int, tuple[Track, ...]], host_id: int, far_ids: Collection[int], rest_id: int | None
+) -> Absorbed:
+    """Return the absorbed tracks after a join was parted: `rest_id` is the host without those of `far_ids`."""
+    left = tuple(t for t in absorbed.get(host_id, ()) if t.id not in far_ids and t.id != rest_id)
+    updated = {host: tracks for host, tracks in absorbed.items() if host != host_id}
+    return {**updated, rest_id: left} if left and rest_id is not None else updated
+
+
 def without_lost_views(absorbed: Mapping[int, tuple[Track, ...]], names: Collection[str]) -> Absorbed:
     """Return the absorbed tracks without the views of these names."""
     return {host: tuple(without_views(track, names) for track in tracks) for host, tracks in absorbed.items()}

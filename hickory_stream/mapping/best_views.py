@@ -60,7 +60,8 @@ def judge_views(state: MapState, pending: PendingFeatures, event: FeaturesReady,
 
 def drop_unused_views(state: MapState) -> list[Effect]:
     """Return the effects that drop the pixels of views that nothing refers to any more."""
-    gone = state.derived.views.unused(state.tracks, state.elsewhere, state.absorbed, state.kept_views)
+    views = state.derived.views
+    gone = views.unused(state.tracks, state.elsewhere, state.absorbed, state.joins, state.kept_views)
     state.kept_views.difference_update(gone)
     return [DropView(name=name) for name in gone]
 

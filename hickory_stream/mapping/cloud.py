@@ -14,7 +14,7 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import coarse_keys, contains, first_not_below, keys_of_points, sorted_unique
+from hickory_stream.geometry.voxels import coarse_keys, contains, first_not_below, keys_of_points, places, sorted_unique
 from hickory_stream.mapping.cold_clouds import count_of, unpacked
 
 if TYPE_CHECKING:
@@ -80,6 +80,30 @@ def moved_cloud(cloud: Cloud, new_from_old: NDArray[np.float64], voxel_m: float)
         points=(np.add.reduceat(points[order] * weights, starts) / totals).astype(np.float32),
         colors=(np.add.reduceat(cloud.colors[order] * weights, starts) / totals).astype(np.float32),
         hits=np.maximum.reduceat(cloud.hits[order], starts),
+    )
+
+
+def grown_since(now: Cloud, then: Cloud, voxel_m: float) -> Cloud:
+    """Return what a cloud has more than it had `then`: voxels that were hit since, with the means of these hits."""
+    known = contains(then.keys, now.keys)
+    at = places(then.keys, now.keys[known])
+    before = np.zeros(len(now.keys), dtype=np.int64)
+    before[known] = then.hits[at]
+    means = np.concatenate([now.points, now.colors], axis=1).astype(np.float64)
+    sums = means * now.hits[:, None]
+    sums[known] -= np.concatenate([then.points, then.colors], axis=1)[at].astype(np.float64) * before[known][:, None]
+    gained = now.hits - before
+    is_new = gained > 0
+    values = (sums[is_new] / gained[is_new][:, None]).astype(np.float32)
+    keys = now.keys[is_new]
+    # A mean that rounding, or a cloud that was trimmed in between, has taken out of its voxel is none.
+    is_off = keys_of_points(np.ascontiguousarray(values[:, :3]), voxel_m) != keys
+    values[is_off] = means[is_new][is_off]
+    return Cloud(
+        keys=keys,
+        points=np.ascontiguousarray(values[:, :3]),
+        colors=np.ascontiguousarray(np.clip(values[:, 3:], 0, 255)),
+        hits=gained[is_new].astype(np.int32),
     )
 
 

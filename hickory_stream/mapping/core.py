@@ -32,7 +32,7 @@ from hickory_stream.mapping.best_views import drop_unused_views, judge_views, pr
 from hickory_stream.mapping.invariants import validate
 from hickory_stream.mapping.jumps import pose_jumped, time_jumped
 from hickory_stream.mapping.keyframe_steps import begin_keyframe, see_space
-from hickory_stream.mapping.loop_searches import ask_for_loops, end_search
+from hickory_stream.mapping.loop_searches import end_search, end_submap
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
 from hickory_stream.mapping.moved_submaps import end_elsewhere, place_submaps, recognise
 from hickory_stream.mapping.shape_requests import end_shape, request_shapes
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.submaps import SubmapState
     from hickory_stream.mapping.tracker import Associator
-    from hickory_stream.records import Loop, MapPrior, MapSnapshot
+    from hickory_stream.records import Loop, MapPrior, MapSnapshot, PoseGraphRecord
 
 logger = logging.getLogger(__name__)
 
@@ -97,14 +97,14 @@ class MapperCore:
             case PoseJumped():
                 open_id = self._state.submaps.open_id
                 pose_jumped(self._state, event, self._config)
-                return [*self._ask_for_loops_before(open_id)]
+                return [*end_submap(self._state, open_id, self.snapshot, self._config.submaps)]
             case PosesCorrected():
                 return self._poses_corrected(event)
             case LoopsSearched():
                 end_search(self._state, event)
                 return []
             case WayEnded():
-                return [*self._ask_for_loops_before()]
+                return [*end_submap(self._state, None, self.snapshot, self._config.submaps)]
             case KeyframeRegistered():
                 return []  # its pose comes with what was seen from there
             case KeyframeKeptOut():
@@ -121,7 +121,8 @@ class MapperCore:
         state, config, tracker = self._state, self._config, self._tracker
         open_id = state.submaps.open_id
         begin_keyframe(state, event, config)
-        effects = [*self._ask_for_loops_before(open_id), *recognise(state, event, config)]
+        effects: list[Effect] = [*end_submap(state, open_id, self.snapshot, config.submaps)]
+        effects += recognise(state, event, config)
         sightings = tracker.track(state, event)
         seen_ids = {sighting.track_id for sighting in sightings}
         promoted = split_tracks(state, event, seen_ids, config)
@@ -143,13 +144,6 @@ class MapperCore:
             *effects,
             ComputeFeatures(frame_index=event.frame_index, observation_indices=tuple(sorted(candidates))),
         ]
-
-    def _ask_for_loops_before(self, open_id: int | None = None) -> list[SearchLoops]:
-        """Return the search for loops of the submap that was open, if it has ended (None: of the one that is open)."""
-        now_id = self._state.submaps.open_id
-        if open_id == now_id:
-            return []
-        return ask_for_loops(self._state, now_id if open_id is None else open_id, self.snapshot, self._config.submaps)
 
     def _features_ready(self, event: FeaturesReady) -> list[Effect]:
         state, pending = self._state, self._state.pending
@@ -184,7 +178,7 @@ class MapperCore:
     def _source_ended(self) -> list[Effect]:
         state = self._state
         effects = [*end_tracks(state, self._config, merges=not self._tracker.is_told), *end_elsewhere(state)]
-        state.absorbed = {}  # no track can be split off any more
+        state.absorbed, state.joins = {}, {}  # no track can be split off or parted any more
         return [*effects, *self._conclude((), is_final=True)]
 
     # ---- the map -----------------------------------------------------------------------------------------------------
@@ -209,6 +203,11 @@ class MapperCore:
     def loops(self) -> tuple[Loop, ...]:
         """What searches for loops gave, believed or not."""
         return self._state.loops
+
+    @property
+    def graph(self) -> PoseGraphRecord | None:
+        """The pose graph as it was solved last; None before the first loop."""
+        return self._state.graph
 
     @property
     def searches(self) -> tuple[SearchLoops, ...]:

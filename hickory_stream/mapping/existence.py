@@ -76,6 +76,13 @@ def united(a: Existence, b: Existence) -> Existence:
     return a if a.evidence >= b.evidence else b
 
 
+def plus_since(known: Existence, now: Existence, then: Existence) -> Existence:
+    """Return the existence of a track with what another one, that had `then`, has gained since."""
+    gained = max(now.evidence - then.evidence, 0.0)
+    places = np.concatenate([known.places, now.places[len(then.places) :]])[:_MOST_PLACES]
+    return Existence(evidence=known.evidence + gained, places=places)
+
+
 def doubted(known: Existence) -> Existence:
     """Return the existence after a keyframe saw through the place."""
     return Existence(evidence=max(known.evidence - 1.0, 0.0), places=known.places)

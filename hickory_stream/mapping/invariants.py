@@ -15,6 +15,7 @@ from hickory_stream.errors import InvariantError
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.geometry.voxels import contains
+from hickory_stream.mapping.submaps import own_space
 from hickory_stream.mapping.track import is_object
 
 if TYPE_CHECKING:
@@ -153,6 +154,17 @@ def _shared_histories(state: MapState) -> Iterator[str]:
     yield from _twice("#{}", (track.id for absorbed in state.absorbed.values() for track in absorbed))
 
 
+def _foreign_joins(state: MapState) -> Iterator[str]:
+    for host_id, joins in state.joins.items():
+        known = {**state.tracks, **state.elsewhere}
+        if host_id not in known:
+            yield f"those of #{host_id}"
+            continue
+        for join in joins:
+            if join.far.id not in (host_id, *known[host_id].merged_ids):
+                yield f"#{join.far.id} in #{host_id}"
+
+
 def _disordered_submaps(state: MapState) -> Iterator[str]:
     submaps = state.submaps
     ids = [submap.id for submap in submaps.states]
@@ -177,13 +189,14 @@ def _misowned_voxels(state: MapState) -> Iterator[str]:
 
 def _other_judges(state: MapState) -> Iterator[str]:
     submaps = state.submaps
-    if submaps.first == submaps.open_id and not _is_same_space(submaps.space, submaps.states[-1].space):
+    if submaps.first == submaps.open_id and not _is_same_space(submaps.space, own_space(submaps.states[-1])):
         yield "another space"
 
 
 def _disordered_spaces(state: MapState) -> Iterator[str]:
     spaces = [("that since the last jump", state.submaps.space)]
-    spaces += [(f"that of submap {submap.id}", submap.space) for submap in state.submaps.states]
+    for submap in state.submaps.states:
+        spaces += [(f"that of submap {submap.id}", submap.space), (f"that seen in submap {submap.id}", submap.seen)]
     for name, space in spaces:
         if not (_ascends(space.free) and _ascends(space.hidden_free) and _ascends(space.surface)):
             yield f"{name}, out of order"
@@ -211,10 +224,11 @@ INVARIANTS: dict[str, Callable[[MapState], Iterator[str]]] = {
     "split candidates and absorbed tracks belong to an existing track": _dead_hosts,
     "an absorbed track is listed among the merged ids of its host": _foreign_histories,
     "a track is absorbed by only one other": _shared_histories,
+    "joins belong to an existing track, which is the far one or has it among its merged ids": _foreign_joins,
     "submaps are numbered in order and have rigid poses": _disordered_submaps,
     "a track is last seen in its own submap or a later one, at most the open one": _homeless_tracks,
     "a voxel is owned by only one closed submap since the last jump": _misowned_voxels,
-    "if the open submap is the only one since the last jump, the space used for decisions is its own": _other_judges,
+    "if decisions are made against the open submap alone, it is against what was seen in it": _other_judges,
     "the voxels of an observed space are in order, and no structure is free": _disordered_spaces,
 }
 """The function that yields the violations of each invariant, by the invariant's sentence."""

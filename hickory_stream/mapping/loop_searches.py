@@ -1,10 +1,11 @@
-"""Searches for loops: asked for when a submap has ended, answered later; the answers are kept, believed or not."""
+"""Ends of submaps, and searches for loops: asked for then, answered later; the answers are kept, believed or not."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from hickory_stream.events import SearchLoops
+from hickory_stream.mapping.space_agreement import agreed_after
 from hickory_stream.mapping.submaps import surveyed
 
 if TYPE_CHECKING:
@@ -16,10 +17,19 @@ if TYPE_CHECKING:
     from hickory_stream.records import MapSnapshot
 
 
-def ask_for_loops(
-    state: MapState, submap_id: int, snapshot: Callable[[], MapSnapshot], config: SubmapConfig
+def end_submap(
+    state: MapState, open_id: int | None, snapshot: Callable[[], MapSnapshot], config: SubmapConfig
 ) -> list[SearchLoops]:
-    """Return the effect that searches a submap in those before it; none where it saw no surface, or none is there."""
+    """Let a submap that has ended count against those before it, and return the search for its loops.
+
+    `open_id` is the one that was open, None: the one that still is. There is no search where it saw no surface, or
+    none is before it.
+    """
+    now_id = state.submaps.open_id
+    if open_id == now_id:
+        return []
+    submap_id = now_id if open_id is None else open_id
+    state.submaps = agreed_after(state.submaps, submap_id)
     submaps = state.submaps.states[: submap_id + 1]
     if not config.searches_loops or submap_id == 0 or len(submaps[-1].surface) == 0:
         return []

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 from hickory_stream.mapping.absorbed import Absorbed, views_of, without_lost_views
 from hickory_stream.mapping.derived import Derived
+from hickory_stream.mapping.joins import Joins, views_in
+from hickory_stream.mapping.joins import without_lost_views as joins_without
 from hickory_stream.mapping.room_voxels import RoomVoxels
 from hickory_stream.mapping.support_graph import SupportGraph
 from hickory_stream.mapping.track import Track, without_views
@@ -54,6 +56,7 @@ class MapState:
         votes: how often pairs of tracks were segmented together and apart.
         split_candidates: parts of tracks that keyframes segmented apart, by host.
         absorbed: the tracks that were merged into each track, by host.
+        joins: the tracks that a correction has brought to each track, by host, so that another one can part them.
         clock_ns: time that has passed in all, in ns, not counting jumps of the stamps.
         stamp_ns: the stamp of the last keyframe; None before the first one and after a jump of the stamps.
         revision: the number of keyframes.
@@ -77,6 +80,7 @@ class MapState:
     votes: VoteBook = field(default_factory=VoteBook)
     split_candidates: SplitCandidates = field(default_factory=dict)
     absorbed: Absorbed = field(default_factory=dict)
+    joins: Joins = field(default_factory=dict)
     clock_ns: int = 0
     stamp_ns: int | None = None
     revision: int = 0
@@ -104,6 +108,10 @@ class MapState:
         known = {**self.tracks, **self.elsewhere}
         return [known[i] for i in sorted(known)]
 
+    def track(self, track_id: int) -> Track:
+        """Return a track, here or elsewhere; raises `KeyError` if there is none of this id."""
+        return self.tracks[track_id] if track_id in self.tracks else self.elsewhere[track_id]
+
     def is_judged(self, track: Track) -> bool:
         """Return whether a track was seen since the last pose jump, so that it can be judged by the observed space."""
         return track.seen_in >= self.submaps.first
@@ -125,9 +133,9 @@ class MapState:
         )
 
     def view_names(self) -> set[str]:
-        """Return the names of the views that the tracks have, or that a later split could restore."""
+        """Return the names of the views that the tracks have, or that a later split or parting could restore."""
         own = {view.name for track in self.everywhere() for view in track.views}
-        return own.union(views_of(self.absorbed))
+        return own.union(views_of(self.absorbed), views_in(join for own in self.joins.values() for join in own))
 
     def advance_clock(self, stamp_ns: int) -> None:
         """Advance the clock to a stamp."""
@@ -203,6 +211,7 @@ class MapState:
                 if not lost.isdisjoint(view.name for view in track.views):
                     tracks[track_id] = without_views(track, lost)
         self.absorbed = without_lost_views(self.absorbed, lost)
+        self.joins = joins_without(self.joins, lost)
 
 
 # Everything but what follows from the rest.

@@ -4,6 +4,7 @@ New frames go on in the frame of the odometry, which is that of the open submap.
 elsewhere does not lie there any more: it keeps its data in its own submap, moves with it, and takes no part in the data
 association, until an observation matches it where it lies now. Then its data are brought into the open submap's frame,
 once, and it is a track like all others. Two tracks that a correction brings together are one object: they are merged.
+Both are kept as joins: a later correction that takes them to different places takes them back (`parting`).
 """
 
 from __future__ import annotations
@@ -16,23 +17,20 @@ import numpy as np
 from hickory_stream.events import CancelShape
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.superquadric import moved
 from hickory_stream.mapping.associate import associate
-from hickory_stream.mapping.cloud import moved_cloud, share_near
-from hickory_stream.mapping.existence import Existence
-from hickory_stream.mapping.moved import moved_box, moved_shape, moved_view
+from hickory_stream.mapping.moved_tracks import moved_track, sameness
 from hickory_stream.mapping.one_to_one import one_to_one
+from hickory_stream.mapping.parting import keep_join, part_joins, past_of
+from hickory_stream.mapping.space_agreement import agreed_anew
 from hickory_stream.mapping.submaps import placed_at
-from hickory_stream.mapping.track import is_object, with_cloud
+from hickory_stream.mapping.track import is_object
 from hickory_stream.mapping.track_endings import drop, unite
 from hickory_stream.mapping.track_table import TrackTable
-from hickory_stream.mapping.views import sector_of
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
     from numpy.typing import NDArray
 
@@ -51,16 +49,18 @@ _CLOSER = 0.1
 
 
 def place_submaps(state: MapState, event: PosesCorrected, config: MappingConfig, *, merges: bool) -> list[Effect]:
-    """Set corrected poses of submaps; set their tracks apart, and merge what now lies at one place (`merges`)."""
+    """Set corrected poses of submaps; part and set apart tracks, and merge what now lies at one place (`merges`)."""
     state.graph = state.graph if event.graph is None else event.graph
     if event.graph is not None and not event.submap_ids:
         return []
     before = state.submaps
-    state.submaps = placed_at(state.submaps, dict(zip(event.submap_ids, event.world_from_submap, strict=True)))
+    places = dict(zip(event.submap_ids, event.world_from_submap, strict=True))
+    state.submaps = agreed_anew(placed_at(state.submaps, places))
     text = f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew"
     state.decide("pose_correction", None, text)
+    effects, parted = part_joins(state, config)
     set_apart(state)
-    return merge_met(state, before, config) if merges else []
+    return [*effects, *merge_met(state, before, config, parted)] if merges else effects
 
 
 def set_apart(state: MapState) -> None:
@@ -87,43 +87,46 @@ def recognise(state: MapState, event: FrameObserved, config: MappingConfig) -> l
     matches = associate(event.observations, known, config.lattice.points_m, config.associate)
     effects: list[Effect] = []
     for track_id in sorted(near.keys() & {match.track_id for match in matches}):
+        far, past = state.elsewhere[track_id], past_of(state, track_id)
         effects += _brought_back(state, near[track_id], "a keyframe sees it again")
+        keep_join(state, track_id, far, past, None)
     return effects
 
 
-def merge_met(state: MapState, before: Submaps, config: MappingConfig) -> list[Effect]:
+def merge_met(state: MapState, before: Submaps, config: MappingConfig, parted: Collection[int] = ()) -> list[Effect]:
     """Merge tracks that a correction has brought to the same place; `before` are the submaps as they were placed.
 
     Pairs are one to one, by the IoU of their boxes first, then by the share of the smaller one's points that lie on the
     other. Two that lay like this before are a thing and what is in it, and stay two; so do those that keyframes have
-    seen apart.
+    seen apart. Those of `parted` lay nowhere before.
     """
     effects: list[Effect] = []
-    while met := sorted(_met(state, before, config)):
+    while met := sorted(_met(state, before, config, parted)):
         for kept_id, gone_id in one_to_one(((a, b) for _, a, b in met), of_one_kind=True):
             effects += _united(state, kept_id, gone_id, config)
     return effects
 
 
 def _united(state: MapState, kept_id: int, gone_id: int, config: MappingConfig) -> list[Effect]:
-    """Merge two tracks of submaps that lie elsewhere to each other."""
+    """Merge two tracks of submaps that lie elsewhere to each other, into the frame in which one is seen, if one is."""
+    far_id, near_id = (kept_id, gone_id) if gone_id in state.tracks else (gone_id, kept_id)
+    far, near, past = state.track(far_id), state.track(near_id), past_of(state, far_id)
     effects: list[Effect] = []
-    known = {**state.tracks, **state.elsewhere}
-    kept, gone = known[kept_id], known[gone_id]
-    # Both into the frame in which one of them is seen, if one is.
-    if gone_id in state.tracks:
-        effects += _brought_back(state, _in_open_frame(state, kept, config), f"it lies where #{gone_id} is")
-    elif kept_id in state.tracks:
-        effects += _brought_back(state, _in_open_frame(state, gone, config), f"it lies where #{kept_id} is")
+    if near_id in state.tracks:
+        there = _in_open_frame(state, far, config)
+        effects += _brought_back(state, there, f"it lies where #{near_id} is")
     else:
-        kept_from_gone = state.submaps.between(kept.submap_id, gone.submap_id)
-        there = moved_track(gone, kept_from_gone, config.lattice.points_m)
-        state.elsewhere[gone_id] = replace(there, submap_id=kept.submap_id)
+        near_from_far = state.submaps.between(near.submap_id, far.submap_id)
+        there = moved_track(far, near_from_far, config.lattice.points_m)
+        state.elsewhere[far_id] = replace(there, submap_id=near.submap_id)
     effects += unite(state, kept_id, gone_id, "a correction of the poses brought them to one place", config)
+    keep_join(state, kept_id, far, past, near)
     return effects
 
 
-def _met(state: MapState, before: Submaps, config: MappingConfig) -> Iterator[tuple[float, int, int]]:
+def _met(
+    state: MapState, before: Submaps, config: MappingConfig, parted: Collection[int]
+) -> Iterator[tuple[float, int, int]]:
     """Yield (-score, lower id, higher id) of tracks of submaps that were moved against each other, now at one place."""
     tracks = [track for track in state.everywhere() if _can_meet(track)]
     if not tracks:
@@ -137,10 +140,11 @@ def _met(state: MapState, before: Submaps, config: MappingConfig) -> Iterator[tu
         for b in (tracks[i + 1 + j] for j in near):
             a_from_b = state.submaps.between(a.submap_id, b.submap_id)
             then = before.between(a.submap_id, b.submap_id)
-            if np.array_equal(a_from_b, then) or state.votes.of(a.id, b.id).apart:
+            is_anew = a.id in parted or b.id in parted
+            if (np.array_equal(a_from_b, then) and not is_anew) or state.votes.of(a.id, b.id).apart:
                 continue
-            score = _sameness(a, b, a_from_b, config)
-            if score >= _SURE or (score > 0 and score > _sameness(a, b, then, config) + _CLOSER):
+            score = sameness(a, b, a_from_b, config)
+            if score >= _SURE or (score > 0 and (is_anew or score > sameness(a, b, then, config) + _CLOSER)):
                 yield -score, a.id, b.id
 
 
@@ -151,22 +155,6 @@ def end_elsewhere(state: MapState) -> list[Effect]:
         if not is_object(track):
             effects += drop(state, track, "structure" if track.phase is Phase.ROOM else "never confirmed")
     return effects
-
-
-def moved_track(track: Track, new_from_old: NDArray[np.float64], voxel_m: float) -> Track:
-    """Return a track in another frame, its cloud on the lattice there; `new_from_old` (4, 4) is rigid."""
-    views = {view.name: moved_view(view, new_from_old) for view in track.views}
-    known = track.existence
-    there = replace(
-        with_cloud(track, moved_cloud(track.cloud, new_from_old, voxel_m), track.sightings, voxel_m),
-        best_view=None if track.best_view is None else views[track.best_view.name],
-        shape=None if track.shape is None else moved_shape(track.shape, new_from_old),
-        sketch=None if track.sketch is None else moved(track.sketch, new_from_old),
-        existence=Existence(evidence=known.evidence, places=apply(new_from_old, known.places)),
-    )
-    kept = [views[view.name] for _, view in track.coverage]
-    sectors = {sector_of(view, there.box.center): view for view in kept}
-    return replace(there, coverage=tuple(sorted(sectors.items())))
 
 
 def _near(state: MapState, bounds: list[NDArray[np.float32]], config: MappingConfig) -> Iterator[Track]:
@@ -188,22 +176,6 @@ def _in_open_frame(state: MapState, track: Track, config: MappingConfig) -> Trac
 
 def _can_meet(track: Track) -> bool:
     return track.phase is not Phase.ROOM and track.sightings >= _MIN_SIGHTINGS
-
-
-def _sameness(a: Track, b: Track, a_from_b: NDArray[np.float64], config: MappingConfig) -> float:
-    """Return how surely two tracks at one place are the same object: 1 to 2 by boxes, up to 1 by points, 0 not."""
-    associate_config = config.associate
-    there = moved_box(b.box, a_from_b)
-    iou = box_iou(a.box, there)
-    if iou >= associate_config.min_iou:
-        return 1.0 + iou
-    a_is_small = a.box.volume_m3 < b.box.volume_m3
-    least = min(a.box.volume_m3, b.box.volume_m3)
-    if intersection_volume_m3(a.box, there) < associate_config.min_lies_on * least:
-        return 0.0
-    own = moved_cloud(b.solid, a_from_b, config.lattice.points_m)
-    share = share_near(a.solid.keys, own) if a_is_small else share_near(own.keys, a.cloud)
-    return share if share >= associate_config.min_lies_on else 0.0
 
 
 def _brought_back(state: MapState, track: Track, why: str) -> list[Effect]:

@@ -451,13 +451,18 @@ def _columns_between(keys: NDArray[np.int64], low: int, high: int) -> slice:
 
 def as_record(state: SpaceState) -> ObservedSpace:
     """Return the public record: structure, including tracks that are part of the room, and free space outside it."""
-    structure = state.surface[state.is_structure]
     return ObservedSpace(
         voxel_m=state.voxel_m,
         free=difference(state.free, state.room) if len(state.room) else state.free,
-        structure=union(structure, state.room) if len(state.room) else structure,
+        structure=structure_of(state),
         floor_z_m=state.floor_z_m,
     )
+
+
+def structure_of(state: SpaceState) -> NDArray[np.int64]:
+    """Return the sorted voxels of structure, including those of tracks that are part of the room."""
+    structure = state.surface[state.is_structure]
+    return union(structure, state.room) if len(state.room) else structure
 
 
 def known_space(record: ObservedSpace) -> SpaceState:

@@ -23,7 +23,7 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
-from hickory_stream.geometry.voxels import contains, exchanged, places, union
+from hickory_stream.geometry.voxels import contains, difference, exchanged, places, union
 from hickory_stream.mapping import observed_space
 from hickory_stream.mapping.observed_space import (
     SpaceState,
@@ -85,6 +85,10 @@ class SubmapConfig(Ranged):
 class SubmapState:
     """A submap: `space` is the part of the observed space that it owns; `world_from_submap` is its corrected pose.
 
+    A voxel belongs to the submap that saw it first, also when others see it again. That is so only while odometry is
+    believed: `seen` is what was seen in this submap itself, and what it shows once a correction has moved any, without
+    `outdated`: the sorted voxels of which a later submap says otherwise (`space_agreement`); None without a correction.
+
     The frame of a submap is the odometry frame: `world_from_submap` is the identity until it is corrected. `began_ns`
     and `anchor` (4, 4) are the stamp and the camera's pose, in that frame, of its first keyframe; None before it.
     `way_m` and `turn_rad` are how far the camera moved and turned in it, `after_jump` whether the odometry jumped
@@ -94,15 +98,19 @@ class SubmapState:
     id: int
     world_from_submap: NDArray[np.float64]
     space: SpaceState
+    seen: SpaceState
     began_ns: int | None = None
     anchor: NDArray[np.float64] | None = None
     way_m: float = 0.0
     turn_rad: float = 0.0
     after_jump: bool = False
     surface: SubmapSurface = field(default_factory=no_surface)
+    outdated: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_submap", np.float64, (4, 4))
+        if self.outdated is not None:
+            freeze(self, "outdated", np.int64, (None,))
         if self.anchor is not None:
             freeze(self, "anchor", np.float64, (4, 4))
 
@@ -144,8 +152,7 @@ class Submaps:
 
     def is_rigid_with_open(self, submap_id: int) -> bool:
         """Return whether a submap has the pose of the open one: its data lie where the odometry has them."""
-        place = self.states[submap_id].world_from_submap
-        return place is self.states[-1].world_from_submap or np.array_equal(place, self.states[-1].world_from_submap)
+        return _is_same_place(self.states[submap_id], self.states[-1])
 
     def open_from(self, submap_id: int) -> NDArray[np.float64]:
         """Return where a submap lies in the frame of the open one, which is that of the frames to come: (4, 4)."""
@@ -160,7 +167,7 @@ class Submaps:
 def first_submap(voxel_m: float) -> Submaps:
     """Return one open, empty submap."""
     space = empty_space(voxel_m)
-    state = SubmapState(id=0, world_from_submap=np.eye(4), space=space)
+    state = SubmapState(id=0, world_from_submap=np.eye(4), space=space, seen=space)
     return Submaps(states=(state,), space=space, owned=np.empty(0, np.int64), owners=np.empty(0, np.int32))
 
 
@@ -261,12 +268,22 @@ def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
     false_m = false_floor(submaps, seen.floor_z_m)
     if false_m is None and is_another_storey(submaps.space, seen.floor_z_m):
         submaps = looking_at(_opened(_closed(submaps)), seen)
+    last = submaps.states[-1]
     if submaps.first == submaps.open_id:
-        return _alone(submaps, added(submaps.space, seen, false_m))
+        space = added(submaps.space, seen, false_m)
+        own = space if last.space is last.seen else added(last.space, seen, false_m)
+        return _alone(submaps, space, own)
     if false_m is not None:
         # What was concluded from the false floor is withdrawn in all submaps that are judged together.
         kept, judged = submaps.states[: submaps.first], submaps.states[submaps.first :]
-        without = tuple(replace(state, space=without_floor(state.space, false_m, seen.floor_z_m)) for state in judged)
+        without = tuple(
+            replace(
+                state,
+                space=without_floor(state.space, false_m, seen.floor_z_m),
+                seen=without_floor(state.seen, false_m, seen.floor_z_m),
+            )
+            for state in judged
+        )
         submaps = replace(submaps, states=(*kept, *without))
     space = added(submaps.space, seen, false_m)
     free, structure = _by_owner(submaps, seen.free_keys), _by_owner(submaps, seen.structure_keys)
@@ -285,7 +302,10 @@ def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
         )
         for i in sorted(free.keys() | structure.keys() | surface.keys())
     }
-    return _with_spaces(submaps, space, changed)
+    submaps = _with_spaces(submaps, space, changed)
+    last = submaps.states[-1]
+    own = replace(added(last.seen, replace(seen, floor_z_m=None), None), floor_z_m=space.floor_z_m)
+    return replace(submaps, states=(*submaps.states[:-1], replace(last, seen=own)))
 
 
 def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
@@ -295,7 +315,9 @@ def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
     shown = keys if submaps.window is None else keys[submaps.window.part_of(keys)]
     space = observed_space.with_room(submaps.space, shown)
     if submaps.first == submaps.open_id:
-        return _alone(submaps, space)
+        last = submaps.states[-1]
+        own = space if last.space is last.seen else observed_space.with_room(last.space, keys)
+        return _alone(submaps, space, own)
     owners = _owners(submaps, keys)
     spaces = {
         i: observed_space.with_room(submaps.states[i].space, keys[owners == i])
@@ -315,7 +337,9 @@ def with_room_changed(submaps: Submaps, gone: NDArray[np.int64], new: NDArray[np
     shown_gone, shown_new = (keys if window is None else keys[window.part_of(keys)] for keys in (gone, new))
     space = observed_space.with_room(submaps.space, exchanged(submaps.space.room, shown_gone, shown_new))
     if submaps.first == submaps.open_id:
-        return _alone(submaps, space)
+        last = submaps.states[-1]
+        own = space if last.space is last.seen else observed_space.with_room(last.space, space.room)
+        return _alone(submaps, space, own)
     gone_of, new_of = _by_owner(submaps, gone), _by_owner(submaps, new)
     none = np.empty(0, np.int64)
     changed = {}
@@ -338,6 +362,9 @@ def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float
         replace(state, world_from_submap=world_from_submap[state.id]) if state.id in world_from_submap else state
         for state in submaps.states
     )
+    is_corrected = any(not _is_same_place(state, states[-1]) for state in states)
+    outdated = np.empty(0, np.int64) if is_corrected else None
+    states = tuple(replace(state, outdated=outdated) for state in states)
     return _judged_by_rigid_ones(replace(submaps, states=states))
 
 
@@ -361,9 +388,29 @@ def surveyed(state: SubmapState) -> SurveyedSubmap:
     )
 
 
+def own_space(state: SubmapState) -> SpaceState:
+    """Return the space that was seen in a submap itself, with the tracks there that are part of the room."""
+    return observed_space.with_room(state.seen, state.space.room)
+
+
+def _shown_space(state: SubmapState) -> SpaceState:
+    """Return the space that counts: what a submap owns, or, once a correction has moved any, what was seen in it."""
+    return state.space if state.outdated is None else own_space(state)
+
+
 def record_of(state: SubmapState) -> Submap:
     """Return the public record of a submap."""
-    return Submap(id=state.id, world_from_submap=state.world_from_submap, observed_space=as_record(state.space))
+    space = as_record(_shown_space(state))
+    if state.outdated is not None:
+        free, structure = difference(space.free, state.outdated), difference(space.structure, state.outdated)
+        space = replace(space, free=free, structure=structure)
+    return Submap(id=state.id, world_from_submap=state.world_from_submap, observed_space=space)
+
+
+def _is_same_place(a: SubmapState, b: SubmapState) -> bool:
+    """Return whether two submaps have the same pose."""
+    place = a.world_from_submap
+    return place is b.world_from_submap or np.array_equal(place, b.world_from_submap)
 
 
 # ---- the steps ------------------------------------------------------------------------------------------------------
@@ -381,12 +428,14 @@ def _within(submaps: Submaps, window: Window | None) -> Submaps:
     """Return the submaps with the space, and the owners of its voxels, of another window; None: of everything."""
     last = submaps.states[-1].space
     floor_m = last.floor_z_m if window is None else submaps.space.floor_z_m
-    some = []
+    some: list[SpaceState] = []
+    closed: list[tuple[int, SpaceState]] = []
     for state in submaps.states[submaps.first :]:
-        reach = extent(state.space)
+        reach = extent(_shown_space(state))
         if reach is not None and (window is None or window.meets(reach)):
-            some.append((state.id, state.space if window is None else cut(state.space, window)))
-    closed = [(i, space) for i, space in some if i != submaps.open_id]
+            some.append(_shown_space(state) if window is None else cut(_shown_space(state), window))
+            if state.id != submaps.open_id:
+                closed.append((state.id, state.space if window is None else cut(state.space, window)))
     keys = [_voxels(space) for _, space in closed]
     owned = np.concatenate([np.empty(0, np.int64), *keys])
     owners = np.concatenate(
@@ -394,7 +443,7 @@ def _within(submaps: Submaps, window: Window | None) -> Submaps:
     )
     # Of submaps that were moved apart for a while both may have a voxel: it is the earlier one's again.
     owned, at = np.unique(owned, return_index=True)
-    space = observed_space.joined([space for _, space in some] or [empty_space(last.voxel_m)])
+    space = observed_space.joined(some or [empty_space(last.voxel_m)])
     space = replace(space, floor_z_m=floor_m)
     return replace(submaps, space=space, owned=owned, owners=owners[at], window=window)
 
@@ -413,13 +462,20 @@ def _opened(submaps: Submaps) -> Submaps:
     """Return the submaps with a new open one at the pose of the last one."""
     last = submaps.states[-1]
     space = replace(empty_space(submaps.space.voxel_m), floor_z_m=submaps.space.floor_z_m)
-    state = SubmapState(id=last.id + 1, world_from_submap=last.world_from_submap, space=space)
+    state = SubmapState(
+        id=last.id + 1,
+        world_from_submap=last.world_from_submap,
+        space=space,
+        seen=space,
+        outdated=None if last.outdated is None else np.empty(0, np.int64),
+    )
     return replace(submaps, states=(*submaps.states, state))
 
 
-def _alone(submaps: Submaps, space: SpaceState) -> Submaps:
-    """Return the submaps if only the open one exists since the last jump: its space is the space since the jump."""
-    return replace(submaps, space=space, states=(*submaps.states[:-1], replace(submaps.states[-1], space=space)))
+def _alone(submaps: Submaps, space: SpaceState, owned: SpaceState) -> Submaps:
+    """Return the submaps if the open one alone is judged: what it has seen is the space; `owned` is its part of it."""
+    last = replace(submaps.states[-1], space=owned, seen=space)
+    return replace(submaps, space=space, states=(*submaps.states[:-1], last))
 
 
 def _with_spaces(submaps: Submaps, space: SpaceState, changed: Mapping[int, SpaceState]) -> Submaps:

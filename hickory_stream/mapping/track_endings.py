@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.events import CancelShape
 from hickory_stream.mapping.absorbed import after_merge
+from hickory_stream.mapping.joins import after_union
 from hickory_stream.mapping.split_candidates import reassigned
 from hickory_stream.mapping.track_merging import merge
 from hickory_stream.records import Phase
@@ -24,6 +25,7 @@ def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = N
     state.votes = state.votes.without(track.id)
     state.split_candidates.pop(track.id, None)
     state.absorbed.pop(track.id, None)
+    state.joins.pop(track.id, None)
     state.decide("drop", track.id, f"{reason or cause}, after {track.sightings} sightings", cause=cause)
     return cancelled(track)
 
@@ -36,6 +38,7 @@ def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: Mapp
     state.votes = state.votes.merged(kept_id, gone_id)
     state.split_candidates = reassigned(state.split_candidates, kept_id, gone_id)
     state.absorbed = after_merge(state.absorbed, kept_id, gone)
+    state.joins = after_union(state.joins, kept_id, gone_id)
     state.decide("merge", kept_id, f"#{gone_id} is the same: {reason}", other_id=gone_id)
     if kept.phase is Phase.ROOM and merged.phase is not Phase.ROOM:
         state.decide("room", kept_id, f"an object after all: it is a side of #{gone_id}, which is larger")

@@ -109,6 +109,20 @@ class VoteBook:
             return self
         return self._changed([gone], {(kept, other): votes for other, votes in row.votes.items() if other != kept})
 
+    def all_of(self, track_id: int) -> Mapping[int, Votes]:
+        """Return the votes of a track with others, by their ids."""
+        return self.rows.get(track_id, _NO_ROW).votes
+
+    def parted(self, host: int, rest: int, far: int, votes: Mapping[int, Votes]) -> VoteBook:
+        """Return the book after `far` was parted from a host, which is `rest` without it; `votes` are those of far."""
+        added = {(far, other): own for other, own in votes.items()}
+        for other, vote in self.all_of(host).items():
+            own = votes.get(other, _NO_VOTES)
+            left = Votes(max(vote.together - own.together, 0), max(vote.apart - own.apart, 0))
+            if left != _NO_VOTES:
+                added[rest, other] = left
+        return self._changed([host] if host in self.rows else [], added)
+
     def without(self, gone: int) -> VoteBook:
         """Return the book without a track that was dropped."""
         return self._changed([gone], {}) if gone in self.rows else self

@@ -10,6 +10,7 @@ import numpy as np
 from hickory_stream.mapping.absorbed import after_split, recalled, restored, without_views_of
 from hickory_stream.mapping.cloud import is_near, share_near, solid_part, without
 from hickory_stream.mapping.existence import Existence
+from hickory_stream.mapping.joins import without_far
 from hickory_stream.mapping.lifecycle import LifeEvent, first_phase
 from hickory_stream.mapping.track import new_track, with_cloud
 from hickory_stream.mapping.track_merging import pair_of, why_one
@@ -105,6 +106,7 @@ def _split_off(
         new = with_cloud(new, rest_of_host, num_apart, voxel_m)
     if before is not None:
         state.absorbed = after_split(state.absorbed, host_id, before)
+        state.joins = without_far(state.joins, host_id, before.id)
         new, left = restored(new, before), without_views_of(left, before)
         text += f"; it was #{before.id} before that was merged"
     state.tracks[host_id] = left

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 NUM_FRAMES = 14
 _GREY = (128, 128, 128)
-_CAMERA = Camera(width=120, height=90, fx=66.0, fy=66.0, cx=59.5, cy=44.5)
-_ROOM = (
+CAMERA = Camera(width=120, height=90, fx=66.0, fy=66.0, cx=59.5, cy=44.5)
+ROOM = (
     *SCENE_BOXES,
     SceneBox(low=(-3.1, -2.6, 0.0), high=(-3.0, 2.6, 2.5), rgb=_GREY),
     SceneBox(low=(3.0, -2.6, 0.0), high=(3.1, 2.6, 2.5), rgb=_GREY),
@@ -35,7 +35,7 @@ _ROOM = (
 
 def room(num_frames: int = NUM_FRAMES, step_of: Callable[[int], int] = int) -> SceneSource:
     """Return the room with exact poses."""
-    return SceneSource(num_frames, _ROOM, camera=_CAMERA, step_of=step_of)
+    return SceneSource(num_frames, ROOM, camera=CAMERA, step_of=step_of)
 
 
 class Drifting(SourceAround):

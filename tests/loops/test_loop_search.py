@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.loops.config import LoopConfig
-from hickory_stream.loops.search import LoopQuery, Predicted, search_loops
+from hickory_stream.loops.predictions import Predicted
+from hickory_stream.loops.search import LoopQuery, search_loops
 from hickory_stream.loops.surfaces import Surface
 from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of

@@ -19,6 +19,7 @@ from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.invariants import INVARIANTS, validate
+from hickory_stream.mapping.joins import Join, Past
 from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
 from hickory_stream.mapping.mapping_config import MappingConfig
@@ -108,6 +109,12 @@ def one_submap_with_another_space(state: MapState) -> None:
     submaps_with(state, first=state.submaps.open_id, owned=np.empty(0, np.int64), owners=np.empty(0, np.int32))
 
 
+def join_with(state: MapState, far_id: int) -> Join:
+    far = replace(state.tracks[1], id=far_id)
+    past = Past(votes={}, absorbed=(), joins=())
+    return Join(far=far, past=past, at=np.zeros(3), near=None, united=state.tracks[1], stamp_ns=0)
+
+
 def backwards(state: MapState) -> None:
     cloud = state.tracks[1].cloud
     turned = replace(cloud, keys=cloud.keys[::-1], points=cloud.points[::-1])
@@ -148,16 +155,15 @@ DAMAGE: list[tuple[str, Callable[[MapState], object]]] = [
     ),
     ("an absorbed track is listed", lambda s: s.absorbed.update({3: s.absorbed.pop(1)})),
     ("a track is absorbed by only one other", lambda s: s.absorbed.update({1: s.absorbed[1] * 2})),
+    ("joins belong to an existing track", lambda s: s.joins.update({2: (join_with(s, far_id=2),)})),
+    ("joins belong to an existing track", lambda s: s.joins.update({1: (join_with(s, far_id=3),)})),
     ("submaps are numbered in order and have rigid poses", lambda s: submaps_with(s, states=s.submaps.states[::-1])),
     ("submaps are numbered in order and have rigid poses", lambda s: submaps_with(s, first=9)),
     ("a track is last seen in its own submap", lambda s: track_with(s, seen_in=7)),
     ("a track is elsewhere if and only if", lambda s: s.elsewhere.update(s.tracks)),
     ("a voxel is owned by only one closed submap", lambda s: submaps_with(s, owned=s.submaps.owned[::-1])),
     ("a voxel is owned by only one closed submap", lambda s: submaps_with(s, owners=s.submaps.owners + 9)),
-    (
-        "if the open submap is the only one since the last jump, the space used for decisions is its own",
-        one_submap_with_another_space,
-    ),
+    ("if decisions are made against the open submap alone", one_submap_with_another_space),
     ("the voxels of an observed space are in order", lambda s: space_with(s, free=s.submaps.space.free[::-1])),
     ("the voxels of an observed space are in order", lambda s: space_with(s, hits=s.submaps.space.hits[1:])),
     ("the voxels of an observed space are in order", lambda s: space_with(s, free=s.submaps.space.surface)),

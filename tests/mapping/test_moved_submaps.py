@@ -10,7 +10,7 @@ from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import PosesCorrected, Publish, SourceEnded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.moved_submaps import moved_track
+from hickory_stream.mapping.moved_tracks import moved_track
 from hickory_stream.mapping.submaps import SubmapConfig
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, drive
 from tests.mapping.test_submaps import CONFIG, at

@@ -17,7 +17,7 @@ from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotatio
 from hickory_stream.records import RawFrame, SourceInfo
 from players import SourceOptions
 from players.agreement import ColorAgreement
-from players.doctor import SOUND, UNUSABLE, WITH_LOSSES, Diagnosis, examine, examine_frames, judge_color
+from players.doctor import SOUND, UNUSABLE, WITH_LOSSES, Diagnosis, examine, examine_frames, judge_color, judge_ends
 from players.doctor_text import diagnosis_page, diagnosis_text
 
 if TYPE_CHECKING:
@@ -217,3 +217,15 @@ def test_every_real_log_is_read_whole_or_says_why_not(capsys: pytest.CaptureFixt
         rows.append(f"{log.name:<48} {found.kind:<24} {len(found.topics):>3} topics {total:>6} messages")
     with capsys.disabled():
         print("\n" + "\n".join(rows))  # noqa: T201 # asked for: a table in the output of the tests
+
+
+@pytest.mark.parametrize(
+    ("color_s", "depth_s", "said"), [(60, 48, "depth stops 12.0 s before colour"), (5, 9, "colour"), (60, 59, None)]
+)
+def test_a_camera_that_stops_long_before_the_other_is_a_problem(color_s: int, depth_s: int, said: str | None) -> None:
+    found = Diagnosis(uri="walk")
+    color_ns, depth_ns = (np.arange(0, end_s * 10**9 + 1, 10**8) for end_s in (color_s, depth_s))
+    judge_ends(found, color_ns, depth_ns)
+    assert len(found.problems) == (said is not None)
+    if said is not None:
+        assert found.problems[0].startswith(said)

@@ -25,6 +25,7 @@ _HELPERS = {
     "coarse_runs",
     "documents",
     "drift_figures",
+    "drift_logs",
     "figures",
     "first_difference",
     "first_layer",
@@ -44,6 +45,7 @@ _HELPERS = {
     "live_scene",
     "loop_figures",
     "loop_rooms",
+    "loop_walks",
     "map_changes",
     "map_damage",
     "mask_scores",
@@ -116,7 +118,7 @@ def main() -> int:
         default=[],
         metavar="PART",
         help="engine: digests, kills, stops, live, soak; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen, clouds, own;"
-        " rules: rules, mapping, perception; poses: fleet, graph, loops",
+        " rules: rules, mapping, perception; poses: drift, fleet, graph, loops, walks",
     )
     parser.add_argument("--minutes", type=float, default=math.inf, help="what goes on later: begin nothing after this")
     parser.add_argument("--fresh", action="store_true", help="what goes on later: forget what is kept")

@@ -1,15 +1,16 @@
-"""Logs whose odometry drifts, mapped as `play` maps them: how far the poses are off, and what the map loses by it.
+"""Maps of logs whose odometry drifts, as `play` makes them: how far poses are off, and what the map loses by it.
 
-The same walks with exact poses are what they are held against. What is on by default (registration of keyframes, the
-pose graph) is on; `mapped` takes other configurations, to measure each alone.
+They are held against the maps of the same walks with exact poses. What is on by default (registration of keyframes, the
+pose graph) is on. Each map is kept under `--state` by the code that it was made with; a later call goes on.
 """
 
 from __future__ import annotations
 
 import asyncio
+import json
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,103 +21,95 @@ from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map
-from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.match import score_map
+from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.trajectory_error import trajectory_error
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.rigid import compose
+from hickory_stream.json_text import dumps
 from hickory_stream.poses.registration_config import RegistrationConfig
-from hickory_stream.records import Phase
-from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.drift import DriftConfig, drifted
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.trajectory import Trajectory
-from players import open_source
+from tools.benchmarks.drift_logs import FACTORS, Poses, drift_of, drifting_walks
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.first_layer import keyframes_of
-from tools.benchmarks.foreign_logs import WorldLog, foreign_log, worlds_folder
+from tools.benchmarks.foreign_parts import map_code_hash
+from tools.benchmarks.intervals import bootstrap
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from hickory_stream.ports import Source
+    from tools.benchmarks.drift_logs import DriftingWalk
     from tools.benchmarks.figures import Options
 
-Poses = dict[int, "NDArray[np.float64]"]
-
-_SECONDS = 100.0
-"""Long enough to go round twice."""
-_LAYER_ONE = ("mapping.requests.max_failures=0", "journal.keep_images=false")
-_DEFAULT = DriftConfig()
+_CONFIG = ("journal.keep_images=false", "run.shape_cache=false")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Drifted:
-    """A walk: its log with exact poses, and logs of the same with odometry that drifts, by how much it does."""
-
-    name: str
-    exact: WorldLog
-    drifting: Mapping[float, WorldLog]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Mapped:
-    """What a run made of a log: where its keyframes are, and layer 1 against the truth."""
+    """What a run made of a walk: its poses, and what the map has of the true objects that count, each in turn.
 
-    poses: Poses
-    recall_50: float
-    f1_25: float
-    tracks_per_object: float
+    `before_m` and `after_m` are the ATE of `num_poses` keyframes as odometry has them and as the map has them.
+    `found_50` and `f1_5pct` are of the mesh of each true object, `tracks` how many objects lie mostly on it.
+    """
 
-
-def drifting_walks(options: Options) -> list[Drifted]:
-    """Return walks through own and foreign worlds, rendered where they are not kept yet; of the latter if there."""
-    walks = []
-    for seed in (24, 30):
-        config = RecordingConfig(scene="apartment", seed=seed, seconds=_SECONDS, rate_hz=5.0, width=640, height=480)
-        logs = {factor: _recorded(replace(config, drift=_drift(factor))) for factor in (1.0, 3.0)}
-        walks.append(Drifted(name=f"own{seed}", exact=_recorded(config), drifting=logs))
-    try:
-        worlds = worlds_folder(options.worlds)
-    except RecordingError:
-        return walks
-    for world in ("home", "bookstore"):
-        exact = foreign_log(worlds, world, "A", "hand", _SECONDS)
-        logs = {factor: foreign_log(worlds, world, "A", "hand", _SECONDS, drift=factor) for factor in (1.0, 3.0)}
-        walks.append(Drifted(name=world, exact=exact, drifting=logs))
-    return walks
+    before_m: float
+    after_m: float
+    num_poses: int
+    num_loops: int
+    num_objects: int
+    found_50: list[bool]
+    f1_5pct: list[float]
+    tracks: list[int]
+    wall_s: float
 
 
 def drift_figures(options: Options) -> list[Figure]:
     """Return how much of a drift is taken out, and what maps lose by the rest, the worst of all walks."""
-    config = read_config(MapperConfig, None, _LAYER_ONE)
-    ratios: dict[float, list[float]] = {1.0: [], 3.0: []}
-    ates_m, recall_losses, f1_losses, tracks = [], [], [], []
+    folder = options.state / f"drift-{map_code_hash()[:12]}"
     walks = drifting_walks(options)
-    for walk in walks:
-        exact = mapped(walk.exact, config)
-        for factor, log in walk.drifting.items():
-            own = mapped(log, config)
-            before_m, after_m = ate_m(odometry_of(log, own.poses), log), ate_m(own.poses, log)
-            told = f"recall {own.recall_50:.2f} of {exact.recall_50:.2f}"
-            print(f"{walk.name}, drift {factor:g}: {before_m:.3f} to {after_m:.3f} m, {told}", flush=True)
-            ratios[factor].append(after_m / before_m)
-            if factor == 1.0:
-                ates_m.append(after_m)
-            recall_losses.append(exact.recall_50 - own.recall_50)
-            f1_losses.append(exact.f1_25 - own.f1_25)
-            tracks.append(own.tracks_per_object)
-    of = f"the worst of {len(walks)} walks, each with its drift and three times it"
-    return [
-        Figure(name="poses_ate_ratio_1pct", value=max(ratios[1.0]), unit="", better="lower", of=of),
-        Figure(name="poses_ate_m_1pct", value=max(ates_m), unit="m", better="lower", of=of),
-        Figure(name="poses_ate_ratio_3pct", value=max(ratios[3.0]), unit="", better="lower", of=of),
-        Figure(name="drift_recall_50_loss", value=max(recall_losses), unit="", better="lower", of=of),
-        Figure(name="drift_f1_25_loss", value=max(f1_losses), unit="", better="lower", of=f"layer 1, {of}"),
-        Figure(name="drift_tracks_per_object", value=max(tracks), unit="", better="lower", of=of),
+    exact = {walk.name: kept(folder, walk, 0.0) for walk in walks}
+    runs = {(walk.name, factor): kept(folder, walk, factor) for walk in walks for factor in FACTORS}
+    for (name, factor), run in runs.items():
+        found, of = sum(run.found_50), len(run.found_50)
+        print(
+            f"{name}, drift {factor:g}: ATE {1e3 * run.before_m:.1f} to {1e3 * run.after_m:.1f} mm, {run.num_loops} "
+            f"loops; at 0.5 {found} of {of}, exact {sum(exact[name].found_50)}; F1 {np.mean(run.f1_5pct):.3f}, exact "
+            f"{np.mean(exact[name].f1_5pct):.3f}; {run.wall_s:.0f} s",
+            flush=True,
+        )
+    told = ", ".join(walk.name for walk in walks)
+    figures = []
+    for name, factor in (("poses_ate_ratio_1pct", 1.0), ("poses_ate_ratio_3pct", 3.0)):
+        own = {walk.name: runs[walk.name, factor] for walk in walks}
+        worst = max(own, key=lambda name: own[name].after_m / own[name].before_m)
+        value = own[worst].after_m / own[worst].before_m
+        of = f"{own[worst].num_poses} keyframes of {worst}, the worst of {told}"
+        figures.append(Figure(name=name, value=value, unit="", better="lower", of=of, role="tuned on"))
+    worst_m, of = max((runs[walk.name, 1.0].after_m, walk.name) for walk in walks)
+    figures.insert(
+        1, Figure(name="poses_ate_m_1pct", value=worst_m, unit="m", better="lower", of=f"{of}, the worst of {told}",
+                  role="tuned on"),
+    )  # fmt: skip
+    figures += [
+        _loss("drift_recall_50_loss", exact, runs, lambda run: run.found_50),
+        _loss("drift_f1_loss", exact, runs, lambda run: run.f1_5pct),
     ]
+    per_object = {key: np.mean([count for count in run.tracks if count]) for key, run in runs.items()}
+    worst_key = max(per_object, key=lambda key: per_object[key])
+    counts = np.array([count for count in runs[worst_key].tracks if count], dtype=np.float64)
+    figures.append(
+        Figure(
+            name="drift_tracks_per_object", value=float(per_object[worst_key]), unit="", better="lower",
+            of=f"{len(counts)} true objects with a track, {worst_key[0]} at {worst_key[1]:g}, the worst of {len(runs)}",
+            interval=bootstrap([counts], lambda groups: float(groups[0].mean())), interval_by="bootstrap",
+            role="tuned on",
+        )
+    )  # fmt: skip
+    return figures
 
 
 def registration_figures(log: Path) -> list[Figure]:
@@ -127,7 +120,7 @@ def registration_figures(log: Path) -> list[Figure]:
     frames = list(keyframes_of(log, MapperConfig()))
     true = np.array([frame.world_from_camera for frame in frames])
     found, ms = [], []
-    for factor in (1.0, 3.0):
+    for factor in FACTORS:
         places = KeyframePlaces(RegistrationConfig())
         poses = []
         drifting = _with_drift(true, factor)
@@ -147,48 +140,78 @@ def registration_figures(log: Path) -> list[Figure]:
     ]
 
 
-def mapped(log: WorldLog, config: MapperConfig) -> Mapped:
-    """Return what `play` with a configuration makes of a log, without shapes."""
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "map"
-        asyncio.run(_map(log.log, config, out))
+def kept(folder: Path, walk: DriftingWalk, factor: float) -> Mapped:
+    """Return what a run makes of a walk with an odometry, measured only if it is not kept yet."""
+    file = folder / f"{walk.name}-{walk.log.key}-{factor:g}.json"
+    if file.is_file():
+        return Mapped(**json.loads(file.read_text(encoding="utf-8")))
+    print(f"{walk.name}, drift {factor:g}: minutes", flush=True)
+    found = mapped(walk, factor, read_config(MapperConfig, None, _CONFIG))
+    file.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = file.with_suffix(".unfinished")
+    unfinished.write_text(dumps(asdict(found)) + "\n", encoding="utf-8")
+    unfinished.replace(file)
+    return found
+
+
+def mapped(walk: DriftingWalk, factor: float, config: MapperConfig) -> Mapped:
+    """Return what `play` with a configuration makes of a walk with an odometry."""
+    started_s = time.monotonic()
+    truth = load_truth(walk.log.truth)
+    true = {frame.stamp_ns: frame.world_from_camera for frame in truth.frames}
+    with tempfile.TemporaryDirectory() as temporary:
+        out = Path(temporary) / "map"
+        asyncio.run(_map(walk.open(factor), config, out))
         saved = open_map(out)
+        graph = saved.snapshot.graph
         poses = _poses_of(out, {s.id: s.world_from_submap for s in saved.snapshot.submaps})
-    objects = tuple(item for item in saved.snapshot.objects if item.phase is not Phase.TENTATIVE)
-    score = score_map(replace(saved.snapshot, objects=objects), {}, load_truth(log.truth))
-    counted = [row for row in score.truth if row.counts]
-    recall = sum(row.map_id is not None for row in counted) / len(counted)
+        found = evaluate(saved, truth)
+    odometry = {stamp_ns: (walk.odometry[factor] if factor else true)[stamp_ns] for stamp_ns in poses}
     return Mapped(
-        poses=poses,
-        recall_50=sum(row.strict_map_id is not None for row in counted) / len(counted),
-        f1_25=2 * recall * score.precision_25 / max(recall + score.precision_25, 1e-9),
-        tracks_per_object=score.tracks_per_object,
+        before_m=_ate_m(odometry, true),
+        after_m=_ate_m(poses, true),
+        num_poses=len(poses),
+        num_loops=0 if graph is None else sum(loop.status == "accepted" for loop in graph.loops),
+        num_objects=found.num_objects,
+        found_50=[row.strict_map_id is not None for row in found.objects],
+        f1_5pct=[row.f1_5pct for row in found.objects],
+        tracks=[len(row.track_ids) for row in found.objects],
+        wall_s=time.monotonic() - started_s,
     )
 
 
-def ate_m(poses: Poses, log: WorldLog) -> float:
-    """Return the error of poses by stamp against the truth of a log, after alignment."""
-    truth = load_truth(log.truth).frames
-    stamps_ns = sorted(poses)
-    return trajectory_error(
-        stamps_ns,
-        np.array([poses[stamp_ns] for stamp_ns in stamps_ns]),
-        [frame.stamp_ns for frame in truth],
-        np.array([frame.world_from_camera for frame in truth]),
-    ).ate_m
+def _loss(
+    name: str,
+    exact: Mapping[str, Mapped],
+    runs: Mapping[tuple[str, float], Mapped],
+    value_of: Callable[[Mapped], Sequence[float]],
+) -> Figure:
+    """Return by how much a mean over true objects is below that with exact poses, the worst of all runs."""
+    losses = {
+        (walk, factor): np.array(value_of(exact[walk]), dtype=np.float64) - np.array(value_of(run), dtype=np.float64)
+        for (walk, factor), run in runs.items()
+    }
+    worst = max(losses, key=lambda key: losses[key].mean())
+    return Figure(
+        name=name,
+        value=float(losses[worst].mean()),
+        unit="",
+        better="lower",
+        of=f"{len(losses[worst])} true objects, {worst[0]} at {worst[1]:g}, the worst of {len(runs)}",
+        interval=bootstrap([losses[worst]], lambda groups: float(groups[0].mean())),
+        interval_by="bootstrap over objects",
+        role="tuned on",
+    )
 
 
-def odometry_of(log: WorldLog, wanted: Poses) -> Poses:
-    """Return the poses of a log's odometry at the stamps of others."""
-    source = open_source(str(log.log))
-    try:
-        return {raw.stamp_ns: raw.world_from_camera for raw in source.frames() if raw.stamp_ns in wanted}
-    finally:
-        source.close()
+def _ate_m(poses: Poses, true: Poses) -> float:
+    """Return the error of poses against true ones, both by stamp, after alignment."""
+    estimated = np.array([poses[stamp_ns] for stamp_ns in sorted(poses)])
+    truth = np.array([true[stamp_ns] for stamp_ns in sorted(true)])
+    return trajectory_error(sorted(poses), estimated, sorted(true), truth).ate_m
 
 
-async def _map(log: Path, config: MapperConfig, out: Path) -> None:
-    source = open_source(str(log))
+async def _map(source: Source, config: MapperConfig, out: Path) -> None:
     try:
         async with Mapper(config, out=out) as mapper:
             async for _ in mapper.run(source):
@@ -211,14 +234,4 @@ def _poses_of(path: Path, places: Mapping[int, NDArray[np.float64]]) -> Poses:
 
 def _with_drift(true: NDArray[np.float64], factor: float) -> Sequence[NDArray[np.float64]]:
     trajectory = Trajectory(times_s=np.arange(len(true), dtype=float), world_from_camera=true)
-    drift = _drift(factor)
-    return list(drifted(trajectory, drift, np.random.default_rng([1, 6])).world_from_camera)
-
-
-def _drift(factor: float) -> DriftConfig:
-    return replace(_DEFAULT, scale=factor * _DEFAULT.scale, yaw_deg_per_m=factor * _DEFAULT.yaw_deg_per_m)
-
-
-def _recorded(config: RecordingConfig) -> WorldLog:
-    log, truth = cached_recording(config)
-    return WorldLog(log=log, truth=truth.folder, key=log.stem.rsplit("-", 1)[-1])
+    return list(drifted(trajectory, drift_of(factor), np.random.default_rng([1, 6])).world_from_camera)

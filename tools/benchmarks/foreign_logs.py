@@ -23,7 +23,7 @@ from hickory_stream.worlds.outdoor.recordings import outdoors
 from hickory_stream.worlds.recording import RecordingConfig
 from tools.benchmarks.processes import ROOT
 
-_PROGRAM = "make_world_log.py"
+PROGRAM = "make_world_log.py"
 _RATE_HZ = 5.0
 _HEIGHT_M = {"hand": 1.4, "robot": 0.45}
 _FOLDERS = {"home": "home", "bookstore": "bookstore", "office": "service-office", "warehouse": "warehouse"}
@@ -50,28 +50,24 @@ def worlds_folder(named: Path | None) -> Path:
         RecordingError: there is none.
     """
     folder = named or Path(os.environ.get("HICKORY_WORLDS") or ROOT.parent / "shared" / "worlds")
-    if not (folder / _PROGRAM).is_file():
-        raise RecordingError(f"{folder} holds no {_PROGRAM}; name the folder of worlds with --worlds or HICKORY_WORLDS")
+    if not (folder / PROGRAM).is_file():
+        raise RecordingError(f"{folder} holds no {PROGRAM}; name the folder of worlds with --worlds or HICKORY_WORLDS")
     return folder.resolve()
 
 
 def foreign_log(
-    worlds: Path, world: str, walk: str, camera: str, seconds: float = 60.0, *, drift: float = 0.0
+    worlds: Path, world: str, walk: str, camera: str, seconds: float = 60.0, *, rate_hz: float = _RATE_HZ
 ) -> WorldLog:
-    """Return the log of a walk, rendered if it is not kept yet; `camera` is `hand` or `robot`.
-
-    `drift` is how often the odometry drifts as much as that of a good camera; 0: its poses are exact.
+    """Return the log of a walk with exact poses, rendered if it is not kept yet; `camera` is `hand` or `robot`.
 
     Raises:
         RecordingError: there is no such world, or it cannot be rendered.
     """
     source = worlds / _FOLDERS[world]
-    arguments = ["--trajectory", walk, "--seconds", f"{seconds:g}", "--hz", f"{_RATE_HZ:g}"]
+    arguments = ["--trajectory", walk, "--seconds", f"{seconds:g}", "--hz", f"{rate_hz:g}"]
     arguments += ["--camera-height", f"{_HEIGHT_M[camera]:g}"]
-    if drift:
-        arguments += ["--drift", f"{drift:g}"]
     try:
-        made_from = (worlds / _PROGRAM).read_bytes() + (source / "world.json").read_bytes()
+        made_from = (worlds / PROGRAM).read_bytes() + (source / "world.json").read_bytes()
     except OSError as error:
         raise RecordingError(f"{source} is no world: {error.strerror} ({error.filename})") from error
     key = hashlib.sha256(made_from + " ".join(arguments).encode()).hexdigest()[:10]
@@ -85,11 +81,11 @@ def foreign_log(
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as temporary:
         made = Path(temporary) / "made"
         made.mkdir()
-        command = [sys.executable, "-c", _RUN, str(worlds / _PROGRAM), str(source), str(made), *arguments]
+        command = [sys.executable, "-c", _RUN, str(worlds / PROGRAM), str(source), str(made), *arguments]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
         if done.returncode != 0:
             told = (done.stderr or done.stdout).strip().splitlines()[-1:]
-            raise RecordingError(f"{_PROGRAM} could not render {source}: {' '.join(told)}")
+            raise RecordingError(f"{PROGRAM} could not render {source}: {' '.join(told)}")
         shutil.rmtree(folder, ignore_errors=True)
         made.rename(folder)
     caches.prune()

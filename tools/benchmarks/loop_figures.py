@@ -9,12 +9,13 @@ import numpy as np
 
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import odometry_covariance
-from hickory_stream.graph.solution import Solution
-from hickory_stream.graph.solve import relative_covariances, solve
+from hickory_stream.graph.solution import NoSolution, Solution
+from hickory_stream.graph.solve import solve
 from hickory_stream.loops.config import LoopConfig
 from hickory_stream.loops.pose_graph import pose_graph
-from hickory_stream.loops.search import LoopQuery, Predicted, search_loops
-from hickory_stream.loops.surfaces import Surface
+from hickory_stream.loops.predictions import predictions
+from hickory_stream.loops.search import LoopQuery, search_loops
+from hickory_stream.loops.surfaces import Surfaces
 from hickory_stream.records import SurveyedSubmap
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.loop_rooms import walk
@@ -62,23 +63,9 @@ def _closed(rooms: list[SeenRoom]) -> tuple[tuple[Loop, ...], tuple[int, ...]]:
     config, later = GraphConfig(), len(rooms) - 1
     submaps = [_surveyed(i, room) for i, room in enumerate(rooms)]
     stamps = list(range(len(rooms)))
-    alone = pose_graph(submaps, (), stamps, config)
-    before = solve(alone, config)
-    assert isinstance(before, Solution)
-    earlier_ids = list(range(later - 1))
-    covariances = relative_covariances(alone, before, [(i, later) for i in earlier_ids])
-    query = LoopQuery(
-        later_id=later,
-        surfaces={i: _surface(room) for i, room in enumerate(rooms)},
-        predicted={
-            i: Predicted(
-                earlier_from_later=np.eye(4),
-                sigma_m=float(np.sqrt(covariance.diagonal()[3:].max())),
-                sigma_yaw_rad=float(np.sqrt(covariance.diagonal()[:3].max())),
-            )
-            for i, covariance in zip(earlier_ids, covariances, strict=True)
-        },
-    )
+    predicted = predictions(submaps, (), config, least_apart=LoopConfig().least_apart)
+    assert not isinstance(predicted, NoSolution)
+    query = LoopQuery(later_id=later, surfaces=Surfaces(submaps), predicted=predicted)
     loops = search_loops(query, LoopConfig())
     solution = solve(pose_graph(submaps, loops, stamps, config), config)
     return loops, solution.accepted if isinstance(solution, Solution) else ()
@@ -104,10 +91,4 @@ def _surveyed(submap_id: int, room: SeenRoom) -> SurveyedSubmap:
         normals=room.normals.astype(np.float32),
         free=np.empty(0, np.int64),
         voxel_m=0.05,
-    )
-
-
-def _surface(room: SeenRoom) -> Surface:
-    return Surface(
-        points=room.points, normals=room.normals, free=np.empty(0, np.int64), voxel_m=0.05, anchor=room.anchor
     )

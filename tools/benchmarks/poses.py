@@ -33,6 +33,7 @@ from tools.benchmarks.drift_figures import drift_figures, registration_figures
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.fleet_figures import fleet_figures
 from tools.benchmarks.loop_figures import loop_figures
+from tools.benchmarks.loop_walks import walk_figures
 from tools.benchmarks.pose_graph_figures import graph_figures
 from tools.benchmarks.processes import ROOT
 
@@ -50,6 +51,7 @@ _WORLDS = tuple(RecordingConfig(scene="apartment", seed=seed, seconds=40.0, rate
 _ENDED = CorridorConfig()
 """A corridor of 30 m of which 18 m are walked: an end wall is 6 to 24 m away."""
 _ENDLESS = CorridorConfig(length_m=60.0, margin_m=20.0, range_m=12.0)
+_NUM_WALKS = 8
 _ROOM = CorridorConfig(length_m=8.0, width_m=6.0, margin_m=1.0, way_m=6.0)
 
 
@@ -70,7 +72,7 @@ def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method.
 
     `--only fleet` measures fleets alone, `--only graph` the pose graph, `--only loops` the search for loops, `--only
-    drift` logs whose odometry drifts.
+    walks` whole logs through rooms that look alike, `--only drift` logs whose odometry drifts.
     """
     if options.only == ("drift",):
         return [*registration_figures(_DEMO), *drift_figures(options)]
@@ -78,6 +80,8 @@ def measure(options: Options) -> list[Figure]:
         return fleet_figures(options)
     if options.only == ("loops",):
         return loop_figures(options)
+    if options.only == ("walks",):
+        return walk_figures(options, num_walks=2 if options.quick else _NUM_WALKS)
     figures: list[Figure] = graph_figures(options)
     if options.only == ("graph",):
         return figures
@@ -107,7 +111,11 @@ def measure(options: Options) -> list[Figure]:
     if (data / "kitti_lidar").is_dir():
         figures += _street(data / "kitti_lidar")
     figures += [*loop_figures(options), *fleet_figures(options)]
-    return figures if options.quick else [*figures, *_mountings((7, 8, 9)), *drift_figures(options)]
+    return (
+        figures
+        if options.quick
+        else [*figures, *_mountings((7, 8, 9)), *walk_figures(options, _NUM_WALKS), *drift_figures(options)]
+    )
 
 
 def _kitchen(kitchen: list[Posed], *, quick: bool) -> list[Figure]:

@@ -116,6 +116,9 @@ class TrackHistories:
             )
             _, _, reason = decision.text.partition(": ")
             gone.ending = Ending(kind="merged", frame=frame, text=reason, into=track_id)
+        elif decision.kind == "part":
+            history.turns.append(Turn(frame=frame, text=f"parted from #{decision.other_id}: {decision.text}"))
+            history.ending = None
         elif decision.kind == "drop":
             history.ending = Ending(kind="dropped", frame=frame, text=decision.text, cause=decision.cause)
         elif decision.kind == "room":

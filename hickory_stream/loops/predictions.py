@@ -1,0 +1,64 @@
+"""Where the pose graph has a submap in the earlier ones, and how well it knows: where a search for loops begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.graph.solution import NoSolution
+from hickory_stream.loops.pose_graph import pose_graph, world_from_submaps
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.graph.config import GraphConfig
+    from hickory_stream.loops.pose_graph import Node
+    from hickory_stream.records import Loop
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Predicted:
+    """Where the graph has the later submap in an earlier one: `earlier_from_later` (4, 4) between their frames.
+
+    `sigma_m` and `sigma_yaw_rad` say how well, in a horizontal direction and about the vertical.
+    """
+
+    earlier_from_later: NDArray[np.float64]
+    sigma_m: float
+    sigma_yaw_rad: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "earlier_from_later", np.float64, (4, 4))
+
+
+def predictions(
+    submaps: Sequence[Node], loops: Sequence[Loop], config: GraphConfig, *, least_apart: int
+) -> dict[int, Predicted] | NoSolution:
+    """Return where the graph has the last submap in each that is at least so many before it, by the ids of these.
+
+    The ids of submaps are their places; `loops` are those found so far.
+    """
+    from hickory_stream.graph.solve import relative_covariances, solve
+
+    later_id = len(submaps) - 1
+    graph = pose_graph(submaps, loops, [0] * len(submaps), config)
+    solution = solve(graph, config)
+    if isinstance(solution, NoSolution):
+        return solution
+    earlier_ids = range(max(0, later_id - least_apart + 1))
+    covariances = relative_covariances(graph, solution, [(i, later_id) for i in earlier_ids])
+    world_from = world_from_submaps(submaps, solution.world_from_node)
+    return {
+        i: Predicted(
+            earlier_from_later=compose(invert(world_from[i]), world_from[later_id]),
+            sigma_m=float(np.sqrt(covariance.diagonal()[3:].max())),
+            sigma_yaw_rad=float(np.sqrt(covariance.diagonal()[:3].max())),
+        )
+        for i, covariance in zip(earlier_ids, covariances, strict=True)
+    }

@@ -1,0 +1,85 @@
+"""The observed spaces of submaps that a correction has moved over one another agree: the later one wins.
+
+Once a correction has moved any submap, each shows what was seen in it, where it lies now. Where an earlier one has free
+space and a later one has seen surface, or the other way round, something has changed, or one lies slightly off: what
+the earlier one says there is *outdated*. It stays in the submap, and is left out of what the map shows
+(`submaps.record_of`): what navigation, alignment and everybody else reads. Decisions about tracks are made against the
+submaps alone that are rigid with the open one.
+
+It is brought up to date when submaps are placed and when one ends. With a placement it is taken back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.voxels import cells_of_keys, centers_of_keys, contains, keys_of_cells, sorted_unique, union
+from hickory_stream.mapping.observed_space import structure_of
+from hickory_stream.mapping.submaps import own_space
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.mapping.observed_space import SpaceState
+    from hickory_stream.mapping.submaps import Submaps, SubmapState
+
+
+def agreed_anew(submaps: Submaps) -> Submaps:
+    """Return the submaps, just placed, with what is outdated of each, if a correction has moved any."""
+    if submaps.states[-1].outdated is None:
+        return submaps
+    states = list(submaps.states)
+    for earlier_id, later_id in combinations(range(len(states)), 2):
+        states[earlier_id] = _after(submaps, states[earlier_id], later_id)
+    return replace(submaps, states=tuple(states))
+
+
+def agreed_after(submaps: Submaps, ended_id: int) -> Submaps:
+    """Return the submaps after one has ended: what it has seen counts against those before it."""
+    if submaps.states[ended_id].outdated is None:
+        return submaps
+    before = [_after(submaps, state, ended_id) for state in submaps.states[:ended_id]]
+    return replace(submaps, states=(*before, *submaps.states[ended_id:]))
+
+
+def contradicted(space: SpaceState, later: SpaceState, later_from_here: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the sorted voxels of a space of which a later one says otherwise; `later_from_here` (4, 4) is rigid.
+
+    Structure is contradicted where its voxel's centre is free and no structure is beside it: the lattices differ.
+    """
+    structure, solid = structure_of(space), structure_of(later)
+    is_filled = contains(solid, _keys_there(space.free, space.voxel_m, later_from_here, later.voxel_m))
+    there = _keys_there(structure, space.voxel_m, later_from_here, later.voxel_m)
+    is_open = contains(later.free, there)
+    is_open[is_open] = ~_is_beside(solid, there[is_open])
+    return sorted_unique(np.concatenate([space.free[is_filled], structure[is_open]]))
+
+
+def _after(submaps: Submaps, state: SubmapState, later_id: int) -> SubmapState:
+    """Return a submap with what a later one says otherwise."""
+    assert state.outdated is not None, "of a map that was corrected"
+    later = own_space(submaps.states[later_id])
+    found = contradicted(own_space(state), later, submaps.between(later_id, state.id))
+    return state if len(found) == 0 else replace(state, outdated=union(state.outdated, found))
+
+
+def _keys_there(
+    keys: NDArray[np.int64], voxel_m: float, there_from_here: NDArray[np.float64], there_voxel_m: float
+) -> NDArray[np.int64]:
+    """Return (N,) the voxels of another lattice in which the centres of voxels lie."""
+    centers = apply(there_from_here, centers_of_keys(keys, voxel_m).astype(np.float64))
+    return keys_of_cells(np.floor(centers / there_voxel_m))
+
+
+def _is_beside(sorted_keys: NDArray[np.int64], keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which voxels (N,) are among sorted ones, or next to one of them."""
+    cells, found = cells_of_keys(keys), np.zeros(len(keys), dtype=bool)
+    for step in np.ndindex(3, 3, 3):
+        left = np.flatnonzero(~found)
+        found[left] = contains(sorted_keys, keys_of_cells(cells[left] + np.array(step) - 1))
+    return found
