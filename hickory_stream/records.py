@@ -448,7 +448,8 @@ class SurveyedSubmap:
     """A submap as a search for loops has it, when it was asked for.
 
     `anchor` (4, 4) is the camera's first pose in its frame, the node of the pose graph; `way_m` and `turn_rad` are how
-    far the camera moved and turned in it, `after_jump` whether the odometry jumped before it. `points` and unit
+    far the camera moved and turned in it, `after_jump` whether the odometry jumped before it. `registered` (6, 6) is
+    the covariance of its least sure keyframe, None if not all were registered. `points` and unit
     `normals` (N, 3) are its surface, `free` the sorted keys of voxels of `voxel_m` that were seen to be free.
     """
 
@@ -462,11 +463,14 @@ class SurveyedSubmap:
     normals: NDArray[np.float32]
     free: NDArray[np.int64]
     voxel_m: float
+    registered: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         whole_number(self.id, "submap")
         freeze(self, "world_from_submap", np.float64, (4, 4))
         freeze(self, "anchor", np.float64, (4, 4))
+        if self.registered is not None:
+            freeze(self, "registered", np.float64, (6, 6))
         freeze(self, "points", np.float32, (None, 3))
         freeze(self, "normals", np.float32, (len(self.points), 3))
         freeze(self, "free", np.int64, (None,))

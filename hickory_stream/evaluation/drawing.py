@@ -40,12 +40,16 @@ class Ellipse:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Text:
-    """A text on one line; `place_px` is the left end of its base line, or the middle or right end of it."""
+    """A text on one line; `place_px` is the left end of its base line, or the middle or right end of it.
+
+    `halo` is the colour of a rim around its letters, so that it can be read on lines; None: without.
+    """
 
     place_px: tuple[float, float]
     text: str
     color: Color
     anchor: str = "start"
+    halo: Color | None = None
 
 
 @dataclass(slots=True)
@@ -103,8 +107,10 @@ def _svg_of(part: Line | Ellipse | Text) -> str:
             return f'<ellipse cx="{x:.1f}" cy="{y:.1f}" rx="{a:.1f}" ry="{b:.1f}" {paint}{turn}/>'
         case Text():
             x, y = part.place_px
+            rim = "" if part.halo is None else f' stroke="{_hex(part.halo)}" stroke-width="4" paint-order="stroke"'
             return (
-                f'<text x="{x:.1f}" y="{y:.1f}" fill="{color}" text-anchor="{part.anchor}">{escape(part.text)}</text>'
+                f'<text x="{x:.1f}" y="{y:.1f}" fill="{color}" text-anchor="{part.anchor}"{rim}>'
+                f"{escape(part.text)}</text>"
             )
 
 
@@ -153,4 +159,6 @@ def _paint_text(image: NDArray[np.uint8], text: Text) -> None:
     (width, _), _ = cv2.getTextSize(text.text, cv2.FONT_HERSHEY_SIMPLEX, _FONT_PX / 30, 1)
     x = text.place_px[0] - {"start": 0.0, "middle": width / 2, "end": float(width)}[text.anchor]
     place = (round(x), round(text.place_px[1]))
-    cv2.putText(image, text.text, place, cv2.FONT_HERSHEY_SIMPLEX, _FONT_PX / 30, text.color, 1, cv2.LINE_AA)
+    for color, width in ((text.halo, 5), (text.color, 1)):
+        if color is not None:
+            cv2.putText(image, text.text, place, cv2.FONT_HERSHEY_SIMPLEX, _FONT_PX / 30, color, width, cv2.LINE_AA)

@@ -104,7 +104,9 @@ def _draw_plan(drawing: Drawing, graph: PoseGraphRecord, ways: Ways, top: int, b
             taken.append(spot)
             color = LOOP if loop.status == "accepted" else REFUSED
             place = (float(spot[0]), float(spot[1]))
-            drawing.add(Text(place_px=place, text=f"{loop.score:.3g}", color=color, anchor="middle"))
+            drawing.add(
+                Text(place_px=place, text=f"{loop.score:.3g}", color=color, anchor="middle", halo=drawing.background)
+            )
     _draw_meters(drawing, scale, bottom)
 
 

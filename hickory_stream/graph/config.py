@@ -21,6 +21,8 @@ class GraphConfig(Ranged):
         turn_drift_per_m: of the angle, for each metre of the way, in radians.
         turn_noise: of the angle, for the root of the way.
         turn_share: of the angle, for each radian turned.
+        registered_times: where every keyframe was registered to the surface of those before, the covariance that this
+            gave counts so many times: what it was registered to errs alike.
         degenerate_share: error of the place, as a share of the way along which scans did not say where it went.
         jump_m, jump_rad: what is left open where the odometry jumped.
         gate_chi2: a loop is impossible whose squared Mahalanobis distance from what odometry predicts is above this
@@ -35,6 +37,7 @@ class GraphConfig(Ranged):
     turn_drift_per_m: float = number(0.0003, 0, 1, "1/m")
     turn_noise: float = number(0.0045, 0, 1, "rad/sqrt(m)")
     turn_share: float = number(0.005, 0, 1, "share")
+    registered_times: float = number(4.0, 1, 1000, "ratio")
     degenerate_share: float = number(0.3, 0, 1, "share")
     jump_m: float = number(30.0, 0.01, 1e4, "m")
     jump_rad: float = number(3.0, 0.001, 10, "rad")

@@ -116,6 +116,23 @@ def odometry_covariance(
     return np.diag([variance_rad] * 3 + [variance_m] * 3)
 
 
+def registered_covariance(
+    covariance: NDArray[np.float64], after: NDArray[np.float64], config: GraphConfig
+) -> NDArray[np.float64]:
+    """Return the (6, 6) covariance of an edge whose keyframes were all registered to the surface of those before.
+
+    Args:
+        covariance: that of the keyframe that was least sure, along the axes of the map.
+        after: (4, 4) the pose of the second node in the map.
+        config: how much it counts.
+    """
+    carry = np.zeros((6, 6))
+    carry[:3, :3] = carry[3:, 3:] = after[:3, :3].T
+    floor = np.diag([config.floor_rad * config.floor_rad] * 3 + [config.floor_m * config.floor_m] * 3)
+    own = portable.matmul(portable.matmul(carry, covariance), carry.T)
+    return symmetric(floor + config.registered_times * own)
+
+
 def tangent_covariance(
     a_from_b: NDArray[np.float64], covariance: NDArray[np.float64], center_a: NDArray[np.float64]
 ) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
-from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
+from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance, registered_covariance
 from hickory_stream.graph.record import record_of
 from hickory_stream.records import GraphEdge, PoseGraphRecord
 
@@ -45,6 +45,10 @@ class Node(Protocol):
     def after_jump(self) -> bool:
         """Whether the odometry jumped before it."""
 
+    @property
+    def registered(self) -> NDArray[np.float64] | None:
+        """The covariance (6, 6) of its least sure keyframe, along the map's axes; None: not all were registered."""
+
 
 def pose_graph(
     submaps: Sequence[Node], loops: Sequence[Loop], stamps_ns: Sequence[int], config: GraphConfig
@@ -59,9 +63,7 @@ def pose_graph(
             before=i,
             after=i + 1,
             before_from_after=compose(invert(anchors[i]), anchors[i + 1]),
-            covariance=odometry_covariance(
-                submaps[i].way_m, submaps[i].turn_rad, config, jumps=int(submaps[i + 1].after_jump)
-            ),
+            covariance=_edge_covariance(submaps[i], submaps[i + 1], config),
             is_jump=submaps[i + 1].after_jump,
         )
         for i in range(len(submaps) - 1)
@@ -81,6 +83,16 @@ def pose_graph(
         if loop.reason is None and loop.later < len(submaps)
     )
     return PoseGraph(world_from_node=anchors, odometry=odometry, loops=edges, gravity_sigma_rad=_GRAVITY_SIGMA_RAD)
+
+
+def _edge_covariance(submap: Node, after: Node, config: GraphConfig) -> NDArray[np.float64]:
+    """Return that of what odometry says of the next submap: as registration has it, where it is surer than the way."""
+    by_way = odometry_covariance(submap.way_m, submap.turn_rad, config, jumps=int(after.after_jump))
+    if submap.registered is None or after.after_jump:
+        return by_way
+    by_surface = registered_covariance(submap.registered, _anchor(after), config)
+    is_surer = by_surface.diagonal()[3:].sum() < by_way.diagonal()[3:].sum()
+    return by_surface if is_surer else by_way
 
 
 def graph_record(

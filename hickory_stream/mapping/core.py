@@ -31,7 +31,7 @@ from hickory_stream.events import (
 from hickory_stream.mapping.best_views import drop_unused_views, judge_views, propose_views
 from hickory_stream.mapping.invariants import validate
 from hickory_stream.mapping.jumps import pose_jumped, time_jumped
-from hickory_stream.mapping.keyframe_steps import begin_keyframe, see_space
+from hickory_stream.mapping.keyframe_steps import begin_keyframe, note_registration, see_space
 from hickory_stream.mapping.loop_searches import end_search, end_submap
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
 from hickory_stream.mapping.moved_submaps import end_elsewhere, place_submaps, recognise
@@ -106,7 +106,8 @@ class MapperCore:
             case WayEnded():
                 return [*end_submap(self._state, None, self.snapshot, self._config.submaps)]
             case KeyframeRegistered():
-                return []  # its pose comes with what was seen from there
+                note_registration(self._state, event)
+                return []
             case KeyframeKeptOut():
                 self._state.decide("keep_out", None, f"frame {event.frame_index} is kept out: {event.reason}")
                 return []

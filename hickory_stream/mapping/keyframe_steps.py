@@ -5,12 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hickory_stream.mapping.observed_space import floor_change
-from hickory_stream.mapping.submaps import false_floor, looking_at, with_keyframe, with_seen
+from hickory_stream.mapping.submaps import false_floor, looking_at, with_keyframe, with_registration, with_seen
 
 if TYPE_CHECKING:
-    from hickory_stream.events import FrameObserved
+    from hickory_stream.events import FrameObserved, KeyframeRegistered
     from hickory_stream.mapping.map_state import MapState
     from hickory_stream.mapping.mapping_config import MappingConfig
+
+
+def note_registration(state: MapState, event: KeyframeRegistered) -> None:
+    """Keep how sure the pose of the keyframe to come is, for the pose graph."""
+    state.submaps = with_registration(state.submaps, event.covariance if event.corrects else None)
 
 
 def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig) -> None:

@@ -92,7 +92,8 @@ class SubmapState:
     The frame of a submap is the odometry frame: `world_from_submap` is the identity until it is corrected. `began_ns`
     and `anchor` (4, 4) are the stamp and the camera's pose, in that frame, of its first keyframe; None before it.
     `way_m` and `turn_rad` are how far the camera moved and turned in it, `after_jump` whether the odometry jumped
-    before it. `surface` is all surface that was seen in it.
+    before it. `surface` is all surface that was seen in it. `registered` (6, 6) is the covariance of the least sure of
+    its keyframes, along the axes of the odometry's frame; None where `is_loose`: one lies where the odometry has it.
     """
 
     id: int
@@ -104,6 +105,8 @@ class SubmapState:
     way_m: float = 0.0
     turn_rad: float = 0.0
     after_jump: bool = False
+    registered: NDArray[np.float64] | None = None
+    is_loose: bool = False
     surface: SubmapSurface = field(default_factory=no_surface)
     outdated: NDArray[np.int64] | None = None
 
@@ -200,6 +203,18 @@ def with_surface(submaps: Submaps, seen: SurfacePoints, config: SubmapConfig) ->
     """Return the submaps with a keyframe's surfaces, in the odometry's frame, on the open one's."""
     current = submaps.states[-1]
     current = replace(current, surface=with_points(current.surface, seen, config.surface_m))
+    return replace(submaps, states=(*submaps.states[:-1], current))
+
+
+def with_registration(submaps: Submaps, covariance: NDArray[np.float64] | None) -> Submaps:
+    """Return the submaps after a keyframe was registered, with its covariance (6, 6); None: where odometry has it."""
+    current = submaps.states[-1]
+    if current.is_loose:
+        return submaps
+    known, least = current.registered, covariance
+    if known is not None and least is not None and known.diagonal()[3:].sum() >= least.diagonal()[3:].sum():
+        return submaps
+    current = replace(current, registered=least, is_loose=least is None)
     return replace(submaps, states=(*submaps.states[:-1], current))
 
 
@@ -381,6 +396,7 @@ def surveyed(state: SubmapState) -> SurveyedSubmap:
         way_m=state.way_m,
         turn_rad=state.turn_rad,
         after_jump=state.after_jump,
+        registered=state.registered,
         points=surface.points[is_sure],
         normals=surface.normals[is_sure] / length[is_sure][:, None],
         free=state.space.free,

@@ -93,6 +93,22 @@ def test_all_submaps_moved_alike_are_no_correction_and_a_jump_is_an_edge_that_gi
     assert edges[1].covariance[3, 3] > 100 * edges[0].covariance[3, 3]
 
 
+def test_the_edge_of_a_registered_submap_is_as_sure_as_its_least_sure_keyframe_along_the_next_ones_axes() -> None:
+    covariance = np.diag([1e-6, 1e-6, 1e-6, 4e-4, 1e-6, 1e-6])  # unsure along the map's x
+    turned = replace(WALK[1], anchor=from_rotation_translation(yaw_rotation(np.pi / 2), np.array([5.0, 0.0, 1.0])))
+    registered = [replace(WALK[0], registered=covariance), turned, *WALK[2:]]
+    edges = pose_graph(registered, [], STAMPS, CONFIG).odometry
+    by_way = pose_graph(WALK, [], STAMPS, CONFIG).odometry
+    floor = CONFIG.floor_m**2
+    expected = [floor + 4e-6, floor + 16e-4, floor + 4e-6]  # the map's x is the next anchor's -y
+    assert np.allclose(edges[0].covariance.diagonal()[3:], expected)
+    assert np.array_equal(edges[1].covariance, by_way[1].covariance)
+    wide = [replace(WALK[0], registered=np.eye(6)), *WALK[1:]]
+    assert np.array_equal(pose_graph(wide, [], STAMPS, CONFIG).odometry[0].covariance, by_way[0].covariance)
+    torn = [registered[0], replace(turned, after_jump=True), *WALK[2:]]
+    assert pose_graph(torn, [], STAMPS, CONFIG).odometry[0].covariance[3, 3] > 100
+
+
 def test_a_submap_without_a_keyframe_is_no_node() -> None:
     with pytest.raises(ValueError, match="anchor"):
         pose_graph([WALK[0], replace(WALK[1], anchor=np.eye(3))], [], STAMPS, CONFIG)

@@ -31,6 +31,7 @@ from hickory_stream.mapping.submaps import (
     record_of,
     torn,
     travelled,
+    with_registration,
     with_room,
     with_seen,
 )
@@ -345,3 +346,14 @@ def test_a_floor_that_turns_out_to_be_a_table_is_none_in_the_submaps_before_eith
     one = with_seen(travelled(first_submap(0.05), camera_at(0.0), 0, SubmapConfig()), seen)
     two = with_seen(travelled(one, camera_at(20.0), 0, SubmapConfig()), replace(seen, floor_z_m=-0.5))
     assert [state.space.floor_z_m for state in two.states] == [-0.5, -0.5]
+
+
+def test_a_submap_keeps_the_covariance_of_its_least_sure_keyframe_unless_one_lies_where_odometry_has_it() -> None:
+    narrow, wide = np.diag([1e-6] * 3 + [1e-4] * 3), np.diag([1e-6] * 3 + [1e-2] * 3)
+    submaps = first_submap(0.05)
+    for covariance in (narrow, wide, narrow):
+        submaps = with_registration(submaps, covariance)
+    assert submaps.states[0].registered is not None
+    assert np.array_equal(submaps.states[0].registered, wide)
+    loose = with_registration(with_registration(submaps, None), narrow)
+    assert loose.states[0].registered is None
