@@ -144,6 +144,7 @@ VALID: dict[type, dict[str, Any]] = {
         "normals": np.ones((5, 3), np.float32),
         "free": _KEYS,
         "voxel_m": 0.05,
+        "registered": np.eye(6),
     },
     records.Loop: {
         "earlier": 0,
