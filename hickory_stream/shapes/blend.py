@@ -7,7 +7,7 @@ closed, of one grid, and every vertex says whether it was seen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,10 +28,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.ports import ShapeInputs
-    from hickory_stream.shapes.tsdf import Evidence
+    from hickory_stream.shapes.tsdf import DepthView, Evidence
 
 _BAND_VOXELS = 8.0
 _MIN_HALF_EXTENT_M = 0.01
+_EDGE_PX = 2
+_FAR_M = 100.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,8 +58,12 @@ def blended(
         grid, generated = _generated_field(vertices_world, placed.mesh.faces, inputs, volume)
     except ValueError as error:
         return NoShape(reason=str(error))
-    evidence = integrate(grid, [view_of(crop, volume) for crop in inputs.crops])
+    evidence = integrate(grid, [_with_silhouette(view_of(crop, volume)) for crop in inputs.crops])
     field = _joined(generated, evidence, config)
+    if inputs.support_z_m is not None:
+        # Nothing of an object is below what it stands on.
+        heights = grid.world_from_grid[2, 3] + grid.voxel_m * np.arange(grid.shape[2])
+        field = np.maximum(field, ((inputs.support_z_m - heights) / grid.voxel_m).astype(np.float32))
     solid = _main_parts(field < 0, config.min_part)
     if not solid.any():
         return NoShape(reason="nothing of the generated shape is outside of free space")
@@ -67,6 +73,15 @@ def blended(
     reach = volume.seen_voxels * grid.voxel_m
     colors, is_seen = painted(vertices, inputs.crops, inputs.points_world, inputs.colors, reach)
     return in_object_frame(vertices, faces, colors, is_seen)
+
+
+def _with_silhouette(view: DepthView) -> DepthView:
+    """Return a view in which pixels beside the mask that have no depth look far: what a mask leaves out is not there.
+
+    For a surface that was made up; the fused shape takes a missing depth for no evidence.
+    """
+    near = ndimage.binary_dilation(view.mask, iterations=_EDGE_PX)
+    return replace(view, depth_m=np.where(~near & np.isnan(view.depth_m), np.float32(_FAR_M), view.depth_m))
 
 
 def _generated_field(

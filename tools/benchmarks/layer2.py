@@ -15,12 +15,15 @@ from scipy.spatial import cKDTree
 from hickory_stream.evaluation.surface_score import diameter_m
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import MeshPlacement, Reconstruction
+from hickory_stream.shapes.blend import BlendConfig, blended
 from hickory_stream.shapes.distance_field import even_samples
+from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor, VolumeConfig
 from hickory_stream.shapes.judgement import JudgementConfig, ShapeEvidence, judged, shape_evidence
 from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
+from tools.benchmarks.adapter_fakes import ADAPTERS, adapter_fault
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.foreign_logs import worlds_folder
-from tools.benchmarks.intervals import wilson
+from tools.benchmarks.intervals import bootstrap, wilson
 from tools.benchmarks.layer2_objects import TUNED_WORLDS, foreign_subjects, own_subjects
 from tools.benchmarks.oracle import Generated, Sighted, generated, plain_mesh, sighted
 
@@ -52,6 +55,7 @@ class Row:
     seconds: float
     f1: float
     evidence: ShapeEvidence | None
+    seen: Sighted
 
 
 def measure(options: Options) -> list[Figure]:
@@ -64,7 +68,11 @@ def measure(options: Options) -> list[Figure]:
     plain = _trials(subjects, seed, "plain")
     spoiled = _trials(subjects, seed + 1, "spoiled")
     swapped = _trials(subjects, seed + 2, "swapped")
-    return _of_placement(plain, spoiled, where) + _of_judgement(spoiled, swapped)
+    figures = _of_placement(plain, spoiled, where) + _of_judgement(spoiled, swapped)
+    figures += _of_blending(spoiled[: 4 if options.quick else None])
+    sound = [name for name in ADAPTERS if adapter_fault(name) == ""]
+    told = f"of {len(ADAPTERS)} adapters: {', '.join(sound)}; against fakes of their packages"
+    return [*figures, Figure(name="adapters_checked", value=len(sound), unit="", better="higher", of=told)]
 
 
 # ---- trials ---------------------------------------------------------------------------------------------------------
@@ -94,7 +102,7 @@ def _row(kind: str, seen: Sighted, given: Generated, refiner: EmbeddedPlacement)
     if not isinstance(placement, MeshPlacement):
         return Row(
             kind=kind, given=given, placement=None, adds=np.inf, scale_error=np.inf, seconds=seconds, f1=0.0,
-            evidence=None,
+            evidence=None, seen=seen,
         )  # fmt: skip
     true, _ = even_samples(seen.mesh_world.vertices, seen.mesh_world.faces, _SAMPLES)
     diameter = diameter_m(seen.mesh_world.vertices)
@@ -114,6 +122,7 @@ def _row(kind: str, seen: Sighted, given: Generated, refiner: EmbeddedPlacement)
         seconds=seconds,
         f1=f1_at(true, even_samples(world.vertices, world.faces, _SAMPLES)[0], 0.05 * diameter),
         evidence=evidence,
+        seen=seen,
     )
 
 
@@ -166,6 +175,41 @@ def _of_judgement(spoiled: list[Row], swapped: list[Row]) -> list[Figure]:
         told = f"swapped objects whose F1 at 5 % of the diameter, placed, is under {_SAME_F1}"
         figures.insert(0, _share("wrong_accepted_fraction", [row in accepted for row in wrong], told, better="lower"))
     return figures
+
+
+def _of_blending(rows: list[Row]) -> list[Figure]:
+    """Return F1 of the blended and of the fused shape at 5 % of the diameter, over the objects that have both."""
+    volume, config = VolumeConfig(), JudgementConfig()
+    scores: list[tuple[float, float]] = []
+    for row in rows:
+        if row.placement is None or row.evidence is None or not judged(row.evidence, config).is_accepted:
+            continue
+        world = Reconstruction(mesh=placed_mesh(row.given.mesh, row.placement), world_from_object=np.eye(4))
+        made = blended(world, row.seen.made_from, volume, BlendConfig())
+        fused = FusedReconstructor(FusedConfig()).reconstruct(row.seen.made_from)
+        if isinstance(made, Reconstruction) and isinstance(fused, Reconstruction):
+            scores.append((_f1_of(made, row.seen), _f1_of(fused, row.seen)))
+            print(
+                f"blended {row.kind}, {len(row.seen.made_from.crops)} views: F1 {scores[-1][0]:.3f}, "
+                f"fused {scores[-1][1]:.3f}"
+            )
+    if not scores:
+        return []
+    values = np.array(scores)
+    of = f"mean of {len(values)} spoiled objects that were accepted, each seen from 1 to {_MAX_VIEWS} places"
+    return [
+        Figure(
+            name=name, value=float(column.mean()), unit="", better="higher", of=of,
+            interval=bootstrap([column[:, None]], lambda groups: float(groups[0].mean())), interval_by="bootstrap",
+        )
+        for name, column in zip(("blended_f1_5pct", "fused_f1_5pct"), values.T, strict=True)
+    ]  # fmt: skip
+
+
+def _f1_of(shape: Reconstruction, seen: Sighted) -> float:
+    true, _ = even_samples(seen.mesh_world.vertices, seen.mesh_world.faces, _SAMPLES)
+    found, _ = even_samples(shape.mesh.vertices, shape.mesh.faces, _SAMPLES)
+    return f1_at(true, apply(shape.world_from_object, found), 0.05 * diameter_m(seen.mesh_world.vertices))
 
 
 def _share(name: str, values: list[bool], of: str, *, better: Literal["higher", "lower"] = "higher") -> Figure:
