@@ -1,0 +1,259 @@
+"""What size costs: a keyframe in a large map, memory and disk, readers, large alignments, real time, a batch.
+
+Keyframes, memory, the folder and readers are measured on a recorded walk that is mapped again and again, room after
+room (`scale_keyframe.py`): a thousand objects without rendering a building; what perception costs does not depend on
+the map. `--quick` does that with 200 objects, with a walk that is played coarsely, and aligns 1,000 objects; the rest
+belongs to the whole run, or to `--only` of `keyframes`, `alignment`, `stages`, `batch`, `building`. The last one makes
+a building of about 1,000 objects and plays 20 minutes in it, which takes hours where it is not in the cache.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.batch.run import BatchPlan, run_batch
+from hickory_stream.config import MapperConfig, read_config
+from hickory_stream.sinks.disk_sink import DiskSinkConfig
+from hickory_stream.worlds.building.building import BuildingSize
+from hickory_stream.worlds.cache import cached_recording
+from hickory_stream.worlds.recording import RecordingConfig
+from players import SourceOptions
+from tools.benchmarks.coarse_runs import COARSE, play_coarsely
+from tools.benchmarks.figures import Figure
+from tools.benchmarks.processes import ROOT, play
+from tools.benchmarks.scale_keyframe import scale_costs
+from tools.benchmarks.scale_reading import reading_of
+from tools.benchmarks.stage_times import BUDGET_MS, STAGES, stage_times
+
+if TYPE_CHECKING:
+    from tools.benchmarks.figures import Options
+    from tools.benchmarks.scale_keyframe import Cost
+    from tools.benchmarks.stage_times import StageTimes
+
+_PARTS = ("keyframes", "alignment", "stages", "batch", "building")
+_QUICK_PARTS = ("keyframes", "alignment")
+_DEMO = ROOT / "recordings" / "demo.mcap"
+_WALK_FRAMES = 60
+_APARTMENTS = tuple(
+    RecordingConfig(scene="apartment", seed=seed, rate_hz=30.0, width=640, height=480, seconds=None)
+    for seed in (1001, 1002, 1003)
+)
+_BUILDING = RecordingConfig(
+    scene="building",
+    seed=1,
+    building=BuildingSize(floors=3, rooms=30),
+    rate_hz=8.0,
+    width=640,
+    height=480,
+    seconds=1200.0,
+)
+_BATCH_SECONDS, _BATCH_LOGS = 10.0, 8
+_ALIGN = """
+import resource, sys, time
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
+from hickory_stream.evaluation.maps.trial import error_of, overlap_b
+small = simulate_pair(SimulationConfig(num_objects=20), 0)
+align(small.map_a, small.map_b)
+pair = simulate_pair(SimulationConfig(num_objects=int(sys.argv[2]), difficulty=sys.argv[3]), int(sys.argv[1]))
+started = time.process_time()
+answer = align(pair.map_a, pair.map_b)
+seconds = time.process_time() - started
+found = isinstance(answer, Alignment) and error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)).is_success
+print(int(found), seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def measure(options: Options) -> list[Figure]:
+    """Return the figures of the parts that were asked for, printing what they were measured on."""
+    parts = options.only or (_QUICK_PARTS if options.quick else _PARTS)
+    print(f"on {os.cpu_count()} cores under a load of {os.getloadavg()[0]:.1f}: times are of processors", flush=True)
+    with tempfile.TemporaryDirectory(prefix="hickory-scale-") as temporary:
+        folder = Path(temporary)
+        figures: list[Figure] = []
+        if "keyframes" in parts:
+            figures += _keyframes(folder, quick=options.quick)
+        if "alignment" in parts:
+            figures += _alignment(options.seed, quick=options.quick)
+        if "stages" in parts:
+            figures += _stages(folder)
+        if "batch" in parts:
+            figures += _batch(folder)
+        if "building" in parts:
+            figures += _building(folder)
+    return figures
+
+
+# ---- a keyframe in a large map, and what reads the map -------------------------------------------------------------
+
+
+def _keyframes(folder: Path, *, quick: bool) -> list[Figure]:
+    walk, large = folder / "walk", folder / "large"
+    if quick:
+        played = play_coarsely(walk, _WALK_FRAMES, stderr=subprocess.DEVNULL)
+        played.communicate()
+        if played.returncode != 0:
+            raise RuntimeError(f"the walk ended with {played.returncode}")
+    else:
+        play(_DEMO, walk)
+    costs, ratio, _ = scale_costs(walk, large, num_objects=200 if quick else 1000)
+    for cost in costs:
+        print(
+            f"{cost.objects:>5} objects: {cost.keyframe_ms:6.1f} ms a keyframe (core {cost.core_ms:.1f}, journal "
+            f"{cost.journal_ms:.1f}), a save {cost.save_ms:.0f} ms, {cost.rss_mb:.0f} MB, "
+            f"folder {cost.folder_mb:.0f} MB",
+            flush=True,
+        )
+    last, half = costs[-1], _at(costs, costs[-1].objects / 2)
+    of = f"{len(costs)} rooms of {last.keyframes} keyframes, no perception"
+    more = last.objects - half.objects
+    saves_ms = float(np.median([cost.save_ms for cost in costs if cost.save_ms][-5:]))
+    reading = reading_of(large)
+    figures = [
+        _figure("scale_objects", last.objects, "", "higher", of),
+        _figure("scale_keyframe_ratio", ratio, "x", "lower", f"{of}; the core, in turn with a map of few objects"),
+        _figure("scale_rss_mb", last.rss_mb, "MB", "lower", f"{of}; the mapper's core and journal alone"),
+        _figure("scale_rss_mb_per_object", (last.rss_mb - half.rss_mb) / more, "MB", "lower", f"the last {more}"),
+        _figure(
+            "scale_folder_mb_per_object", (last.folder_mb - half.folder_mb) / more, "MB", "lower",
+            f"the last {more} objects; without images",
+        ),
+        _figure("save_ms", saves_ms, "ms", "lower", f"what {DiskSinkConfig().every_keyframes} keyframes changed"),
+        _figure("open_seconds", reading.open_seconds, "s", "lower", f"{reading.objects} objects"),
+        _figure("known_at_seconds", reading.known_at_seconds, "s", "lower", f"{reading.objects} objects"),
+        _figure("render_seconds", reading.render_seconds, "s", "lower", f"{reading.objects} objects"),
+    ]  # fmt: skip
+    if reading.path_ms is not None:
+        told = f"{reading.num_paths} of 19 paths found; the grid before it {reading.space_seconds:.2f} s"
+        figures.append(_figure("first_path_ms", reading.path_ms, "ms", "lower", told))
+    shutil.rmtree(large)
+    return figures
+
+
+def _at(costs: list[Cost], objects: float) -> Cost:
+    """Return the cost with the number of objects that is nearest to a number."""
+    return min(costs, key=lambda cost: abs(cost.objects - objects))
+
+
+# ---- alignment ------------------------------------------------------------------------------------------------------
+
+
+def _alignment(seed: int, *, quick: bool) -> list[Figure]:
+    figures: list[Figure] = []
+    for count, difficulty in ((1000, "hard"), *(() if quick else ((3000, "easy"),))):
+        command = [sys.executable, "-c", _ALIGN, str(seed), str(count), difficulty]
+        done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+        found, seconds, peak_mb = map(float, done.stdout.split())
+        of = f"one pair, {difficulty}, a quarter of the objects in both; {'found' if found else 'not found'}"
+        figures.append(_figure(f"align_{count}_seconds", seconds, "s", "lower", of))
+        figures.append(_figure(f"align_{count}_mb", peak_mb, "MB", "lower", of))
+    return figures
+
+
+# ---- real time, by stage --------------------------------------------------------------------------------------------
+
+
+def _stages(folder: Path) -> list[Figure]:
+    """Return the real-time factor of apartments at 30 Hz, and print and return processor time by stage."""
+    times: list[StageTimes] = []
+    for config in _APARTMENTS:
+        log, _ = cached_recording(config)
+        times.append(stage_times(log, folder / "staged"))
+        print(f"apartment {config.seed}: {stages_text(times[-1])}", flush=True)
+    keyframes = sum(one.keyframes for one in times)
+    of = f"{len(times)} apartments at 30 Hz, {keyframes} keyframes"
+    figures = [
+        _figure("realtime_factor", sum(t.log_s for t in times) / sum(t.wall_s for t in times), "x", "higher", of)
+    ]
+    for stage in STAGES:
+        spent = 1e3 * sum(one.seconds[stage] for one in times) / keyframes
+        figures.append(_figure(f"keyframe_{stage}_ms", spent, "ms", "lower", of))
+    total = 1e3 * sum(sum(one.seconds.values()) for one in times) / keyframes
+    figures.append(_figure("keyframe_total_ms", total, "ms", "lower", f"{of}; budget {BUDGET_MS:.0f} ms"))
+    return figures
+
+
+def stages_text(times: StageTimes) -> str:
+    """Return the processor time a keyframe by stage, against the budget."""
+    spent = times.per_keyframe_ms()
+    stages = ", ".join(f"{stage} {spent[stage]:.0f}" for stage in STAGES)
+    return f"{sum(spent.values()):.0f} of {BUDGET_MS:.0f} ms a keyframe ({stages}), {times.keyframes} keyframes"
+
+
+# ---- a batch --------------------------------------------------------------------------------------------------------
+
+
+def _batch(folder: Path) -> list[Figure]:
+    """Return how much faster two workers of one core each are than one, and whether digests are as of single runs."""
+    logs = [
+        cached_recording(RecordingConfig(seed=seed, seconds=_BATCH_SECONDS, rate_hz=6.0, width=320, height=180))[0]
+        for seed in range(_BATCH_LOGS)
+    ]
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) < 2:
+        print("batch: left out, there is one core")
+        return []
+    seconds, digests = [], []
+    for count in (1, 2):
+        os.sched_setaffinity(0, cores[:count])
+        try:
+            result = run_batch(_plan(logs, folder / f"batch{count}", count))
+        finally:
+            os.sched_setaffinity(0, cores)
+        if not result.is_whole:
+            raise RuntimeError(f"batch: {[row.outcome.reason for row in result.rows if row.outcome.reason]}")
+        seconds.append(result.wall_s)
+        digests.append([row.outcome.digest for row in result.rows])
+    overrides = [part for override in COARSE for part in ("--set", override)]
+    single = [play(log, folder / "single", *overrides).finished["digest"] for log in logs]
+    of = f"{len(logs)} logs of {_BATCH_SECONDS:.0f} s, load {os.getloadavg()[0]:.1f}"
+    return [
+        _figure("batch_speedup", seconds[0] / seconds[1], "x", "higher", of),
+        _figure("batch_identical", float(digests[0] == digests[1] == single), "", "higher", of),
+    ]
+
+
+def _plan(logs: list[Path], out: Path, workers: int) -> BatchPlan:
+    overrides = tuple(override.removeprefix("mapper.") for override in COARSE)
+    return BatchPlan(
+        uris=tuple(map(str, logs)),
+        options=SourceOptions(),
+        out=out,
+        mapper=read_config(MapperConfig, None, overrides),
+        disk=DiskSinkConfig(),
+        workers=workers,
+    )
+
+
+# ---- a building -----------------------------------------------------------------------------------------------------
+
+
+def _building(folder: Path) -> list[Figure]:
+    log, truth = cached_recording(_BUILDING)
+    seconds = _BUILDING.seconds or 0.0
+    played = play(log, folder / "building")
+    size_mb = sum(file.stat().st_size for file in (folder / "building").rglob("*") if file.is_file()) / 1e6
+    reading = reading_of(folder / "building")
+    of = f"a building of {len(truth.objects)} objects, {seconds / 60:.0f} minutes at {_BUILDING.rate_hz:g} Hz"
+    return [
+        _figure("building_objects", reading.objects, "", "higher", of),
+        _figure("building_peak_mb", played.peak_mb, "MB", "lower", f"{of}; mapper and workers"),
+        _figure("building_realtime_factor", seconds / played.seconds, "x", "higher", of),
+        _figure("scale_folder_mb_per_minute", size_mb / (seconds / 60), "MB", "lower", of),
+        _figure("building_folder_mb_per_object", size_mb / max(1, reading.objects), "MB", "lower", of),
+        _figure("building_open_seconds", reading.open_seconds, "s", "lower", of),
+        _figure("building_render_seconds", reading.render_seconds, "s", "lower", of),
+    ]
+
+
+def _figure(name: str, value: float, unit: str, better: str, of: str) -> Figure:
+    return Figure(name=name, value=float(value), unit=unit, better=better, of=of)  # type: ignore[arg-type]
