@@ -27,6 +27,8 @@ from hickory_stream.evaluation.true_changes import true_changes
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.query.answers import ask
 from hickory_stream.query.map_index import MapIndex, index_of, neighbours
+from hickory_stream.settings import Settings
+from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.recording import RecordingConfig
 from players import open_source
@@ -211,7 +213,14 @@ def _day(state: Path, scene: str, seed: int, day: int, *, quick: bool) -> tuple[
     source = open_source(str(log))
     try:
         mapper = Mapper(read_config(MapperConfig, None, _NO_SHAPES), out=folder, overwrite=True)
-        play(mapper, source, sinks=lambda _: [], rate=None, loops=1, progress=lambda _: None)
+        play(
+            mapper,
+            source,
+            sinks=lambda made: [(DiskSink(made, Settings().disk), True)],
+            rate=None,
+            loops=1,
+            progress=lambda _: None,
+        )
     finally:
         source.close()
     return truth, open_map(folder)
