@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 
 _ROUNDS = 4
+# Surfaces say how objects in a line are turned where the evidence, in decades, is this multiple of the required one.
+_SURE = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -81,7 +83,10 @@ def align(
     if refusal is not None:
         return refusal
     placed = _placed(map_a, map_b, evidence, judged[0].hypothesis, config)
-    refusal = None if placed.is_certain(config) else why_uncertain(map_a, judged, evidence, scores.notes, config)
+    is_sure = judged[0].log10_chance <= _SURE * config.acceptance.max_log10_chance
+    refusal = (
+        None if is_sure and placed.is_certain(config) else why_uncertain(map_a, judged, evidence, scores.notes, config)
+    )
     return _answered(map_a, map_b, scores, evidence, judged, placed, config) if refusal is None else refusal
 
 
