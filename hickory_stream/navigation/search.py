@@ -174,7 +174,9 @@ def refused_start(space: FreeSpace, start: NDArray[np.float64]) -> NoPath | None
 def first_path(
     space: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
-    """Return the (N, 2) points of a first path by RRT-Connect, without shortening, or None."""
+    """Return the (N, 2) points of a first path by RRT-Connect, without shortening; None if there is none."""
+    if _refused(space, np.array([start, goal])) is not None:
+        return None
     frame = space.frame
     cells = (np.array([start, goal]) - frame.origin_m) / frame.cell_m
     config = SearchConfig(attempts=1, shortens=False)

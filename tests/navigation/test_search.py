@@ -10,7 +10,7 @@ from hickory_stream.errors import InputError
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.free_space import FreeSpace, free_space_of, without_layer_four
 from hickory_stream.navigation.robot import Robot, load_robot, robot_of, round_robot
-from hickory_stream.navigation.search import NoPath, NoPathReason, Path, SearchConfig, plan
+from hickory_stream.navigation.search import NoPath, NoPathReason, Path, SearchConfig, first_path, plan
 from hickory_stream.records import MapSnapshot, Phase
 from tests.navigation.rooms import TABLE_AT, boxes, seen_room, snapshot, table, tracked
 
@@ -129,6 +129,7 @@ def test_every_reason_for_no_path_is_told_apart(space: FreeSpace, room: MapSnaps
     inside = (4.5, 1.0)
     assert reason(answer_of(space, start=inside)) is NoPathReason.START_IN_COLLISION
     assert reason(answer_of(space, goal=inside)) is NoPathReason.GOAL_IN_COLLISION
+    assert first_path(space, np.array(inside), GOAL, np.random.default_rng(0)) is None
     closed = free_space_of(snapshot(space=seen_room(door_m=(9.0, 9.0))), POINT)
     assert reason(answer_of(closed)) is NoPathReason.UNREACHABLE
     dark = snapshot(space=seen_room(dark_m=(4.0, 5.0)))
