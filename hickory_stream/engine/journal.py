@@ -29,7 +29,7 @@ from hickory_stream.engine.journal_format import (
     STEP,
     TOLD,
 )
-from hickory_stream.engine.record_codec import decode
+from hickory_stream.engine.record_codec import decode, part_references
 from hickory_stream.engine.step import Checkpoint, JournalEntry, Step, StepKind
 from hickory_stream.errors import MapFolderError
 
@@ -199,19 +199,45 @@ class Journal:
         def part(other: int, number: int) -> Any:
             place = (other, number)
             if place not in parts:
-                if not 0 <= other <= chunk:
-                    raise ValueError(f"a part is said to lie in chunk {other}")
-                # The first message is the document, which no part refers to.
-                if number < 1:
-                    raise ValueError(f"a part is said to be number {number}")
-                parts[place] = decode(self._messages(other)[number].data, part)
+                parts[place] = decode(stored[place], part)
             return parts[place]
 
-        checkpoint: Checkpoint = self._decoded(self._messages(chunk)[0].data, "Checkpoint", part)
         try:
+            stored = self._with_parts(chunk)
+            checkpoint: Checkpoint = self._decoded(stored[chunk, 0], "Checkpoint", part)
             return replace(checkpoint, core=unpacked(checkpoint.core))
         except (ValueError, IndexError) as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
+
+    def _with_parts(self, chunk: int) -> dict[tuple[int, int], bytes]:
+        """Return the document of a checkpoint, and all parts that it or one of them refers to, as they are stored.
+
+        The parts of a large map lie in hundreds of chunks. No part refers to a later chunk than its own: each is
+        unpacked once, the latest first, and only what is needed of it is kept.
+
+        Raises:
+            ValueError: a part is said to lie where none can be.
+            IndexError: a chunk has fewer parts.
+            MapFolderError: a chunk is damaged.
+        """
+        stored: dict[tuple[int, int], bytes] = {}
+        wanted = {chunk: {0}}
+        while wanted:
+            here = max(wanted)
+            numbers = wanted.pop(here)
+            messages = self._unpacked(here)
+            while numbers:
+                number = numbers.pop()
+                stored[here, number] = messages[number].data
+                for other, its_number in part_references(messages[number].data):
+                    if type(other) is not int or not 0 <= other <= here:
+                        raise ValueError(f"a part is said to lie in chunk {other}")
+                    # The first message is the document, which no part refers to.
+                    if type(its_number) is not int or its_number < 1:
+                        raise ValueError(f"a part is said to be number {its_number}")
+                    if (other, its_number) not in stored:
+                        (numbers if other == here else wanted.setdefault(other, set())).add(its_number)
+        return stored
 
     def _decoded(self, data: bytes, kind: str, part: Callable[[int, int], NDArray[Any]] | None = None) -> Any:
         """Return a record of this kind, by the name of its type."""
@@ -230,6 +256,13 @@ class Journal:
         if cached is not None:
             self._cache.move_to_end(chunk)
             return cached
+        messages = self._unpacked(chunk)
+        self._cache[chunk] = messages
+        if len(self._cache) > _CACHED_CHUNKS:
+            self._cache.popitem(last=False)
+        return messages
+
+    def _unpacked(self, chunk: int) -> list[Message]:
         place = self._places[chunk]
         try:
             record = Chunk.read(ReadDataStream(BytesIO(self._data[place.start : place.end])))
@@ -241,9 +274,6 @@ class Journal:
             raise MapFolderError(
                 f"{self.path} is damaged at byte {place.start}: {error}; play the log again"
             ) from error
-        self._cache[chunk] = messages
-        if len(self._cache) > _CACHED_CHUNKS:
-            self._cache.popitem(last=False)
         return messages
 
 

@@ -79,6 +79,26 @@ def decode(data: bytes, part: Callable[[int, int], Any] | None = None) -> Any:
         raise ValueError(f"no record of this version: {error!r}") from error
 
 
+def part_references(data: bytes) -> list[tuple[int, int]]:
+    """Return where the parts are that an encoded value refers to, in the order in which it does.
+
+    Raises:
+        ValueError: the bytes are damaged.
+    """
+    found: list[tuple[int, int]] = []
+
+    def note(tag: cbor2.CBORTag, _is_key: bool) -> None:
+        if tag.tag == _PART:
+            place, number = tag.value
+            found.append((place, number))
+
+    try:
+        cbor2.loads(data, tag_hook=note)
+    except _DAMAGE as error:
+        raise ValueError(f"no record of this version: {error!r}") from error
+    return found
+
+
 def encode_array(array: NDArray[Any]) -> bytes:
     """Return an array alone."""
     return cbor2.dumps(_array_tag(array))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.stream_reader import breakup_chunk
 
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.journal import Journal
@@ -17,6 +18,8 @@ from hickory_stream.events import ShapeFailed, SourceEnded, TimeJumped
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from mcap.records import Chunk, McapRecord
 
 NUM_STEPS = 6
 BIG = np.random.default_rng(0).normal(size=(400, 3)).astype(np.float32)
@@ -120,6 +123,31 @@ def test_the_checkpoints_of_an_older_journal_are_left_out_and_its_steps_read(
     with Journal(tmp_path) as journal:
         found = [journal.checkpoint_before(i) for i in range(NUM_STEPS + 1)]
         assert [f and f[0] for f in found] == [None] * NUM_STEPS + [NUM_STEPS]
+
+
+def test_a_checkpoint_whose_parts_lie_in_many_chunks_unpacks_each_of_them_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arrays = [BIG + np.float32(i) for i in range(80)]
+    for array in arrays:
+        array.flags.writeable = False
+    writer = JournalWriter(tmp_path, flush_s=100.0)
+    writer.append(entry(0))
+    for i in range(len(arrays)):
+        writer.checkpoint(Checkpoint(core={"_a": tuple(arrays[: i + 1])}, open_jobs=()), 1000)
+    writer.close()
+    unpacked: list[Chunk] = []
+
+    def unpack(chunk: Chunk, validate_crc: bool) -> list[McapRecord]:
+        unpacked.append(chunk)
+        return breakup_chunk(chunk, validate_crc)
+
+    monkeypatch.setattr("hickory_stream.engine.journal.breakup_chunk", unpack)
+    with Journal(tmp_path) as journal:
+        found = journal.checkpoint_before(0)
+    assert found is not None
+    np.testing.assert_array_equal(found[1].core["_a"], arrays)  # type: ignore[arg-type]
+    assert len(unpacked) == len(arrays)
 
 
 @given(share=st.floats(0.0, 1.0))
