@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.engine.merged_map import write_merged_map
@@ -19,6 +18,7 @@ from hickory_stream.errors import MapFolderError
 from hickory_stream.fleet.joins import Frame
 from hickory_stream.fleet.robots import FLEET
 from hickory_stream.merging.groups import groups_of
+from hickory_stream.merging.joining import aligned_to_join
 from hickory_stream.merging.merge_maps import merge_aligned
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def finish(
     answers = {}
     for a, b in choose(objects):
         tell(f"aligning {names[a]} and {names[b]}")
-        answers[a, b] = align(objects[a], objects[b])
+        answers[a, b] = aligned_to_join(objects[a], objects[b])
     groups = groups_of([saved.snapshot for saved in maps.values()], answers)
     joined = sorted((group for group in groups if len(group.members) > 1), key=lambda group: -len(group.members))
     merged = tuple(

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.alignment.registration import differs
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.merging.groups import groups_of
+from hickory_stream.merging.joining import aligned_to_join
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,7 +94,7 @@ class Joins:
 
     def _align(self, pair: tuple[str, str]) -> None:
         before = self._answers.get(pair)
-        answer = align(self._maps[pair[0]], self._maps[pair[1]])
+        answer = aligned_to_join(self._maps[pair[0]], self._maps[pair[1]])
         self._answers[pair] = answer
         if isinstance(answer, Alignment) and isinstance(before, Alignment) and _agree(answer, before):
             self._confirmed[pair] = answer

@@ -1,0 +1,34 @@
+"""Maps are joined by surer alignments than `align` answers with."""
+
+import numpy as np
+import pytest
+
+from hickory_stream.alignment.align import align
+from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
+from hickory_stream.alignment.object_map import taken
+from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
+from hickory_stream.merging.joining import MAX_LOG10_CHANCE, aligned_to_join
+
+pytestmark = pytest.mark.timeout(150)
+
+
+def test_maps_are_joined_only_where_chance_hardly_gives_as_many_pairs() -> None:
+    pair = simulate_pair(SimulationConfig(difficulty="easy"), 3)
+    answer = align(pair.map_a, pair.map_b)
+    assert isinstance(answer, Alignment)
+    assert answer.log10_chance < MAX_LOG10_CHANCE
+    joined = aligned_to_join(pair.map_a, pair.map_b)
+    assert isinstance(joined, Alignment)
+    assert joined.a_from_b.tobytes() == answer.a_from_b.tobytes()
+    too_weak = aligned_to_join(pair.map_a, pair.map_b, max_log10_chance=answer.log10_chance - 0.1)
+    assert isinstance(too_weak, NoAlignment)
+    assert too_weak.refusal is Refusal.CHANCE
+    assert f"{len(answer.pairs)} pairs agree, and 10^{answer.log10_chance:.1f}" in too_weak.reason
+
+
+def test_what_align_refuses_is_refused_for_its_reason() -> None:
+    pair = simulate_pair(SimulationConfig(difficulty="easy"), 3)
+    two = taken(pair.map_b, np.arange(2))
+    nothing = aligned_to_join(pair.map_a, two)
+    assert isinstance(nothing, NoAlignment)
+    assert nothing.refusal is Refusal.TOO_FEW_OBJECTS
