@@ -25,6 +25,8 @@ _DISTANCES_PX = (22, 30, 40, 52, 66, 82, 100, 120, 145, 175, 210, 250)
 _ANGLES_RAD = np.deg2rad([90, 60, 120, 30, 150, 0, 180, -30, -150, -60, -120, -90])
 # Cost of covering other objects: a label entirely over other objects costs as much as this many pixels of distance.
 _COVERING_PX = 60.0
+# Labels together cover at most this share of the visible objects; so many objects have one in any case.
+_MOST_COVERED, _ALWAYS = 0.5, 30
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,6 +41,19 @@ class Label:
     def is_beside(self) -> bool:
         """Whether it stands beside its anchor, so that a leader line is drawn."""
         return not _holds(self.box_px, self.place_px)
+
+
+def most_visible(ids: Sequence[int], owners: NDArray[np.int32], step_px: int) -> list[int]:
+    """Return the ids to label: all, or as many of the most visible ones as cover half of what is visible.
+
+    `owners` (h, w) is the id of the object visible in each square of `step_px` pixels, -1 for none.
+    """
+    seen, counts = np.unique(owners[owners >= 0], return_counts=True)
+    squares = dict(zip(seen.tolist(), counts.tolist(), strict=True))
+    ordered = sorted(ids, key=lambda i: (-squares.get(i, 0), i))
+    sizes = np.array([_text_size(str(i)) for i in ordered]).reshape(-1, 2).prod(axis=1)
+    room_px2 = _MOST_COVERED * step_px**2 * int(counts.sum())
+    return ordered[: max(_ALWAYS, int(np.searchsorted(np.cumsum(sizes), room_px2)))]
 
 
 def place_labels(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.labels import draw_labels, draw_scale, draw_title, place_labels
+from hickory_stream.evaluation.labels import draw_labels, draw_scale, draw_title, most_visible, place_labels
 from hickory_stream.evaluation.raycast import Scene
 from hickory_stream.evaluation.render_parts import (
     floor_cells,
@@ -181,11 +181,16 @@ def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject]) -> 
 
 
 def labels_of(viewpoint: Viewpoint, objects: list[TrackedObject]) -> list[Label]:
-    """Return the labels of objects as seen from a viewpoint, whichever layers are drawn."""
+    """Return the labels of objects as seen from a viewpoint, whichever layers are drawn.
+
+    Where labels of all would hide the map, as in a building of hundreds of things, only the most visible ones have one.
+    """
     columns, rows = viewpoint.width // _LABEL_STEP_PX, viewpoint.height // _LABEL_STEP_PX
     column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     places = _LABEL_STEP_PX * np.stack([column.reshape(-1), row.reshape(-1)], axis=1)
-    scene = Scene([point_surface(tracked, viewpoint) for tracked in objects])
+    scene = Scene([point_surface(tracked, viewpoint, _LABEL_STEP_PX / 2) for tracked in objects])
     owners = scene.cast(*viewpoint.rays(places)).owners.reshape(rows, columns)
-    hidden = np.array([viewpoint.project(tracked.box.center[None])[0] for tracked in objects]).reshape(-1, 2)
-    return place_labels([tracked.id for tracked in objects], owners, _LABEL_STEP_PX, hidden)
+    chosen = set(most_visible([tracked.id for tracked in objects], owners, _LABEL_STEP_PX))
+    labelled = [tracked for tracked in objects if tracked.id in chosen]
+    hidden = np.array([viewpoint.project(tracked.box.center[None])[0] for tracked in labelled]).reshape(-1, 2)
+    return place_labels([tracked.id for tracked in labelled], owners, _LABEL_STEP_PX, hidden)

@@ -15,7 +15,7 @@ from hickory_stream.evaluation.raycast import Surface
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
-from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells
+from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells, keys_of_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,16 +31,25 @@ _FLOOR_REACH_M, _CUT_M = 0.15, 2.0
 _MIN_WALL_M = 0.6
 _STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
+# Points of a map are no nearer to one another than about this.
+_FINEST_M = 0.004
 _QUAD = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 _QUAD_FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def point_surface(tracked: TrackedObject, viewpoint: Viewpoint) -> Surface:
-    """Return layer 1 as squares that face the viewer, about as large as the spacing of the points."""
-    points = tracked.points_world
+def point_surface(tracked: TrackedObject, viewpoint: Viewpoint, step_px: float = 0.5) -> Surface:
+    """Return layer 1 as squares that face the viewer, about as large as the spacing of the points.
+
+    Of points that are nearer to one another than `step_px` in the image one is enough: a large map has millions.
+    """
+    points, colors = tracked.points_world, tracked.colors
+    apart_m = step_px * viewpoint.pixel_m(points)
+    if apart_m > _FINEST_M:
+        _, chosen = np.unique(keys_of_points(points, apart_m), return_index=True)
+        points, colors = points[chosen], colors[chosen]
     normals = viewpoint.towards_eye(points)
     half_m = np.full(len(points), 0.6 * _spacing_m(points))
-    return _squares(points, normals, half_m, tracked.colors, tracked.id)
+    return _squares(points, normals, half_m, colors, tracked.id)
 
 
 def mesh_surface(saved: SavedMap, tracked: TrackedObject) -> Surface:

@@ -65,6 +65,13 @@ class Viewpoint:
         offsets = self.world_from_camera[:3, 3] - points_world
         return np.asarray(offsets / np.linalg.norm(offsets, axis=1, keepdims=True))
 
+    def pixel_m(self, points_world: NDArray[Any]) -> float:
+        """Return the side of a pixel, in metres, at the nearest of (N, 3) points in front of the camera."""
+        if self.is_orthographic:
+            return 1.0 / self.focal_px
+        depths = apply(invert(self.world_from_camera), np.asarray(points_world, dtype=np.float64))[:, 2]
+        return float(depths.min(initial=np.inf, where=depths > 0)) / self.focal_px if (depths > 0).any() else 0.0
+
 
 def from_above(points_world: NDArray[Any], width: int, height: int, margin_px: int) -> Viewpoint:
     """Return the orthographic view from above, x to the right and y up, with all (N, 3) points in the frame."""

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.evaluation.labels import Label, draw_labels, place_labels
+from hickory_stream.evaluation.labels import Label, draw_labels, most_visible, place_labels
 from hickory_stream.evaluation.render import labels_of
 from hickory_stream.evaluation.viewpoint import from_above, from_corner
 from hickory_stream.geometry.palette import color_of_id
@@ -83,3 +83,18 @@ def test_things_that_stand_on_one_another_are_labelled_apart_from_above_and_from
         labels = labels_of(viewpoint, objects)
         assert [label.object_id for label in labels] == [1, 2, 3, 4]
         assert overlaps(labels) == 0
+
+
+def test_in_a_crowd_only_the_most_visible_are_labelled_and_in_a_room_all() -> None:
+    owners = np.full((120, 200), -1, dtype=np.int32)
+    # 100 things: the first ten have squares of 30 x 30 pixels, the others of 3 x 3.
+    for k in range(10):
+        owners[:10, 12 * k : 12 * k + 10] = k
+    for k in range(10, 100):
+        owners[20 + 2 * (k // 10), 4 * (k % 10)] = k
+    chosen = most_visible(range(100), owners, STEP_PX)
+    assert len(chosen) == 30
+    assert set(range(10)) <= set(chosen)
+    assert sorted(most_visible(range(20), owners, STEP_PX)) == list(range(20))
+    everywhere = np.arange(120 * 200, dtype=np.int32).reshape(120, 200) % 40
+    assert sorted(most_visible(range(40), everywhere, STEP_PX)) == list(range(40))
