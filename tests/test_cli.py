@@ -410,8 +410,16 @@ def test_the_version_is_that_of_the_package() -> None:
     assert re.fullmatch(r"hickory-stream \d+\S*\n", run("--version").stdout)
 
 
-@pytest.mark.parametrize("arguments", [(), ("fly",), ("play",), ("play", "x", "--loop", "many")])
+@pytest.mark.parametrize("arguments", [(), ("fly",), ("play", "x", "--loop", "many")])
 def test_a_command_line_that_cannot_be_understood_exits_with_2_and_shows_the_usage(arguments: tuple[str, ...]) -> None:
     ended = run(*arguments)
     assert (ended.status, ended.stdout) == (2, "")
     assert ended.stderr.startswith("usage: hickory-stream")
+
+
+def test_play_without_a_log_says_what_it_takes() -> None:
+    ended = run("play")
+    assert (ended.status, ended.stdout) == (2, "")
+    assert ended.stderr == (
+        "hickory-stream: found no log, expected play LOG [LOG ...], or --robot NAME=LOG for each robot of a fleet\n"
+    )

@@ -112,10 +112,11 @@ def _united(state: MapState, kept_id: int, gone_id: int, config: MappingConfig) 
     far_id, near_id = (kept_id, gone_id) if gone_id in state.tracks else (gone_id, kept_id)
     far, near, past = state.track(far_id), state.track(near_id), past_of(state, far_id)
     effects: list[Effect] = []
-    if near_id in state.tracks:
+    # Where both lie where the odometry has them, their data are in one frame already.
+    if far_id in state.elsewhere and near_id in state.tracks:
         there = _in_open_frame(state, far, config)
         effects += _brought_back(state, there, f"it lies where #{near_id} is")
-    else:
+    elif far_id in state.elsewhere:
         near_from_far = state.submaps.between(near.submap_id, far.submap_id)
         there = moved_track(far, near_from_far, config.lattice.points_m)
         state.elsewhere[far_id] = replace(there, submap_id=near.submap_id)

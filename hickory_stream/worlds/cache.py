@@ -27,7 +27,7 @@ CLUTTER_VERSION = 2
 
 # Fields that were added to configs later: their defaults are left out of a name, so that older recordings stay valid.
 _LATER = {
-    "": (RecordingConfig(), ("layout", "family", "color", "camera_offset", "robots", "building")),
+    "": (RecordingConfig(), ("layout", "family", "color", "camera_offset", "robots", "building", "day")),
     "walk": (WalkConfig(), ("pitch_deg",)),
     "drift": (DriftConfig(), ("jitter_m", "jitter_deg")),
 }
