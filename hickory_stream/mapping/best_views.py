@@ -42,7 +42,7 @@ def propose_views(
         if covers_better(view, coverage.get(sector), config):
             coverage[sector] = view
             state.tracks[track_id] = replace(track, coverage=tuple(sorted(coverage.items(), key=lambda kv: kv[0])))
-            state.kept_views.add(view.name)
+            state.keep_view(view.name)
             keeps.append(KeepView(view=view, observation_index=observation.index))
     return candidates, keeps
 
@@ -53,7 +53,7 @@ def judge_views(state: MapState, pending: PendingFeatures, event: FeaturesReady,
     for feature in sorted(event.features, key=lambda f: f.observation_index):
         view = _judged(state, pending.candidates[feature.observation_index], feature, config)
         if view is not None and view.name not in state.kept_views:
-            state.kept_views.add(view.name)
+            state.keep_view(view.name)
             effects.append(KeepView(view=view, observation_index=feature.observation_index))
     return effects
 

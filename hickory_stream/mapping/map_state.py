@@ -164,6 +164,11 @@ class MapState:
         )
         self.decisions.append(decision)
 
+    def keep_view(self, name: str) -> None:
+        """Note that the pixels of a view are kept from now on."""
+        self.kept_views.add(name)
+        self.derived.views.ask_for(name)
+
     def taken_decisions(self) -> tuple[Decision, ...]:
         """Return the decisions since the last publication and clear them."""
         decisions, self.decisions = tuple(self.decisions), []

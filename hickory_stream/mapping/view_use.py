@@ -27,6 +27,13 @@ class ViewUse:
         self._num_holders: Counter[str] = Counter()
         self._freed: set[str] = set()
 
+    def ask_for(self, name: str) -> None:
+        """Ask at the next count whether a view is held, though no track that held it is known to have let it go.
+
+        A better view may have taken its place before the views were counted.
+        """
+        self._freed.add(name)
+
     def unused(
         self, tracks: TrackTable, elsewhere: TrackTable, absorbed: Absorbed, joins: Joins, kept: Collection[str]
     ) -> list[str]:

@@ -1,0 +1,21 @@
+"""Views that nothing refers to any more are found, also those that no count has seen in use."""
+
+from dataclasses import replace
+
+from hickory_stream.mapping.track_table import TrackTable
+from hickory_stream.mapping.view_use import ViewUse
+from tests.mapping.mapping_fixtures import box_surface, track, view
+
+
+def test_a_view_whose_place_was_taken_before_the_views_were_counted_is_unused() -> None:
+    bare = track(1, box_surface((0, 0, 0.1)))
+    first, second, third = (view(k) for k in (1, 2, 3))
+    tracks, elsewhere, use = TrackTable({1: replace(bare, best_view=first)}), TrackTable({}), ViewUse()
+    kept = {first.name}
+    assert use.unused(tracks, elsewhere, {}, {}, kept) == []
+    for better in (second, third):
+        tracks[1] = replace(bare, best_view=better)
+        kept.add(better.name)
+        use.ask_for(better.name)
+    assert use.unused(tracks, elsewhere, {}, {}, kept) == sorted([first.name, second.name])
+    assert use.unused(tracks, elsewhere, {}, {}, {third.name}) == []
