@@ -82,12 +82,13 @@ def align(
     refusal = why_refused(map_a, judged, evidence, scores.notes, config)
     if refusal is not None:
         return refusal
+    uncertain = why_uncertain(map_a, judged, evidence, scores.notes, config)
+    if uncertain is not None and judged[0].log10_chance > _SURE * config.acceptance.max_log10_chance:
+        return uncertain
     placed = _placed(map_a, map_b, evidence, judged[0].hypothesis, config)
-    is_sure = judged[0].log10_chance <= _SURE * config.acceptance.max_log10_chance
-    refusal = (
-        None if is_sure and placed.is_certain(config) else why_uncertain(map_a, judged, evidence, scores.notes, config)
-    )
-    return _answered(map_a, map_b, scores, evidence, judged, placed, config) if refusal is None else refusal
+    if uncertain is not None and not placed.is_certain(config):
+        return uncertain
+    return _answered(map_a, map_b, scores, evidence, judged, placed, config)
 
 
 def evidence_of(
