@@ -11,6 +11,7 @@ import difflib
 import tomllib
 import types
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from hickory_stream.errors import ConfigError, RangeError
@@ -163,7 +164,7 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
     Raises:
         ConfigError: naming the key, what was found and what is expected.
     """
-    hints = get_type_hints(kind)
+    hints = _type_hints(kind)
     fields = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in data:
         if key not in fields:
@@ -188,7 +189,7 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
 def as_far_as_known(kind: type[T], data: Mapping[str, Any]) -> T:
     """Return the configuration that another version wrote, as far as this one knows it; the rest has its defaults."""
     values: dict[str, Any] = {}
-    for name, hint in get_type_hints(kind).items():
+    for name, hint in _type_hints(kind).items():
         if name not in data:
             continue
         value = _with_lattice(data[name]) if hint is MappingConfig else data[name]
@@ -213,6 +214,12 @@ def _with_lattice(mapping: Any) -> Any:
     points_m = track.get("voxel_m") if isinstance(track, dict) else None
     found = {"points_m": points_m, "space_m": mapping.get("space_voxel_m")}
     return mapping | {"lattice": {name: value for name, value in found.items() if value is not None}}
+
+
+@cache
+def _type_hints(kind: type[Any]) -> Mapping[str, Any]:
+    """Return the declared types of the fields of a dataclass: a shape worker reads the same configuration in each job."""
+    return get_type_hints(kind)
 
 
 def to_toml(config: Any) -> str:
@@ -241,7 +248,7 @@ def _write_section(config: Any, name: str, lines: list[str]) -> None:
 def _allowed(kind: Any) -> dict[str, str]:
     """Return the comments that say which numbers and which words may be there."""
     told = {key: f"  # {found}" for key, found in ranges_of(kind).items()}
-    words = {key: get_args(hint) for key, hint in get_type_hints(kind).items() if get_origin(hint) is Literal}
+    words = {key: get_args(hint) for key, hint in _type_hints(kind).items() if get_origin(hint) is Literal}
     return told | {key: f"  # {' or '.join(map(_toml_value, found))}" for key, found in words.items()}
 
 

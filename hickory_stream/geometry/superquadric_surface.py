@@ -158,11 +158,15 @@ def _along_curve(points: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the places of (N, 3) points along Morton's space-filling curve."""
     low = points.min(axis=0)
     cells = ((points - low) / max(float(np.ptp(points, axis=0).max()), _TINY) * 1023).astype(np.int64)
-    place = np.zeros(len(points), dtype=np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            place |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return place
+    return _spread(cells[:, 0]) | _spread(cells[:, 1]) << 1 | _spread(cells[:, 2]) << 2
+
+
+def _spread(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return numbers of 10 bits with two zeros after each bit."""
+    out = numbers
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        out = (out | out << shift) & mask
+    return out
 
 
 def _unit_curve(angles: NDArray[np.float64], exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -21,6 +21,7 @@ _NET = 5
 # tan(k pi / 4 / 5)^0.86: about equal steps of angle along the sides make the facets nearly equal.
 _STEPS = (0.0, 0.204999481350814, 0.380300934986841, 0.559967288272018, 0.759774117910865, 1.0)
 _TINY = 1e-12
+_LOG_2 = 0.6931471805599453
 
 
 def _net() -> tuple[np.ndarray, float]:
@@ -188,9 +189,16 @@ def worst_balls(points, radii, axes, e1, e2, limit, net, factor, most):  # type:
     """Return up to `most` of the balls that protrude, evenly spread over all of these, and their number."""
     out = np.empty(len(points), np.int64)
     count = 0
+    # Most balls need no logarithm: h lies between the largest share of a semi-axis and 2^((e1 + e2) / 2) times that.
+    out_from = exp(limit) * (1.0 + 1e-9)
+    in_up_to = exp(limit - 0.5 * (e1 + e2) * _LOG_2) * (1.0 - 1e-9)
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        if log_gauge_of_ball(x, y, z, radii[n], axes, e1, e2, limit, net, factor) > limit:
+        r = radii[n]
+        if max((x + r) / axes[0], (y + r) / axes[1], (z + r) / axes[2]) <= in_up_to:
+            continue
+        is_out = max(x / axes[0], y / axes[1], z / axes[2]) > out_from
+        if is_out or log_gauge_of_ball(x, y, z, radii[n], axes, e1, e2, limit, net, factor) > limit:
             out[count] = n
             count += 1
     step = max(count // most, 1)

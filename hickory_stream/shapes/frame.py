@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
 
@@ -78,9 +79,30 @@ def _raised(
     axes: NDArray[np.float64], normals: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return (S, 3, 3) frames after one step of the fixed point."""
-    along = portable.matmul(normals, axes)
-    raised = portable.matmul((normals * weights[:, None]).T, along * along * along)
-    return portable.nearest_orthogonal(raised)
+    # Frames last: what is done for one of them is done for all at once.
+    raised = _raised_sums(np.ascontiguousarray(axes.transpose(1, 2, 0)), normals, normals * weights[:, None])
+    return portable.nearest_orthogonal(raised.transpose(2, 0, 1))
+
+
+@numba.njit(cache=True, nogil=True)
+def _raised_sums(axes, normals, weighted):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (3, 3, S) sums over (P, 3) normals of the weighted normal times the cubes of its coordinates in a frame.
+
+    `axes` (3, 3, S) are frames, in columns.
+    """
+    raised = np.zeros(axes.shape)
+    cubes = np.empty(axes.shape[2])
+    for n in range(len(normals)):
+        x, y, z = normals[n, 0], normals[n, 1], normals[n, 2]
+        for column in range(3):
+            for s in range(axes.shape[2]):
+                along = x * axes[0, column, s] + y * axes[1, column, s] + z * axes[2, column, s]
+                cubes[s] = along * along * along
+            for row in range(3):
+                share = weighted[n, row]
+                for s in range(axes.shape[2]):
+                    raised[row, column, s] += share * cubes[s]
+    return raised
 
 
 def _ordered(

@@ -14,7 +14,7 @@ grows separately, and edges may become rounder, like those of the Minkowski sum.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Literal, assert_never
 
 import numpy as np
@@ -375,7 +375,7 @@ def _size_around(
     """Return the logarithm of the volume, up to a constant, of the least primitive around (N, 3) points."""
     e1, e2 = float(exponents[0]), float(exponents[1])
     axes = least_axes(binding, before, e1, e2, e1 / 2 * float(log(g)) - _SLACK)
-    return float(portable.log(axes).sum()) + _log_share(exponents)
+    return float(portable.log(axes).sum()) + _log_share(e1, e2)
 
 
 def _axes_around(
@@ -430,9 +430,10 @@ def _gauge_of(primitives: Superquadrics, index: int, points_world: NDArray[np.fl
     return np.asarray(e1 / 2 * portable.logaddexp(2 / e1 * log_rho, 2 / e1 * logs[:, 2]))
 
 
-def _log_share(exponents: NDArray[np.float64]) -> float:
-    """Return the logarithm of the share that a primitive fills of the product of its semi-axes."""
-    unit = Superquadrics(exponents=exponents[None], semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
+@lru_cache(maxsize=1024)
+def _log_share(e1: float, e2: float) -> float:
+    """Return the logarithm of the share that a primitive with these exponents fills of the product of its semi-axes."""
+    unit = Superquadrics(exponents=np.array([[e1, e2]]), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
     return float(log(volumes_m3(unit)[0]))
 
 

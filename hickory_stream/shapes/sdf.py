@@ -217,6 +217,7 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
     """
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     nearest, normal, middle = np.empty(3), np.empty(3), np.empty(3)
+    is_near = np.empty(squared.shape[2], np.bool_)
     for f in range(corners.shape[0]):
         t = corners[f]
         if not _normal(t, normal):
@@ -239,18 +240,31 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
             size = squared.shape[axis]
             low[axis] = max(int(np.ceil(min(t[0, axis], t[1, axis], t[2, axis]) - band)), 0)
             high[axis] = min(int(np.floor(max(t[0, axis], t[1, axis], t[2, axis]) + band)), size - 1)
+        first_k, count = low[2], high[2] + 1 - low[2]
         for i in range(low[0], high[0] + 1):
+            x = i - middle[0]
             for j in range(low[1], high[1] + 1):
-                for k in range(low[2], high[2] + 1):
-                    # The distances to the triangle's plane and bounding ball are lower bounds, by which most cells are
-                    # skipped.
-                    known = (1.0 - 1e-5) * squared[i, j, k]
-                    x, y, z = i - middle[0], j - middle[1], k - middle[2]
+                y = j - middle[1]
+                # The distances to the triangle's plane and bounding ball are lower bounds, by which most cells are
+                # skipped: a row of them at a time, without branches.
+                num_near = 0
+                for n in range(count):
+                    z = first_k + n - middle[2]
+                    known = (1.0 - 1e-5) * squared[i, j, first_k + n]
                     out = normal[0] * x + normal[1] * y + normal[2] * z
                     away = x * x + y * y + z * z
                     slack = away + radius2 - known
-                    if out * out >= known or (away > radius2 and slack > 0.0 and slack * slack >= 4.0 * radius2 * away):
+                    is_far = (out * out >= known) | (
+                        (away > radius2) & (slack > 0.0) & (slack * slack >= 4.0 * radius2 * away)
+                    )
+                    is_near[n] = not is_far
+                    num_near += not is_far
+                if num_near == 0:
+                    continue
+                for n in range(count):
+                    if not is_near[n]:
                         continue
+                    k = first_k + n
                     d, v, w = _squared_distance(float(i), float(j), float(k), first, ab, ac, products)
                     if d < squared[i, j, k]:
                         for axis in range(3):
