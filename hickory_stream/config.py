@@ -218,7 +218,7 @@ def _with_lattice(mapping: Any) -> Any:
 
 @cache
 def _type_hints(kind: type[Any]) -> Mapping[str, Any]:
-    """Return the declared types of the fields of a dataclass: a shape worker reads the same configuration in each job."""
+    """Return the declared types of a dataclass's fields: a worker reads the same configuration in each job."""
     return get_type_hints(kind)
 
 

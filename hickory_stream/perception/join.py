@@ -117,19 +117,19 @@ def join_fragments(
     labels, graph = fragments.labels, region_graph_of(fragments, config)
     if graph is None:
         return Joined(labels=labels)
-    numbers = _last(rounds(graph, trees.probabilities, config, odds, owners))
-    together = numbers.astype(np.int32)[labels]
+    last = _last(rounds(graph, trees.probabilities, config, odds, owners))
+    together = last.numbers.astype(np.int32)[labels]
     if owners is None:
         return Joined(labels=together)
     # For the result of this frame alone, the rounds continue from there without the map prior.
-    alone = _last(rounds(graph, trees.probabilities, config, odds, start=numbers))
-    return Joined(labels=together, alone=alone.astype(np.int32)[labels])
+    alone = _last(rounds(graph, trees.probabilities, config, odds, start=last))
+    return Joined(labels=together, alone=alone.numbers.astype(np.int32)[labels])
 
 
-def _last(steps: Iterator[Round]) -> NDArray[np.int64]:
-    """Return (n,) the region of each fragment after the last round; there is at least one round."""
+def _last(steps: Iterator[Round]) -> Round:
+    """Return the last round; there is at least one."""
     *_, last = steps
-    return last.numbers
+    return last
 
 
 def region_graph_of(fragments: Fragments, config: JoinConfig) -> RegionGraph | None:
@@ -145,22 +145,22 @@ def rounds(
     config: JoinConfig,
     odds: FragmentOdds | None = None,
     owners: FragmentOwners | None = None,
-    start: NDArray[np.int64] | None = None,
+    start: Round | None = None,
 ) -> Iterator[Round]:
     """Yield the rounds of merging, from single fragments to the final regions; `probabilities` rates features of pairs.
 
     `odds`: the log-odds of a network, added to the features (`odds_features`), if any; `owners`: the map prior, if any;
-    `start` (n,): initial regions of the fragments, None for single fragments.
+    `start`: the first round, None: that of single fragments.
     """
     groups = Groups(len(graph.regions.pixels))
     if start is not None:
-        _, first = np.unique(start, return_index=True)
-        groups.unite((int(first[region]), i) for i, region in enumerate(start))
+        _, first = np.unique(start.numbers, return_index=True)
+        groups.unite((int(first[region]), i) for i, region in enumerate(start.numbers))
     for i in range(config.rounds + 1):
         numbers, names = groups.numbers()
-        pairs, features = pair_features(graph, numbers, len(names))
-        features |= odds_features(None if odds is None else odds.of_groups(numbers, len(names)), pairs, len(names))
-        yield Round(numbers=numbers, pairs=pairs, features=features)
+        now = start if i == 0 and start is not None else _round(graph, numbers, len(names), odds)
+        yield now
+        pairs, features = now.pairs, now.features
         # Bridged regions are surely one object, but too rare in the training data for the trees to learn it.
         proven = is_bridged(
             features["bridged_level"],
@@ -175,6 +175,13 @@ def rounds(
         if len(chosen) == 0 or i == config.rounds:
             return
         groups.unite((int(names[a]), int(names[b])) for a, b in chosen)
+
+
+def _round(graph: RegionGraph, numbers: NDArray[np.int64], count: int, odds: FragmentOdds | None) -> Round:
+    """Return the round of `count` regions, of which `numbers` (n,) gives that of each fragment."""
+    pairs, features = pair_features(graph, numbers, count)
+    features |= odds_features(None if odds is None else odds.of_groups(numbers, count), pairs, count)
+    return Round(numbers=numbers, pairs=pairs, features=features)
 
 
 def _closest(pairs: NDArray[np.int64], probability: NDArray[np.float64], count: int, least: float) -> NDArray[np.int64]:
