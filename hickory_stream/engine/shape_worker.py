@@ -15,6 +15,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from hickory_stream.engine.first_run import are_compiled
 from hickory_stream.engine.generators.choose import reconstructor_of
 from hickory_stream.engine.jobs import read_job, write_result
 from hickory_stream.engine.warm_up import warm_up
@@ -29,7 +30,8 @@ def main() -> None:
     os.dup2(2, 1)
     jobs: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_listen, args=(jobs,), name="listen", daemon=True).start()
-    warm_up()
+    if not are_compiled():
+        warm_up()
     with contextlib.suppress(BrokenPipeError):
         _say(answers, {"ready": os.getpid()})
         while True:

@@ -5,6 +5,7 @@ A superquadric is the product of two outlines, one around and one from pole to p
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,10 +68,12 @@ def surface_points(primitives: Superquadrics, index: int, count: int) -> NDArray
     return apply(pose, chosen * portable.exp(-primitives.exponents[index, 0] / 2 * log_g)[:, None])
 
 
+@lru_cache(maxsize=64)
 def _quarter(exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points on a quarter of the unit outline, from (1, 0) to (0, 1), both of them exact."""
+    """Return points on a quarter of the unit outline, from (1, 0) to (0, 1), both of them exact; read-only."""
     c, s = _unit_curve(np.linspace(0, np.pi / 2, _OUTLINE), exponent)
     c[-1], s[0] = 0.0, 0.0
+    c.flags.writeable = s.flags.writeable = False
     return c, s
 
 

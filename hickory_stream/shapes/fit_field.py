@@ -137,7 +137,7 @@ class FitField:
         Distances are only known on the grid: beyond it nothing limits the growth of a thin primitive.
         """
         low, high = self._window(row, 1.0)
-        found = np.argwhere(self._distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]] < 0.5) + low
+        found = _cells_below(self._distance, low, high, np.float32(0.5))
         cells = found[thinned(len(found), 2 * max_samples)].astype(np.float64)
         if len(cells) == 0:
             return row
@@ -297,6 +297,20 @@ def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma
                 if distance[i, j, k] >= band or covered[i, j, k] >= 0.95:
                     continue
                 if distance[i, j, k] > -0.99 * band or (i % 2 == 0 and j % 2 == 0 and k % 2 == 0):
+                    out[count, 0], out[count, 1], out[count, 2] = i, j, k
+                    count += 1
+    return out[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _cells_below(distance, low, high, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the (N, 3) cells of a window whose distance is below a limit."""
+    out = np.empty(((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]), 3), np.int64)
+    count = 0
+    for i in range(low[0], high[0]):
+        for j in range(low[1], high[1]):
+            for k in range(low[2], high[2]):
+                if distance[i, j, k] < limit:
                     out[count, 0], out[count, 1], out[count, 2] = i, j, k
                     count += 1
     return out[:count].copy()

@@ -240,6 +240,7 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
             size = squared.shape[axis]
             low[axis] = max(int(np.ceil(min(t[0, axis], t[1, axis], t[2, axis]) - band)), 0)
             high[axis] = min(int(np.floor(max(t[0, axis], t[1, axis], t[2, axis]) + band)), size - 1)
+        n0, n1, n2, m2 = normal[0], normal[1], normal[2], middle[2]
         first_k, count = low[2], high[2] + 1 - low[2]
         for i in range(low[0], high[0] + 1):
             x = i - middle[0]
@@ -247,11 +248,12 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
                 y = j - middle[1]
                 # The distances to the triangle's plane and bounding ball are lower bounds, by which most cells are
                 # skipped: a row of them at a time, without branches.
+                row = squared[i, j, first_k : first_k + count]
                 num_near = 0
                 for n in range(count):
-                    z = first_k + n - middle[2]
-                    known = (1.0 - 1e-5) * squared[i, j, first_k + n]
-                    out = normal[0] * x + normal[1] * y + normal[2] * z
+                    z = first_k + n - m2
+                    known = (1.0 - 1e-5) * row[n]
+                    out = n0 * x + n1 * y + n2 * z
                     away = x * x + y * y + z * z
                     slack = away + radius2 - known
                     is_far = (out * out >= known) | (
@@ -266,11 +268,11 @@ def _band(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pra
                         continue
                     k = first_k + n
                     d, v, w = _squared_distance(float(i), float(j), float(k), first, ab, ac, products)
-                    if d < squared[i, j, k]:
+                    if d < row[n]:
                         for axis in range(3):
                             nearest[axis] = first[axis] + v * ab[axis] + w * ac[axis]
                         if not _is_buried(inside, nearest, normal):
-                            squared[i, j, k] = d
+                            row[n] = d
 
 
 @numba.njit(cache=True, nogil=True)
