@@ -164,7 +164,7 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
     Raises:
         ConfigError: naming the key, what was found and what is expected.
     """
-    hints = _type_hints(kind)
+    hints = _type_hints(kind)  # type: ignore[arg-type] # a class is hashable
     fields = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in data:
         if key not in fields:
@@ -189,7 +189,7 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
 def as_far_as_known(kind: type[T], data: Mapping[str, Any]) -> T:
     """Return the configuration that another version wrote, as far as this one knows it; the rest has its defaults."""
     values: dict[str, Any] = {}
-    for name, hint in _type_hints(kind).items():
+    for name, hint in _type_hints(kind).items():  # type: ignore[arg-type] # a class is hashable
         if name not in data:
             continue
         value = _with_lattice(data[name]) if hint is MappingConfig else data[name]
