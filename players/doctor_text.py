@@ -5,6 +5,8 @@ from __future__ import annotations
 import html
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.html_page import page
+
 if TYPE_CHECKING:
     from players.doctor import Diagnosis
 
@@ -180,14 +182,12 @@ def _histogram_lines(histogram: dict[str, list[float]]) -> list[str]:
 # ---- the page --------------------------------------------------------------------------------------------------------
 
 _STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #1d2430; }
-h1 { font-size: 1.4rem; } h2 { font-size: 1.05rem; margin-top: 2rem; } code { font-size: .9em; }
-table { border-collapse: collapse; width: 100%; font-size: .88rem; }
-td, th { padding: .25rem .6rem; text-align: left; border-bottom: 1px solid #e3e6ec; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
+table { width: 100%; font-size: .88rem; }
+td, th { padding: .25rem .6rem; text-align: left; border-bottom: 1px solid var(--line); }
+td.n, th.n { text-align: right; }
 .verdict { display: inline-block; padding: .15rem .6rem; border-radius: .4rem; color: white; font-weight: 600; }
 .s0 { background: #2c7a4b; } .s2 { background: #b3372f; } .s3 { background: #b7791f; }
-svg text { font: 11px system-ui, sans-serif; fill: #4a5568; }
+svg text { font: 11px system-ui, sans-serif; fill: var(--soft); }
 """
 
 
@@ -195,7 +195,6 @@ def diagnosis_page(found: Diagnosis) -> str:
     """Return the diagnosis as a self-contained HTML page."""
     e = html.escape
     parts = [
-        f"<!doctype html><meta charset=utf-8><title>{e(found.uri)}</title><style>{_STYLE}</style>",
         f"<h1>{e(found.uri)}</h1>",
         f"<p><span class='verdict s{found.status}'>{_VERDICTS[found.status].lower()}</span> {e(found.kind)}, "
         f"{found.num_bytes / 1e6:.1f} MB; checksums: {e(found.checksum or 'none')}</p>",
@@ -231,7 +230,7 @@ def diagnosis_page(found: Diagnosis) -> str:
             "<tr><th>file</th><th class=n>at byte</th><th>what</th><th class=n>bytes</th><th class=n>messages</th></tr>"
         )
         parts.append(f"<h2>Damage</h2><table>{head}{rows}</table>")
-    return "\n".join(parts) + "\n"
+    return page(found.uri, "\n".join(parts), _STYLE)
 
 
 def _topic_table(topics: dict[str, dict[str, Any]]) -> str:

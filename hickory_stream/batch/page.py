@@ -6,6 +6,7 @@ import html
 from typing import TYPE_CHECKING
 
 from hickory_stream.engine.atomic import write_output
+from hickory_stream.html_page import page
 from hickory_stream.terminal import visible
 
 if TYPE_CHECKING:
@@ -15,20 +16,10 @@ if TYPE_CHECKING:
     from hickory_stream.batch.result import BatchResult, Joined, Overlap, Row
 
 _STYLE = """
-:root { color-scheme: light dark; --ink: #1d2330; --soft: #667; --line: #d5d9e2; --card: #fff; --back: #f3f4f7; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e7e9ee; --soft: #9aa3b5; --line: #343b4a; --card: #1e232e; --back: #14171e; }
-}
-body { font: 15px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--back); margin: 2rem auto;
-  max-width: 1180px; padding: 0 1rem; }
-h1 { font-size: 1.5rem; margin: 0 0 .2rem; } h2 { font-size: 1.15rem; margin: 2rem 0 .6rem; }
-p.soft { color: var(--soft); margin: .2rem 0; }
-table { border-collapse: collapse; background: var(--card); border: 1px solid var(--line); width: 100%; }
-th, td { padding: .3rem .8rem; text-align: left; border-bottom: 1px solid var(--line); }
-th { font-weight: 600; color: var(--soft); }
-td.n { font-variant-numeric: tabular-nums; text-align: right; white-space: nowrap; }
-tr.bad td:first-child { border-left: 5px solid #c8452f; } tr.good td:first-child { border-left: 5px solid #4b9a5b; }
-code { font-size: .85em; }
+table { background: var(--card); border: 1px solid var(--line); width: 100%; }
+th, td { padding: .3rem .8rem; text-align: left; border-bottom: 1px solid var(--line); } td.n { text-align: right; }
+tr.bad td:first-child { border-left: 5px solid var(--bad); }
+tr.good td:first-child { border-left: 5px solid var(--good); }
 """
 _HEAD = ("log", "state", "objects", "keyframes", "wall s", "processor s", "MB", "digest", "made by")
 _DIGITS = 12
@@ -60,17 +51,13 @@ def write_page(path: Path, result: BatchResult) -> None:
     mapped = sum(row.outcome.state == "mapped" for row in result.rows)
     parts = [
         f"<h1>{mapped} of {len(result.rows)} logs mapped</h1>",
-        f"<p class=soft>{_escaped(str(result.out))}, {result.wall_s:.0f} s in this run</p>",
-        f"<p><b>{_escaped(result.stopped)}</b></p>" if result.stopped else "",
+        f"<p class=soft>{html.escape(str(result.out))}, {result.wall_s:.0f} s in this run</p>",
+        f"<p><b>{html.escape(result.stopped)}</b></p>" if result.stopped else "",
         f"<h2>Logs</h2><table><tr>{_cells_html(_HEAD, 'th')}</tr>{rows}</table>",
     ]
     if result.joined is not None:
         parts.append(_overlaps_html(result.joined))
-    page = (
-        "<!doctype html><html lang=en><meta charset=utf-8><title>Batch</title>"
-        f"<style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
-    )
-    write_output(path, page.encode())
+    write_output(path, page("Batch", "".join(parts), _STYLE).encode())
 
 
 def _cells(row: Row) -> tuple[str, ...]:
@@ -100,22 +87,22 @@ def _html_row(row: Row) -> str:
     reason = row.outcome.reason
     cells = list(_cells(row))
     told = f"<tr class={kind}>{_cells_html(cells)}</tr>"
-    return told + (f"<tr class={kind}><td colspan={len(cells)}>{_escaped(reason)}</td></tr>" if reason else "")
+    return told + (f"<tr class={kind}><td colspan={len(cells)}>{html.escape(reason)}</td></tr>" if reason else "")
 
 
 def _cells_html(cells: Sequence[str], kind: str = "td") -> str:
     numbers = range(2, 7) if kind == "td" else ()
     return "".join(
-        f"<{kind}{' class=n' if i in numbers else ''}>{_escaped(cell)}</{kind}>" for i, cell in enumerate(cells)
+        f"<{kind}{' class=n' if i in numbers else ''}>{html.escape(cell)}</{kind}>" for i, cell in enumerate(cells)
     )
 
 
 def _overlaps_html(joined: Joined) -> str:
-    lines = "".join(f"<p>{_escaped(line)}</p>" for line in _joined_lines(joined))
+    lines = "".join(f"<p>{html.escape(line)}</p>" for line in _joined_lines(joined))
     rows = "".join(
         f"<tr class={'good' if one.is_believed else 'bad'}>"
-        f"<td>{_escaped(one.a)}</td><td>{_escaped(one.b)}</td><td class=n>{one.num_pairs or ''}</td>"
-        f"<td>{_escaped(_said(one))}</td>"
+        f"<td>{html.escape(one.a)}</td><td>{html.escape(one.b)}</td><td class=n>{one.num_pairs or ''}</td>"
+        f"<td>{html.escape(_said(one))}</td>"
         "</tr>"
         for one in joined.overlaps
     )
@@ -127,7 +114,3 @@ def _said(one: Overlap) -> str:
     if one.is_believed:
         return "believed"
     return "contradicted by others" if one.num_pairs else one.told
-
-
-def _escaped(text: str) -> str:
-    return html.escape(visible(text))

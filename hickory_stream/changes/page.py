@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 import html
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from hickory_stream.changes.records import Verdict
 from hickory_stream.changes.words import count_text, evidence_text, sentence
 from hickory_stream.engine.crops import read_crop
+from hickory_stream.html_page import page, picture
 from hickory_stream.mapping.moved import moved_object
-from hickory_stream.terminal import visible
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,14 +34,7 @@ _COLORS = {
 _PICTURE_PX = 150
 _PLAN_PX = 900
 _STYLE = """
-:root { color-scheme: light dark; --ink: #1d2330; --soft: #667; --line: #d5d9e2; --card: #fff; --back: #f3f4f7; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e7e9ee; --soft: #9aa3b5; --line: #343b4a; --card: #1e232e; --back: #14171e; }
-}
-body { font: 15px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--back); margin: 2rem auto;
-  max-width: 1000px; padding: 0 1rem; }
-h1 { font-size: 1.4rem; } h2 { font-size: 1.1rem; margin: 1.8rem 0 .5rem; }
-.soft { color: var(--soft); } svg { background: var(--card); border: 1px solid var(--line); width: 100%; height: auto; }
+svg { background: var(--card); border: 1px solid var(--line); width: 100%; height: auto; }
 .card { display: flex; gap: .9rem; background: var(--card); border: 1px solid var(--line); padding: .6rem;
   margin: .5rem 0; }
 .card img { width: 120px; height: 120px; object-fit: contain; background: var(--back); }
@@ -61,7 +52,7 @@ def changes_page(first: SavedMap, second: SavedMap, found: MapChanges) -> str:
     a = {item.id: item for item in first.snapshot.objects}
     b = {item.id: item for item in second.snapshot.objects}
     placed_b = {i: moved_object(item, found.a_from_b) for i, item in b.items()}
-    names = [html.escape(visible(str(saved.folder))) for saved in (first, second)]
+    names = [html.escape(str(saved.folder)) for saved in (first, second)]
     parts = [
         f"<h1>From {names[0]} to {names[1]}</h1>",
         f"<p>{html.escape(count_text(found))}</p>",
@@ -72,9 +63,7 @@ def changes_page(first: SavedMap, second: SavedMap, found: MapChanges) -> str:
         if rows:
             parts.append(f"<h2>{verdict}: {len(rows)}</h2>")
             parts += [_card(change, first, second, a, b) for change in rows]
-    body = "\n".join(parts)
-    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>What changed</title><style>{_STYLE}</style>'
-    return f"{head}{body}</html>\n"
+    return page("What changed", "\n".join(parts), _STYLE)
 
 
 def _card(
@@ -109,12 +98,7 @@ def _card(
 def _picture(saved: SavedMap, item: TrackedObject) -> str:
     if item.best_view is None:
         return ""
-    rgb = read_crop(saved.views, item.best_view.name).rgb
-    scale = _PICTURE_PX / max(rgb.shape[:2])
-    size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
-    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
-    data = base64.b64encode(cv2.imencode(".jpg", small[..., ::-1])[1].tobytes()).decode()
-    return f'<img alt="#{item.id}" src="data:image/jpeg;base64,{data}">'
+    return picture(read_crop(saved.views, item.best_view.name).rgb, f"#{item.id}", _PICTURE_PX)
 
 
 def _plan(found: MapChanges, a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject]) -> str:

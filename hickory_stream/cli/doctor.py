@@ -11,7 +11,7 @@ from hickory_stream.cli.values import seconds
 from hickory_stream.cli.written import add_output, disk_refusals
 from hickory_stream.engine.atomic import write_output
 from hickory_stream.outputs import output
-from hickory_stream.terminal import clear_line, visible
+from hickory_stream.terminal import clear_line
 
 if TYPE_CHECKING:
     import argparse
@@ -58,6 +58,6 @@ def run(options: argparse.Namespace) -> int:
         clear_line()
     if options.html is not None:
         with disk_refusals(options.html, "page"):
-            write_output(options.html, visible(diagnosis_page(found)).encode())
+            write_output(options.html, diagnosis_page(found).encode())
     print(output("doctor", found.as_dict(), indent=1) if options.json else diagnosis_text(found))
     return found.status

@@ -5,11 +5,9 @@ It begins with counts of the reasons for missed objects and of the origins of fa
 
 from __future__ import annotations
 
-import base64
 import html
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
 from hickory_stream.engine.atomic import write_output
@@ -26,7 +24,7 @@ from hickory_stream.evaluation.render_parts import superquadric_surfaces
 from hickory_stream.evaluation.truth import moved_truth
 from hickory_stream.evaluation.why import NoWhy, Why, reasons_of
 from hickory_stream.evaluation.why_text import false_title, missed_title
-from hickory_stream.terminal import visible
+from hickory_stream.html_page import page, picture
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -44,31 +42,24 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.records import TrackedObject
 
+_PICTURE_PX = 400
 _STYLE = """
-:root { color-scheme: light dark; --ink: #1d2330; --soft: #667; --line: #d5d9e2; --card: #fff; --back: #f3f4f7; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e7e9ee; --soft: #9aa3b5; --line: #343b4a; --card: #1e232e; --back: #14171e; }
-}
-body { font: 15px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--back); margin: 2rem auto;
-  max-width: 1180px; padding: 0 1rem; }
-h1 { font-size: 1.5rem; margin: 0 0 .2rem; } h2 { font-size: 1.15rem; margin: 2rem 0 .6rem; }
 h3 { font-size: 1rem; margin: 0 0 .4rem; } table + h3 { margin-top: 1.2rem; }
-p.soft, td.soft, span.soft, figcaption { color: var(--soft); }
+figcaption { color: var(--soft); }
 p.why { margin: .4rem 0 0; max-width: 125ch; }
 .top { display: flex; gap: 1rem 2.5rem; flex-wrap: wrap; align-items: flex-start; }
 .top > div { flex: 1 1 34rem; }
 .reasons td { vertical-align: baseline; padding-right: .8rem; } .reasons td.soft { font-size: .88rem; }
 .reasons td.n, .reasons td:nth-child(3) { white-space: nowrap; } .reasons td:nth-child(3) { min-width: 11.5rem; }
 .reasons td.n { min-width: 3.5rem; }
-td.bar { min-width: 5rem; } td.bar i { display: block; height: .6rem; border-radius: 3px; background: #c8452f; }
-table { border-collapse: collapse; } td { padding: .12rem 1.2rem .12rem 0; }
-td.n { font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.bar { min-width: 5rem; } td.bar i { display: block; height: .6rem; border-radius: 3px; background: var(--bad); }
+td { padding: .12rem 1.2rem .12rem 0; }
 section { background: var(--card); border: 1px solid var(--line); border-radius: 8px; padding: .8rem 1rem;
   margin: .7rem 0; }
 section header { display: flex; gap: 1rem; align-items: baseline; flex-wrap: wrap; }
 section header b { font-size: 1.05rem; }
-.bad { border-left: 5px solid #c8452f; } .fair { border-left: 5px solid #d9a13a; }
-.good { border-left: 5px solid #4b9a5b; }
+.bad { border-left: 5px solid var(--bad); } .fair { border-left: 5px solid var(--fair); }
+.good { border-left: 5px solid var(--good); }
 .row { display: flex; gap: .7rem; flex-wrap: wrap; margin-top: .6rem; }
 figure { margin: 0; } figure img { width: 172px; height: 172px; object-fit: contain; border-radius: 6px;
   background: #eceef2; display: block; } figcaption { font-size: .82rem; text-align: center; }
@@ -112,11 +103,7 @@ def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation
     )
     if false:
         body += f"<h2>{'False objects' if isinstance(why, Why) else 'Objects on no true object'}</h2>{''.join(false)}"
-    page = (
-        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{html.escape(saved.folder.name)}: evaluation</title><style>{_STYLE}</style>{body}</html>"
-    )
-    write_output(path, visible(page).encode())
+    write_output(path, page(f"{saved.folder.name}: evaluation", body, _STYLE).encode())
 
 
 def _reasons(why: Why | NoWhy) -> str:
@@ -225,12 +212,4 @@ def _surface(mesh: Mesh) -> Surface:
 
 
 def _figure(caption: str, rgb: NDArray[np.uint8]) -> str:
-    longest = max(rgb.shape[:2])
-    if longest > 400:
-        scale = 400 / longest
-        rgb = np.asarray(cv2.resize(rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    encoded = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 86])[1]
-    data = base64.b64encode(encoded.tobytes()).decode()
-    return (
-        f'<figure><img alt="{caption}" src="data:image/jpeg;base64,{data}"><figcaption>{caption}</figcaption></figure>'
-    )
+    return f"<figure>{picture(rgb, caption, _PICTURE_PX)}<figcaption>{caption}</figcaption></figure>"

@@ -21,6 +21,7 @@ from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
 from hickory_stream.evaluation.view_strategies import OURS, STRATEGIES, compare, evaluate_strategy, verdict
+from hickory_stream.html_page import page
 from hickory_stream.settings import Settings
 from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording
@@ -242,13 +243,6 @@ def _write_index(measured: list[Measured]) -> None:
         "contained",
     )
     head = "".join(f"<th>{name}</th>" for name in heads)
-    style = (
-        ":root{color-scheme:light dark}body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:1100px}"
-        "td,th{padding:.2rem .8rem;text-align:right;font-variant-numeric:tabular-nums}"
-        "td:first-child,th:first-child{text-align:left}"
-    )
-    page = (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>quality</title><style>{style}</style>'
-        f"<h1>Quality by scene</h1><table><tr>{head}</tr>{rows}</table></html>"
-    )
-    (_PAGES / "index.html").write_text(page, encoding="utf-8")
+    body = f"<h1>Quality by scene</h1><table><tr>{head}</tr>{rows}</table>"
+    style = "td, th { padding: .2rem .8rem; text-align: right; } td:first-child, th:first-child { text-align: left; }"
+    (_PAGES / "index.html").write_text(page("Quality by scene", body, style), encoding="utf-8")
