@@ -117,10 +117,10 @@ class RecordingConfig:
             raise ConfigError(f"day {self.day} in the scene {self.scene}; expected 0 or more, above 0 in rooms only")
         if self.scene not in SCENES:
             raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
-        if self.robots and (not self.walk_index < self.robots <= MAX_ROBOTS or self.scene in (CLUTTER, OUTDOOR)):
+        if self.robots and (not self.walk_index < self.robots <= MAX_ROBOTS or self.scene == CLUTTER):
             raise ConfigError(
                 f"robot {self.walk_index} of {self.robots} in the scene {self.scene}; expected up to {MAX_ROBOTS} "
-                "robots, of which it is one, in a room, an apartment, a building or on a tabletop"
+                f"robots, of which it is one, in any scene but {CLUTTER}"
             )
         recipes_of(self.family)
         if self.layout not in LAYOUTS:
@@ -174,12 +174,39 @@ def make_recording(
             f"{processes} processes for the scene {config.scene}; expected 1: only the frames of a {BUILDING} "
             "can be made side by side"
         )
+    world, trajectory = walkable_world(config)
+    return film_world(
+        world, trajectory, config, folder, name, progress, caster=caster, seen=seen, processes=processes
+    )
+
+
+def film_world(
+    world: World,
+    trajectory: Trajectory,
+    config: RecordingConfig,
+    folder: Path,
+    name: str,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    caster: CasterName | None = "open3d",
+    seen: SeenSurface | None = None,
+    processes: int = 1,
+) -> Truth:
+    """Write a recording of any world, as `make_recording` does of one from a seed; `config.scene` is not looked at.
+
+    Raises:
+        ConfigError: NAME.truth exists and is no truth folder.
+        InputError: the caster is not installed.
+    """
     truth_folder = folder / f"{name}.truth"
     if truth_folder.exists() and not (truth_folder / TRUTH_FILE).is_file():
         raise ConfigError(f"{truth_folder} is there and has no {TRUTH_FILE}; choose another --name or --out")
     folder.mkdir(parents=True, exist_ok=True)
+    filming = Filming(
+        sensors=sensors_of(config), world=world, trajectory=trajectory, caster=caster, person=_person(world, config)
+    )
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
-        truth = _make(config, Path(unfinished), name, progress, caster, seen, processes)
+        truth = _make(config, filming, Path(unfinished), name, progress, seen, processes)
         if truth_folder.exists():
             shutil.rmtree(truth_folder)
         truth.folder.rename(truth_folder)
@@ -192,22 +219,19 @@ def make_recording(
 
 def _make(
     config: RecordingConfig,
+    filming: Filming,
     folder: Path,
     name: str,
     progress: Callable[[int, int], None],
-    caster: CasterName | None,
     seen_by_all: SeenSurface | None,
     processes: int,
 ) -> Truth:
-    world, trajectory = walkable_world(config)
+    world = filming.world
     truth_folder = folder / f"{name}.truth"
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)
     robot_from_world = drawn_frame(config)
     structure = _write_meshes(world, truth_folder, robot_from_world)
-    filming = Filming(
-        sensors=sensors_of(config), world=world, trajectory=trajectory, caster=caster, person=_person(world, config)
-    )
     frames, seen, shown = _record(config, filming, (folder, name, truth_folder), progress, processes)
     if seen_by_all is not None:
         seen_by_all.include(seen)
@@ -304,11 +328,12 @@ def _walkable_clutter(config: RecordingConfig) -> tuple[World, Trajectory]:
 
 
 def _walkable_street(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's streets with a closed route, and the walk."""
+    """Return the first of the seed's streets with a closed route for all robots of a fleet, and the walk."""
     for attempt in range(_WORLDS):
         found = street(config.seed, attempt)
-        trajectory = stroll(found, config.seconds, config.walk, config.walk_index)
-        if not isinstance(trajectory, NoWalk):
+        walks = {i: stroll(found, config.seconds, config.walk, i) for i in {*range(config.robots), config.walk_index}}
+        trajectory = walks[config.walk_index]
+        if not isinstance(trajectory, NoWalk) and not any(isinstance(walk, NoWalk) for walk in walks.values()):
             return found.world, trajectory
     raise _not_walkable(config)
 

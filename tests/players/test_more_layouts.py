@@ -50,7 +50,6 @@ def _hope(folder: Path) -> Path:
     folder.mkdir(parents=True)
     for i, frame in enumerate(TRUTH):
         camera_from_world = invert(frame.world_from_camera)
-        camera_from_world[:3, 3] *= 100.0
         camera = {"intrinsics": scenes.CAMERA.K.tolist(), "extrinsics": camera_from_world.tolist()}
         (folder / f"{i:04d}.json").write_text(json.dumps({"camera": camera, "objects": []}))
         scenes.write_png(folder / f"{i:04d}_rgb.png", frame.rgb[..., ::-1])

@@ -119,7 +119,7 @@ def test_a_robots_truth_is_that_of_the_same_walk_alone_in_another_frame(tmp_path
     [
         (SHORT, 1, "found 1 robots, expected 2 to 16"),
         (SHORT, 17, "found 17 robots"),
-        (replace(SHORT, scene="outdoor"), 2, "robot 0 of 2 in the scene outdoor"),
+        (replace(SHORT, scene="clutter"), 2, "robot 0 of 2 in the scene clutter"),
     ],
 )
 def test_a_fleet_that_cannot_be_made_is_refused(tmp_path: Path, config: RecordingConfig, count: int, said: str) -> None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.worlds.clearance import Clearance
     from hickory_stream.worlds.clutter.room import ClutterRoom
+    from hickory_stream.worlds.scene import World
     from hickory_stream.worlds.walk_config import WalkConfig
 
 _STOPS = 6
@@ -32,6 +33,13 @@ def wander(room: ClutterRoom, seconds: float, config: WalkConfig, rng: np.random
     boxes = [box for item in room.world.objects for box in part_boxes(item.model, item.world_from_object)]
     boxes += [b for model in room.world.structure if model.kind == "column" for b in part_boxes(model, np.eye(4))]
     clearance = clearance_among(boxes, room.plan.bounds_m, room.plan.outline_m)
+    return wander_through(room.world, clearance, seconds, config, rng)
+
+
+def wander_through(
+    world: World, clearance: Clearance, seconds: float, config: WalkConfig, rng: np.random.Generator
+) -> Trajectory | NoWalk:
+    """Return a closed walk past a few random places of a world's largest piece of free floor."""
     route = _route(clearance, config.clearance_m, rng)
     if route is None:
         return NoWalk(clearance_m=config.clearance_m)
@@ -43,7 +51,7 @@ def wander(room: ClutterRoom, seconds: float, config: WalkConfig, rng: np.random
     times_s = np.arange(0.0, seconds + 2 * STEP_S, STEP_S)
     on = np.mod(config.speed_mps * times_s, arc[-1])
     positions = np.stack([np.interp(on, arc, line[:, i]) for i in range(2)], axis=1)
-    yaw, pitch = gaze(room.world, positions, STEP_S, config)
+    yaw, pitch = gaze(world, positions, STEP_S, config)
     return Trajectory(times_s=times_s, world_from_camera=camera_poses(times_s, positions, yaw, pitch, config))
 
 

@@ -1,0 +1,130 @@
+"""The paper's table of alignment: two maps of a place by our method and its competitors, against truth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.alignment.methods import align_by
+from hickory_stream.alignment.object_map import object_map
+from hickory_stream.engine.saved_map import open_map
+from hickory_stream.errors import HickoryError
+from hickory_stream.evaluation.alignment_table import row_of, table_json
+from hickory_stream.evaluation.alignment_truth import read_true_trajectory, world_from_map
+from hickory_stream.geometry.rigid import invert
+from tools.paper_tables.logs import apartment_pairs, kimera_pairs, nus_pairs
+from tools.paper_tables.published import ALIGNMENT, Aligned
+from tools.paper_tables.tables import Cell, Column, Table
+from tools.paper_tables.workshop import refusal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.alignment.methods import Method
+    from hickory_stream.engine.saved_map import SavedMap
+    from tools.paper_tables.logs import Pair
+    from tools.paper_tables.plan import Plan
+    from tools.paper_tables.workshop import Workshop
+
+_METHODS: dict[Method, str] = {
+    "bbox": "Mesh-BBox", "roman-xl": "ROMAN-XL", "roman-one": "ROMAN-One", "sq": "Superquadrics (ours)",
+}  # fmt: skip
+_FIGURES = (("num_pairs", "N_a", 0), ("translation_m", "m", 4), ("rotation_deg", "deg", 4))
+
+
+def alignment_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
+    """Return the table: a row for each scene and method, and the mean of each data set's scenes that were answered."""
+    pairs, notes = _pairs(data, plan, shop)
+    answers: dict[tuple[str, str], dict[Method, Any]] = {}
+    for pair in pairs:
+        try:
+            answers[pair.data_set, pair.scene] = _answers(pair, shop)
+        except HickoryError as error:
+            notes.append(f"{pair.data_set} {pair.scene}: {refusal(error)}")
+    rows = []
+    for method, title in _METHODS.items():
+        places: dict[str, int] = {}
+        for (data_set, scene), found in answers.items():
+            nth = places.setdefault(data_set, 0)
+            places[data_set] += 1
+            published = ALIGNMENT[method].get(data_set, ())
+            paper = published[nth] if nth < len(published) else None
+            rows.append((f"{title}, {data_set} {scene}", _cells(found[method], paper)))
+        rows += [(f"{title}, {data_set} mean", _means(method, data_set, answers)) for data_set in places]
+    return Table(
+        name="alignment",
+        caption=f"Map alignment ({caption})",
+        columns=(
+            Column(name="num_pairs", title="Associated objects", digits=0),
+            Column(name="translation_m", title="Translation", unit="m", digits=4, more=-1),
+            Column(name="rotation_deg", title="Rotation", unit="deg", digits=4, more=-1),
+            Column(name="overlap_m", title="Error where the maps overlap", unit="m", digits=4, more=-1),
+        ),
+        rows=tuple(rows),
+        notes=(
+            "Errors of the transform itself, as in the paper, its translation at the origin of map b; a method that "
+            "refuses has none. The order of the paper's scenes is not known to be that of ours.",
+            *notes,
+        ),
+    )
+
+
+def _pairs(data: Path, plan: Plan, shop: Workshop) -> tuple[list[Pair], list[str]]:
+    found: list[Pair] = []
+    notes = []
+    try:
+        found += apartment_pairs(data, plan, shop)
+    except HickoryError as error:
+        notes.append(f"ReplicaCAD: {refusal(error)}")
+    return found + kimera_pairs(data, plan) + nus_pairs(data, plan), notes
+
+
+def _answers(pair: Pair, shop: Workshop) -> dict[Method, Any]:
+    folders = [shop.map_of(log) for log in pair.logs]
+
+    def measure() -> dict[str, Any]:
+        saved = [open_map(folder) for folder in folders]
+        world_from = [_world_from(one, truth) for one, truth in zip(saved, pair.truths, strict=True)]
+        true_a_from_b = invert(world_from[0]) @ world_from[1]
+        a, b = (object_map(one.snapshot, one.manifest.extractor) for one in saved)
+        rows = [row_of(pair.scene, method, align_by(method, a, b), true_a_from_b) for method in _METHODS]
+        return {row["method"]: row for row in table_json(rows)}
+
+    name = f"alignment-{pair.data_set}-{pair.scene}"
+    found: dict[Method, Any] = shop.once(name, {"maps": [folder.name for folder in folders]}, measure)
+    return found
+
+
+def _world_from(saved: SavedMap, truth: Path) -> Any:
+    return world_from_map(saved.snapshot, read_true_trajectory(truth), saved.folder.name)
+
+
+def _cells(found: dict[str, Any], paper: Aligned | None) -> tuple[Cell, ...]:
+    why = "" if found["refusal"] is None else f"refused: {found['refusal']}"
+    cells = [
+        Cell(
+            value=None if found["refusal"] is not None else found[name],
+            paper=None if paper is None else float(getattr(paper, name)),
+            why=why,
+        )
+        for name, _, _ in _FIGURES
+    ]
+    return (*cells, Cell(value=found["overlap_m"], why=why))
+
+
+def _means(method: Method, data_set: str, answers: dict[tuple[str, str], dict[Method, Any]]) -> tuple[Cell, ...]:
+    rows = [found[method] for (name, _), found in answers.items() if name == data_set]
+    answered = [row for row in rows if row["refusal"] is None and row["overlap_m"] is not None]
+    published = ALIGNMENT[method].get(data_set, ())
+    cells = []
+    for name in ("num_pairs", "translation_m", "rotation_deg", "overlap_m"):
+        paper = [float(getattr(one, name)) for one in published if hasattr(one, name)]
+        value = sum(row[name] for row in answered) / len(answered) if answered else None
+        cells.append(
+            Cell(
+                value=value,
+                num=len(answered),
+                paper=sum(paper) / len(paper) if paper else None,
+                why="" if answered else "all refused",
+            )
+        )
+    return tuple(cells)

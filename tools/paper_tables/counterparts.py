@@ -1,0 +1,141 @@
+"""Synthetic counterparts of the data sets, written in their layouts so that the same readers read them.
+
+The scenes are drawn from seeds that nothing else in the project uses. A scene that is there stays.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.worlds.layouts import KimeraMultiLog
+from hickory_stream.worlds.outdoor.recordings import outdoors
+from hickory_stream.worlds.recording import RecordingConfig, drawn_frame, make_recording, walkable_world
+from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
+from tools.paper_tables.write_hope import write_hope
+from tools.paper_tables.write_replica_cad import write_replica_cad
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.evaluation.truth import Truth
+    from tools.paper_tables.plan import Plan
+
+_SEED = 41_000
+# Walks of the robots of each pair; odd walks go the other way round.
+_ROBOT_WALKS = ((0, 1), (0, 2), (1, 2))
+_ROBOTS = 3
+
+
+def write_counterparts(plan: Plan, data: Path, told: Callable[[str], None]) -> None:
+    """Write what a plan needs below `data`, as if it had been downloaded."""
+    for i in range(plan.hope_scenes):
+        _once(data / HOPE.folders[0] / "hope_video" / f"scene_{i:04d}", told, partial(_table, plan, i))
+    root = data / REPLICA_CAD.folders[0]
+    for i in range(plan.apartments):
+        if not (root / "configs" / "scenes" / f"apt_{i}.scene_instance.json").is_file():
+            told(f"writing {root.name}/apt_{i}")
+            world, _ = walkable_world(RecordingConfig(scene="apartment", seed=_SEED + 100 + i, seconds=10.0))
+            write_replica_cad(world, root, f"apt_{i}")
+    for i in range(plan.robot_pairs):
+        _once(data / KIMERA_MULTI.folders[0] / f"scene_{i + 1}", told, partial(_robots, plan, i))
+    for i in range(plan.nus_pairs):
+        _once(data / NUS_CLB.folders[0] / f"scene_{i + 1}", told, partial(_quadruped, plan, i))
+
+
+def _once(target: Path, told: Callable[[str], None], write: Callable[[Path], None]) -> None:
+    """Write a folder whole or not at all."""
+    if target.is_dir():
+        return
+    told(f"writing {target.parent.name}/{target.name}")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".unfinished.", dir=target.parent) as unfinished:
+        made = Path(unfinished) / target.name
+        write(made)
+        shutil.move(made, target)
+
+
+def _table(plan: Plan, i: int, target: Path) -> None:
+    config = RecordingConfig(scene="tabletop", seed=_SEED + i, seconds=plan.hope_seconds, width=640, height=480)
+    with tempfile.TemporaryDirectory() as folder:
+        truth = make_recording(config, Path(folder), "table")
+        # Meshes are shared by all scenes of the data set, two folders above.
+        meshes = _data_set_folder(target) / "meshes" / "eval"
+        write_hope(Path(folder) / "table.mcap", truth, target, meshes)
+
+
+def _data_set_folder(target: Path) -> Path:
+    """Return hope-dataset for hope-dataset/hope_video/.unfinished/scene_0000."""
+    return target.parents[2]
+
+
+def _robots(plan: Plan, i: int, target: Path) -> None:
+    """Write a pair of robots' bags and their ground truth in a common frame; the first pair drive opposite ways."""
+    target.mkdir()
+    base = RecordingConfig(
+        scene="outdoor", seed=_SEED + 200 + i, seconds=plan.robot_seconds, rate_hz=5.0, layout="kimera_multi",
+        robots=_ROBOTS, width=640, height=480,
+    )  # fmt: skip
+    for walk in _ROBOT_WALKS[i % len(_ROBOT_WALKS)]:
+        config = outdoors(replace(base, walk_index=walk))
+        name = f"robot{walk + 1}"
+        truth = make_recording(config, target, name)
+        body_from_camera = KimeraMultiLog.body_from_infra1 @ KimeraMultiLog.infra1_from_color
+        lines = ["#timestamp_kf,x,y,z,qw,qx,qy,qz"]
+        lines += _csv_rows(truth, config, invert(body_from_camera))
+        (target / f"{name}_gt_odom.csv").write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def _quadruped(plan: Plan, i: int, target: Path) -> None:
+    target.mkdir()
+    base = RecordingConfig(
+        scene="apartment", seed=_SEED + 300 + i, seconds=plan.nus_seconds, rate_hz=4.0, layout="nus_clb", robots=2,
+        width=640, height=360, camera_offset=True,
+    )  # fmt: skip
+    for walk in (0, 1):
+        config = replace(base, walk_index=walk)
+        truth = make_recording(config, target, f"run{walk + 1}")
+        rows = _tum_rows(truth, config)
+        (target / f"run{walk + 1}.tum").write_text("\n".join(rows) + "\n", encoding="ascii")
+
+
+def _csv_rows(truth: Truth, config: RecordingConfig, camera_from_body: NDArray[np.float64]) -> list[str]:
+    """Return `stamp_ns,x,y,z,qw,qx,qy,qz` of the body, in the frame that all robots share."""
+    rows = []
+    for stamp_ns, pose in _common(truth, config):
+        x, y, z, (qx, qy, qz, qw) = _numbers(pose @ camera_from_body)
+        rows.append(f"{stamp_ns},{x:.6f},{y:.6f},{z:.6f},{qw:.9f},{qx:.9f},{qy:.9f},{qz:.9f}")
+    return rows
+
+
+def _tum_rows(truth: Truth, config: RecordingConfig) -> list[str]:
+    """Return `seconds x y z qx qy qz qw` of the camera, in the frame that all runs share."""
+    rows = []
+    for stamp_ns, pose in _common(truth, config):
+        x, y, z, (qx, qy, qz, qw) = _numbers(pose)
+        seconds = f"{stamp_ns // 1_000_000_000}.{stamp_ns % 1_000_000_000:09d}"
+        rows.append(f"{seconds} {x:.6f} {y:.6f} {z:.6f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}")
+    return rows
+
+
+def _common(truth: Truth, config: RecordingConfig) -> list[tuple[int, NDArray[np.float64]]]:
+    """Return stamps and common_from_camera (4, 4): the true poses are in the robot's own frame."""
+    robot_from_common = drawn_frame(config)
+    common_from_robot = np.eye(4) if robot_from_common is None else invert(robot_from_common)
+    return [(frame.stamp_ns, common_from_robot @ frame.world_from_camera) for frame in truth.frames]
+
+
+def _numbers(pose: NDArray[np.float64]) -> tuple[float, float, float, tuple[float, float, float, float]]:
+    x, y, z = pose[:3, 3].tolist()
+    qx, qy, qz, qw = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
+    return x, y, z, (qx, qy, qz, qw)

@@ -1,0 +1,163 @@
+"""The logs of the data sets below a folder, whether real or written by us."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
+from hickory_stream.worlds.clearance import clearance_of_surfaces
+from hickory_stream.worlds.clutter.walk import wander_through
+from hickory_stream.worlds.recording import RecordingConfig, film_world
+from hickory_stream.worlds.trajectory import NoWalk
+from tools.paper_tables import hope, replica_cad
+from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
+from tools.paper_tables.workshop import Log
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.evaluation.truth import Truth
+    from tools.paper_tables.plan import Plan
+    from tools.paper_tables.workshop import Workshop
+
+_ATTEMPTS, _WALK_SECONDS = 20, 90.0
+# Where the camera sits on the quadruped was not published: it is estimated from each log.
+_QUADRUPED = ("--extrinsics", "estimate")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pair:
+    """Two logs of one place; `truths` say where each log's frame is in one that both share."""
+
+    data_set: str
+    scene: str
+    logs: tuple[Log, Log]
+    truths: tuple[Path, Path]
+
+
+def hope_logs(data: Path, plan: Plan) -> list[Log]:
+    """Return the first scenes of HOPE-Video."""
+    root = HOPE.folder(data)
+    folders = [] if root is None else hope.scene_folders(root)[: plan.hope_scenes]
+    return [Log(data_set=HOPE.name, scene=folder.name, name="all", files=(folder,)) for folder in folders]
+
+
+def hope_truth(data: Path, log: Log, shop: Workshop) -> Truth:
+    """Return the truth of a scene of HOPE-Video, made once.
+
+    Raises:
+        RecordingError: a json or a mesh is missing or damaged.
+    """
+    root, target = HOPE.folder(data), shop.folder / "truth" / log.label
+    assert root is not None
+    if not (target / TRUTH_FILE).is_file():
+        shop.told(f"truth of {log.label}")
+        hope.write_truth(log.files[0], root / "meshes" / "eval", target)
+    return load_truth(target)
+
+
+def apartment_pairs(data: Path, plan: Plan, shop: Workshop) -> list[Pair]:
+    """Return two walks through each of the first apartments of ReplicaCAD, rendered by our own renderer, once.
+
+    Raises:
+        RecordingError: a file of an apartment is missing or damaged, or nobody can walk through it.
+    """
+    root = REPLICA_CAD.folder(data)
+    names = [] if root is None else replica_cad.scene_names(root)[: plan.apartments]
+    pairs = []
+    for name in names:
+        assert root is not None
+        logs, truths = [], []
+        for walk in (0, 1):
+            label = f"{name}-walk{walk}"
+            target = shop.folder / "data" / f"{label}.mcap"
+            if not target.is_file():
+                shop.told(f"rendering {label}")
+                _render(root, name, walk, plan, target)
+            logs.append(Log(data_set=REPLICA_CAD.name, scene=name, name=f"walk{walk}", files=(target,)))
+            truths.append(target.with_suffix(".truth"))
+        pairs.append(
+            Pair(data_set=REPLICA_CAD.name, scene=name, logs=(logs[0], logs[1]), truths=(truths[0], truths[1]))
+        )
+    return pairs
+
+
+def kimera_pairs(data: Path, plan: Plan) -> list[Pair]:
+    """Return pairs of robots with bag, odometry and ground truth in one folder: the first two of each."""
+    root = KIMERA_MULTI.folder(data)
+    folders = sorted({file.parent for file in root.rglob("*_gt_odom.csv")}) if root is not None else []
+    pairs = []
+    for folder in folders:
+        robots = [file.name.removesuffix("_gt_odom.csv") for file in sorted(folder.glob("*_gt_odom.csv"))]
+        logs = [(name, log) for name in robots if (log := _robot_log(folder, name)) is not None]
+        if len(logs) >= 2:
+            pairs.append(
+                Pair(
+                    data_set=KIMERA_MULTI.name,
+                    scene=folder.name,
+                    logs=(logs[0][1], logs[1][1]),
+                    truths=tuple(folder / f"{name}_gt_odom.csv" for name, _ in logs[:2]),  # type: ignore[arg-type]
+                )
+            )
+    return pairs[: plan.robot_pairs]
+
+
+def nus_pairs(data: Path, plan: Plan) -> list[Pair]:
+    """Return pairs of runs with true poses in one folder, the first two of each."""
+    root = NUS_CLB.folder(data)
+    folders = [] if root is None else sorted({file.parent for file in root.rglob("*.tum")})
+    pairs = []
+    for folder in folders:
+        runs = [file for file in sorted(folder.glob("*.tum")) if file.with_suffix("").is_dir()]
+        if len(runs) >= 2:
+            logs = [
+                Log(
+                    data_set=NUS_CLB.name,
+                    scene=folder.name,
+                    name=run.stem,
+                    files=(run.with_suffix(""),),
+                    arguments=_QUADRUPED,
+                )
+                for run in runs[:2]
+            ]
+            pairs.append(
+                Pair(data_set=NUS_CLB.name, scene=folder.name, logs=(logs[0], logs[1]), truths=(runs[0], runs[1]))
+            )
+    return pairs[: plan.nus_pairs]
+
+
+def _robot_log(folder: Path, robot: str) -> Log | None:
+    """Return a robot's bag (10_14_ROBOT.bag or ROBOT.bag) with that of its odometry; None if one is missing."""
+    bags = [file for file in sorted(folder.glob(f"*{robot}.bag")) if file.stem in (robot, *_dated(file.stem, robot))]
+    odometry = folder / f"{robot}_vio.bag"
+    if not bags or not odometry.is_file():
+        return None
+    return Log(data_set=KIMERA_MULTI.name, scene=folder.name, name=robot, files=(bags[0], odometry))
+
+
+def _dated(stem: str, robot: str) -> tuple[str, ...]:
+    """Return the stem if it is MM_DD_ROBOT: acl_jackal2 is not a bag of jackal2."""
+    date = stem.removesuffix(f"_{robot}").replace("_", "")
+    return (stem,) if stem.endswith(f"_{robot}") and date.isdigit() else ()
+
+
+def _render(root: Path, name: str, walk: int, plan: Plan, target: Path) -> None:
+    world = replica_cad.read_apartment(root, name)
+    clearance = clearance_of_surfaces(world)
+    config = RecordingConfig(
+        seed=0, walk_index=walk, seconds=plan.apartment_seconds or _WALK_SECONDS, width=640, height=480
+    )
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng([11, walk, attempt])
+        seconds = plan.apartment_seconds or _WALK_SECONDS
+        trajectory = wander_through(world, clearance, seconds, config.walk, rng)
+        if not isinstance(trajectory, NoWalk):
+            film_world(world, trajectory, config, target.parent, target.stem)
+            return
+    raise RecordingError(
+        f"{root}: nobody can walk through {name}: expected free floor with {config.walk.clearance_m} m around"
+    )

@@ -1,0 +1,129 @@
+"""A table of figures with the paper's own beside them: as Markdown, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cell:
+    """A measured figure: `low` and `high` are its 95 % interval, `num` of how many it is the mean or the share.
+
+    `value` None: not measured, for the reason `why`. `paper` is what the paper has there, None where it has nothing.
+    """
+
+    value: float | None
+    paper: float | None = None
+    low: float | None = None
+    high: float | None = None
+    num: int | None = None
+    why: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Column:
+    """A column: `digits` behind the point; `more` is +1 where more is better, -1 where less is, 0 for neither."""
+
+    name: str
+    title: str
+    unit: str = ""
+    digits: int = 3
+    more: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Table:
+    """A table; every row has a title and a cell for each column. `notes` are printed below it."""
+
+    name: str
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[str, tuple[Cell, ...]], ...]
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for title, cells in self.rows:
+            if len(cells) != len(self.columns):
+                raise ValueError(f"row {title!r} has {len(cells)} cells for {len(self.columns)} columns")
+
+
+def markdown(table: Table) -> str:
+    """Return the table for people; the best figure of a column is bold, the paper's stands behind a slash."""
+    best = [_best(table, i) for i in range(len(table.columns))]
+    heads = [f"{c.title}{f', {c.unit}' if c.unit else ''}{_ARROWS[c.more]}" for c in table.columns]
+    lines = [f"**{table.caption}**", "", "| | " + " | ".join(heads) + " |", "|---" * (1 + len(heads)) + "|"]
+    for title, cells in table.rows:
+        shown = [
+            _shown(cell, column, is_best=cell.value is not None and cell.value == top)
+            for cell, column, top in zip(cells, table.columns, best, strict=True)
+        ]
+        lines.append(f"| {title} | " + " | ".join(shown) + " |")
+    lines += ["", "*Ours [95 % interval] (of how many) / the paper's own.*"]
+    return "\n".join([*lines, *(f"*{note}*" for note in table.notes), ""])
+
+
+def as_csv(table: Table) -> str:
+    """Return one line for each cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["table", "row", "column", "unit", "value", "low", "high", "num", "paper", "why"])
+    for title, cells in table.rows:
+        for cell, column in zip(cells, table.columns, strict=True):
+            figures = [cell.value, cell.low, cell.high, cell.num, cell.paper]
+            shown = ["" if figure is None else figure for figure in figures]
+            writer.writerow([table.name, title, column.name, column.unit, *shown, cell.why])
+    return text.getvalue()
+
+
+def as_json(table: Table) -> dict[str, Any]:
+    """Return the table for machines."""
+    return {
+        "table": table.name,
+        "caption": table.caption,
+        "notes": list(table.notes),
+        "rows": [
+            {"row": title, "column": column.name, "unit": column.unit, **_record(cell)}
+            for title, cells in table.rows
+            for cell, column in zip(cells, table.columns, strict=True)
+        ],
+    }
+
+
+_ARROWS = {1: " ↑", 0: "", -1: " ↓"}
+
+
+def _record(cell: Cell) -> dict[str, Any]:
+    return {
+        "value": cell.value, "low": cell.low, "high": cell.high, "num": cell.num, "paper": cell.paper, "why": cell.why,
+    }  # fmt: skip
+
+
+def _best(table: Table, column: int) -> float | None:
+    more = table.columns[column].more
+    values = [cells[column].value for _, cells in table.rows]
+    known = [value for value in values if value is not None]
+    if not more or len(known) < 2 or min(known) == max(known):
+        return None
+    return max(known) if more > 0 else min(known)
+
+
+def _shown(cell: Cell, column: Column, *, is_best: bool) -> str:
+    paper = "" if cell.paper is None else f" / {cell.paper:.{column.digits}f}"
+    if cell.value is None:
+        return (cell.why or "-") + paper
+    value = f"{cell.value:.{column.digits}f}"
+    text = f"**{value}**" if is_best else value
+    if cell.low is not None and cell.high is not None:
+        text += f" [{cell.low:.{column.digits}f}, {cell.high:.{column.digits}f}]"
+    return text + ("" if cell.num is None else f" ({cell.num})") + paper
+
+
+def mean_of(values: Sequence[float]) -> float | None:
+    """Return the mean, None of nothing."""
+    return sum(values) / len(values) if values else None

@@ -1,0 +1,120 @@
+"""The paper's table of views: every strategy, each object reconstructed from its one best view, against true meshes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.engine.saved_map import open_map
+from hickory_stream.errors import HickoryError
+from hickory_stream.evaluation.evaluate import evaluate
+from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.evaluation.view_strategies import STRATEGIES
+from tools.benchmarks.intervals import bootstrap, wilson
+from tools.paper_tables.data_sets import HOPE, REPLICA_CAD
+from tools.paper_tables.logs import apartment_pairs, hope_logs, hope_truth
+from tools.paper_tables.published import VIEWS
+from tools.paper_tables.tables import Cell, Column, Table
+from tools.paper_tables.workshop import refusal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.evaluation.truth import Truth
+    from tools.paper_tables.plan import Plan
+    from tools.paper_tables.workshop import Log, Workshop
+
+_TITLES = {
+    "initial": "Initial view",
+    "max_area": "Largest mask",
+    "max_box": "Largest 2D box",
+    "max_volume": "Largest 3D volume",
+    "s_score": "View score S (ours)",
+}
+# ADD-S counts as right below this share of an object's diameter, as in the paper.
+_ADDS_SHARE = {HOPE.name: 0.05, REPLICA_CAD.name: 0.1}
+
+
+def views_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
+    """Return the table; a data set without logs has empty cells that say why."""
+    sets = {HOPE.name: _hope(data, plan, shop), REPLICA_CAD.name: _apartments(data, plan, shop)}
+    rows = []
+    for strategy in sorted(STRATEGIES, key=list(_TITLES).index):
+        paper = VIEWS[strategy]
+        cells: list[Cell] = []
+        for name, found in sets.items():
+            published = (
+                (paper.hope_f1, paper.hope_adds)
+                if name == HOPE.name
+                else (paper.replica_cad_f1, paper.replica_cad_adds)
+            )
+            cells += _cells(name, found if isinstance(found, str) else found[strategy], published)
+        rows.append((_TITLES[strategy], tuple(cells)))
+    columns = []
+    for data_set in (HOPE, REPLICA_CAD):
+        share = _ADDS_SHARE[data_set.name]
+        columns += [
+            Column(name=f"{data_set.name}_f1", title=f"{data_set.title}: mean F1", digits=4, more=1),
+            Column(name=f"{data_set.name}_adds", title=f"{data_set.title}: ADD-S < {share} d", digits=4, more=1),
+        ]
+    return Table(
+        name="views",
+        caption=f"View selection and reconstruction ({caption})",
+        columns=tuple(columns),
+        rows=tuple(rows),
+        notes=(
+            "Ours: F1 at 5 % of the true diameter and ADD-S over all true objects that count, 0 for one that the map "
+            "misses; meshes by the embedded single-view reconstructor where the paper has SAM 3D.",
+        ),
+    )
+
+
+def _hope(data: Path, plan: Plan, shop: Workshop) -> dict[str, list[Any]] | str:
+    try:
+        logs = [(log, hope_truth(data, log, shop)) for log in hope_logs(data, plan)]
+        return _evaluated(logs, shop)
+    except HickoryError as error:
+        return refusal(error)
+
+
+def _apartments(data: Path, plan: Plan, shop: Workshop) -> dict[str, list[Any]] | str:
+    try:
+        pairs = apartment_pairs(data, plan, shop)
+        logs = [(log, load_truth(truth)) for pair in pairs for log, truth in zip(pair.logs, pair.truths, strict=True)]
+        return _evaluated(logs, shop)
+    except HickoryError as error:
+        return refusal(error)
+
+
+def _evaluated(logs: list[tuple[Log, Truth]], shop: Workshop) -> dict[str, list[Any]] | str:
+    """Return by strategy [F1, ADD-S over the diameter or None] of every true object that counts."""
+    if not logs:
+        return "no logs"
+    return {strategy: [row for log in logs for row in _objects(*log, strategy, shop)] for strategy in STRATEGIES}
+
+
+def _objects(log: Log, truth: Truth, strategy: str, shop: Workshop) -> list[Any]:
+    settings = (f"mapper.mapping.views.strategy={strategy}", "mapper.shapes.reconstructor=single_view")
+    folder = shop.map_of(log, settings, strategy)
+
+    def measure() -> list[Any]:
+        rows = evaluate(open_map(folder), truth).objects
+        return [[row.f1_5pct, None if row.add_s_m is None else row.add_s_m / row.diameter_m] for row in rows]
+
+    found: list[Any] = shop.once(f"views-{folder.stem}", {"map": folder.name, "strategy": strategy}, measure)
+    return found
+
+
+def _cells(name: str, found: list[Any] | str, paper: tuple[float, float]) -> list[Cell]:
+    if isinstance(found, str) or not found:
+        why = found if isinstance(found, str) else "no true object counts"
+        return [Cell(value=None, paper=figure, why=why) for figure in paper]
+    f1 = np.array([row[0] for row in found])
+    right = sum(row[1] is not None and row[1] < _ADDS_SHARE[name] for row in found)
+    low, high = bootstrap([f1], lambda groups: float(groups[0].mean()))
+    adds_low, adds_high = wilson(right, len(found))
+    return [
+        Cell(value=float(f1.mean()), low=low, high=high, num=len(found), paper=paper[0]),
+        Cell(value=right / len(found), low=adds_low, high=adds_high, num=len(found), paper=paper[1]),
+    ]

@@ -1,0 +1,118 @@
+"""The folder of a run: what was measured stays, so that the same command goes on where it stopped.
+
+`results/` holds a JSON for every step, with a key of what it was made from; another key measures it again. A map is
+made by `hickory-stream play`, a process of its own, and `resume` goes on with one that was interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.engine.atomic import write_atomically
+from hickory_stream.errors import HickoryError, MapFolderError
+from hickory_stream.json_text import dumps
+from tools.benchmarks.processes import ROOT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Log:
+    """A log of a data set: `files` are what is played, together one log, with `arguments` for `play`."""
+
+    data_set: str
+    scene: str
+    name: str
+    files: tuple[Path, ...]
+    arguments: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """A name for files."""
+        return f"{self.data_set}-{self.scene}-{self.name}"
+
+
+class Workshop:
+    """Holds the folder of a run and tells where it is."""
+
+    def __init__(self, folder: Path, workers: int | None, told: Callable[[str], None]) -> None:
+        self.folder = folder
+        self.told = told
+        self._workers = workers
+        self._code = _code_digest()
+        for part in ("results", "maps", "data", "truth"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+
+    def once(self, name: str, made_from: dict[str, Any], measure: Callable[[], Any]) -> Any:
+        """Return what `measure` returned, as JSON, now or in an earlier run of the same code and input."""
+        path = self.folder / "results" / f"{name}.json"
+        key = {"code": self._code, **made_from}
+        try:
+            kept = json.loads(path.read_bytes())
+            if kept["key"] == json.loads(dumps(key)):
+                return kept["value"]
+        except (OSError, ValueError, KeyError, TypeError):
+            pass
+        self.told(name)
+        value = measure()
+        write_atomically(path, dumps({"key": key, "value": value}, indent=1).encode())
+        return json.loads(dumps(value))
+
+    def map_of(self, log: Log, settings: Sequence[str] = (), variant: str = "") -> Path:
+        """Return the folder of a log's map, playing the log if there is none yet.
+
+        Raises:
+            MapFolderError: the log cannot be mapped; the text is that of the command.
+        """
+        out = self.folder / "maps" / f"{log.label}{variant and '-'}{variant}.map"
+        made_from = {"log": [_identity(file) for file in log.files], "settings": [*log.arguments, *settings]}
+        self.once(f"map-{out.stem}", made_from, lambda: self._play(log, settings, out))
+        return out
+
+    def _play(self, log: Log, settings: Sequence[str], out: Path) -> float:
+        arguments = [*log.arguments, *(argument for setting in settings for argument in ("--set", setting))]
+        if self._workers is not None:
+            arguments += ["--workers", str(self._workers)]
+        command = [sys.executable, "-m", "hickory_stream", "play", *map(str, log.files), "--out", str(out)]
+        started = time.perf_counter()
+        done = subprocess.run(
+            [*command, "--overwrite", "--viewer", "none", "--json", *arguments],
+            cwd=ROOT, text=True, capture_output=True, check=False,
+        )  # fmt: skip
+        if done.returncode:
+            last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+            raise MapFolderError(f"{log.label} cannot be mapped (exit status {done.returncode}): {last}")
+        return time.perf_counter() - started
+
+
+def _identity(file: Path) -> list[Any]:
+    """Return name and size of a file, and of a folder its files' number and size."""
+    if file.is_file():
+        return [file.name, 1, file.stat().st_size]
+    sizes = [each.stat().st_size for each in sorted(file.rglob("*")) if each.is_file()]
+    return [file.name, len(sizes), sum(sizes)]
+
+
+def _code_digest() -> str:
+    """Return a digest of the code that makes and measures maps."""
+    digest = sha256()
+    for package in ("hickory_stream", "players", "tools/paper_tables"):
+        for path in sorted((ROOT / package).rglob("*")):
+            if path.suffix in (".py", ".toml", ".json", ".npz") and "__pycache__" not in path.parts:
+                digest.update(os.fsencode(path.relative_to(ROOT)))
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def refusal(error: HickoryError) -> str:
+    """Return why a cell of a table is empty: the first line of an error, short enough for a cell."""
+    return str(error).splitlines()[0][:90]
