@@ -175,9 +175,7 @@ def make_recording(
             "can be made side by side"
         )
     world, trajectory = walkable_world(config)
-    return film_world(
-        world, trajectory, config, folder, name, progress, caster=caster, seen=seen, processes=processes
-    )
+    return film_world(world, trajectory, config, folder, name, progress, caster=caster, seen=seen, processes=processes)
 
 
 def film_world(
