@@ -46,7 +46,10 @@ def test_the_same_day_is_the_same_world_and_days_follow_one_another() -> None:
     assert len([i for i in first if second.get(i) == first[i]]) > len(first) / 2
 
 
-def test_days_without_a_way_through_the_world_and_scenes_without_days_are_refused() -> None:
+def test_days_without_a_way_through_the_world_and_scenes_without_days_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("hickory_stream.worlds.days._ATTEMPTS", 2)
     with pytest.raises(ConfigError, match="leaves room to walk"):
         world_of_day(furnished_room(31, 0), 31, 1, lambda _: False)
     with pytest.raises(ConfigError, match="day 1 in the scene outdoor"):

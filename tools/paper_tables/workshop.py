@@ -1,7 +1,7 @@
 """The folder of a run: what was measured stays, so that the same command goes on where it stopped.
 
 `results/` holds a JSON for every step, with a key of what it was made from; another key measures it again. A map is
-made by `hickory-stream play`, a process of its own, and `resume` goes on with one that was interrupted.
+made by `hickory-stream play`, a process of its own; one that was interrupted is begun anew.
 """
 
 from __future__ import annotations
@@ -75,6 +75,8 @@ class Workshop:
         """
         out = self.folder / "maps" / f"{log.label}{variant and '-'}{variant}.map"
         made_from = {"log": [_identity(file) for file in log.files], "settings": [*log.arguments, *settings]}
+        if not out.is_dir():
+            (self.folder / "results" / f"map-{out.stem}.json").unlink(missing_ok=True)
         self.once(f"map-{out.stem}", made_from, lambda: self._play(log, settings, out))
         return out
 
