@@ -6,10 +6,11 @@ are plain records, so that a run can be written down, replayed and compared.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.directions import no_directions
 from hickory_stream.geometry.rigid import is_rigid
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class FrameObserved:
     """A keyframe was perceived.
 
     `coarse` becomes the surface of the submap, in which loops are searched, and is for people who ask why; None in
-    older journals.
+    older journals. `degenerate` (K, 6) is that of the frame.
     """
 
     frame_index: int
@@ -50,9 +51,11 @@ class FrameObserved:
     space: SpaceObservation
     rejected: tuple[RejectedMask, ...] = ()
     coarse: CoarseFrame | None = None
+    degenerate: NDArray[np.float64] = field(default_factory=no_directions)
 
     def __post_init__(self) -> None:
         freeze(self, "world_from_camera", float, (4, 4))
+        freeze(self, "degenerate", float, (None, 6))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -147,7 +150,8 @@ class KeyframeRegistered:
     the ground is new, or because nothing fitted for so long that the surface begins anew. `corrects`: the odometry was
     contradicted before, else `map_from_camera` is its pose; `num_against` keyframes in a row contradict it. Later ones
     may be registered to an `is_anchor`, and the depth of this one has the noise `spread_per_m` in inverse depth.
-    `fit` is the share of the points to compare that lie on the surface, None where there are too few.
+    `fit` is the share of the points to compare that lie on the surface, None where there are too few. Along the unit
+    directions `degenerate` (K, 6), of the map's axes, rotation first, its surface said nothing.
     """
 
     frame_index: int
@@ -162,10 +166,12 @@ class KeyframeRegistered:
     is_anchor: bool
     spread_per_m: float
     fit: float | None
+    degenerate: NDArray[np.float64] = field(default_factory=no_directions)
 
     def __post_init__(self) -> None:
         for name in ("odometry_from_camera", "map_from_camera", "map_from_odometry"):
             freeze(self, name, float, (4, 4))
+        freeze(self, "degenerate", float, (None, 6))
         freeze(self, "covariance", float, (6, 6))
 
 

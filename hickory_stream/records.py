@@ -15,6 +15,7 @@ import numpy as np
 from hickory_stream.confined import plain_name, whole_number
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.depth_sensor import DepthSensor
+from hickory_stream.geometry.directions import no_directions
 from hickory_stream.geometry.superquadric import check_bodies
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ class Frame:
 
     `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32 along the optical axis, NaN = no return;
     `world_from_camera` (4, 4). `sensor` says what the depth is worth; its range and bias are seen to already.
+    `degenerate` (K, 6) are unit directions in the camera's frame, rotation first, along which the scans that the pose
+    was estimated from said nothing; none where it is the log's.
     """
 
     index: int
@@ -45,9 +48,11 @@ class Frame:
     camera: Camera
     world_from_camera: NDArray[np.float64]
     sensor: DepthSensor = field(default_factory=DepthSensor)
+    degenerate: NDArray[np.float64] = field(default_factory=no_directions)
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
+        freeze(self, "degenerate", np.float64, (None, 6))
         freeze(self, "rgb", np.uint8, (*size, 3))
         freeze(self, "depth_m", np.float32, size)
         freeze(self, "world_from_camera", np.float64, (4, 4))
@@ -449,8 +454,10 @@ class SurveyedSubmap:
 
     `anchor` (4, 4) is the camera's first pose in its frame, the node of the pose graph; `way_m` and `turn_rad` are how
     far the camera moved and turned in it, `after_jump` whether the odometry jumped before it. `registered` (6, 6) is
-    the covariance of its least sure keyframe, None if not all were registered. `points` and unit
-    `normals` (N, 3) are its surface, `free` the sorted keys of voxels of `voxel_m` that were seen to be free.
+    the covariance of its least sure keyframe, None if not all were registered. `blind` and `unfixed` (6, 6) are the
+    lengths of its way along which the odometry, and the registration of keyframes, saw nothing
+    (`mapping/blind_ways.py`); None: of no length. `points` and unit `normals` (N, 3) are its surface, `free` the sorted
+    keys of voxels of `voxel_m` that were seen to be free.
     """
 
     id: int
@@ -464,13 +471,16 @@ class SurveyedSubmap:
     free: NDArray[np.int64]
     voxel_m: float
     registered: NDArray[np.float64] | None = None
+    blind: NDArray[np.float64] | None = None
+    unfixed: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         whole_number(self.id, "submap")
         freeze(self, "world_from_submap", np.float64, (4, 4))
         freeze(self, "anchor", np.float64, (4, 4))
-        if self.registered is not None:
-            freeze(self, "registered", np.float64, (6, 6))
+        for name in ("registered", "blind", "unfixed"):
+            if getattr(self, name) is not None:
+                freeze(self, name, np.float64, (6, 6))
         freeze(self, "points", np.float32, (None, 3))
         freeze(self, "normals", np.float32, (len(self.points), 3))
         freeze(self, "free", np.int64, (None,))

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry.directions import no_directions, turned_directions
 from hickory_stream.geometry.rigid import compose, invert, quaternion_from_rotation
 from hickory_stream.ports import NotRegistered, SourceAround
 from hickory_stream.poses.choose import make_odometry
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from hickory_stream.poses.config import MethodName, Sensor
     from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
     from players.options import OdometryChoice
+
+    _Posed = tuple[RawFrame, NDArray[np.float64], NDArray[np.float64], Frame | None]
+    """A frame, its pose (4, 4), `Frame.degenerate`, and what was decoded of it, if anything was."""
 
 logger = logging.getLogger(__name__)
 
@@ -86,12 +90,12 @@ class OdometrySource(SourceAround):
         counts = self._counts = Counter()
         placed = self._by_lidar(counts) if self._lidar is not None else self._by_depth(counts)
         index = 0
-        for raw, world_from_camera, decoded in self._handed_over(placed):
+        for raw, world_from_camera, degenerate, decoded in self._handed_over(placed):
             frame = replace(
                 raw,
                 index=index,
                 world_from_camera=world_from_camera,
-                decode=partial(_placed, raw, decoded, index, world_from_camera),
+                decode=partial(_frame_of, raw, decoded, index, world_from_camera, degenerate),
                 after_from_before=None,
                 is_posed=True,
             )
@@ -110,15 +114,13 @@ class OdometrySource(SourceAround):
         """Continue after the frame of this stamp, with the pose (4, 4) that the journal has of it."""
         self._resumes_at = (stamp_ns, world_from_camera)
 
-    def _handed_over(
-        self, placed: Iterator[tuple[RawFrame, NDArray[np.float64], Frame | None]]
-    ) -> Iterator[tuple[RawFrame, NDArray[np.float64], Frame | None]]:
+    def _handed_over(self, placed: Iterator[_Posed]) -> Iterator[_Posed]:
         """Yield the frames; after an interruption, in the world frame of the journaled poses.
 
         On the same type of processor the two frames are equal to the last bit, and nothing is changed.
         """
         journaled_from_estimated: NDArray[np.float64] | None = None
-        for raw, pose, decoded in placed:
+        for raw, pose, degenerate, decoded in placed:
             world_from_camera = pose
             if self._resumes_at is not None and raw.stamp_ns == self._resumes_at[0]:
                 journaled = self._resumes_at[1]
@@ -126,9 +128,9 @@ class OdometrySource(SourceAround):
                 journaled_from_estimated = None if is_same else compose(journaled, invert(pose))
             if journaled_from_estimated is not None:
                 world_from_camera = compose(journaled_from_estimated, pose)
-            yield raw, world_from_camera, decoded
+            yield raw, world_from_camera, degenerate, decoded
 
-    def _by_depth(self, counts: Counter[str]) -> Iterator[tuple[RawFrame, NDArray[np.float64], Frame | None]]:
+    def _by_depth(self, counts: Counter[str]) -> Iterator[_Posed]:
         odometry = make_odometry("depth", self._method)
         told = _Told(counts, "depth")
         world_from_start: NDArray[np.float64] | None = None
@@ -148,9 +150,9 @@ class OdometrySource(SourceAround):
             before = raw.world_from_camera if raw.is_posed and self._predicts else None
             if world_from_start is None:
                 world_from_start = self._world_from_first(raw, scan)
-            yield raw, compose(world_from_start, found.start_from_sensor), frame
+            yield raw, compose(world_from_start, found.start_from_sensor), found.degenerate, frame
 
-    def _by_lidar(self, counts: Counter[str]) -> Iterator[tuple[RawFrame, NDArray[np.float64], Frame | None]]:
+    def _by_lidar(self, counts: Counter[str]) -> Iterator[_Posed]:
         """Yield frames with poses interpolated between sweeps; the poses of the log predict the motion of a sweep."""
         assert self._lidar is not None and isinstance(self._source, LogSource)
         topic, camera_from_lidar, _ = self._lidar
@@ -161,16 +163,19 @@ class OdometrySource(SourceAround):
         sweep = next(sweeps, None)
         waiting: deque[RawFrame] = deque()
         last_ns: int | None = None
+        degenerate = no_directions()
         world_from_start: NDArray[np.float64] | None = None
 
         def take(until_ns: int | None) -> None:
-            nonlocal sweep, last_ns
+            nonlocal sweep, last_ns, degenerate
             while sweep is not None and (until_ns is None or sweep.stamp_ns <= until_ns):
                 step = _step(known, last_ns, sweep.stamp_ns, camera_from_lidar)
                 found = told.heard(odometry.register(sweep, step), sweep)
                 if found is not None:
                     track.add(sweep.stamp_ns, _row(found.start_from_sensor))
                     last_ns = sweep.stamp_ns
+                    # How the sensors lie to each other turns a direction; that they are apart hardly matters.
+                    degenerate = turned_directions(camera_from_lidar, found.degenerate)
                 sweep = next(sweeps, None)
 
         frames = self._source.frames()
@@ -194,7 +199,7 @@ class OdometrySource(SourceAround):
                     world_from_start = compose(
                         self._world_from_first(first, scan_of_depth(first.decode())), invert(start_from_camera)
                     )
-                yield first, compose(world_from_start, start_from_camera), None
+                yield first, compose(world_from_start, start_from_camera), degenerate, None
 
     def _world_from_first(self, raw: RawFrame, scan: Scan) -> NDArray[np.float64]:
         """Return the pose of the first frame: that of the log, else one levelled by the surfaces that it sees."""
@@ -293,5 +298,12 @@ def _row(pose: NDArray[np.float64]) -> list[float]:
     return [*pose[:3, 3].tolist(), *quaternion_from_rotation(pose[:3, :3]).tolist()]
 
 
-def _placed(raw: RawFrame, decoded: Frame | None, index: int, world_from_camera: NDArray[np.float64]) -> Frame:
-    return replace(decoded or raw.decode(), index=index, world_from_camera=world_from_camera)
+def _frame_of(
+    raw: RawFrame,
+    decoded: Frame | None,
+    index: int,
+    world_from_camera: NDArray[np.float64],
+    degenerate: NDArray[np.float64],
+) -> Frame:
+    frame = decoded or raw.decode()
+    return replace(frame, index=index, world_from_camera=world_from_camera, degenerate=degenerate)

@@ -41,6 +41,7 @@ VALID: dict[type, dict[str, Any]] = {
         "depth_m": _DEPTH,
         "camera": _CAMERA,
         "world_from_camera": _POSE,
+        "degenerate": np.eye(6)[:1],
     },
     records.RawFrame: {
         "index": 0,
@@ -145,6 +146,8 @@ VALID: dict[type, dict[str, Any]] = {
         "free": _KEYS,
         "voxel_m": 0.05,
         "registered": np.eye(6),
+        "blind": np.eye(6),
+        "unfixed": np.eye(6),
     },
     records.Loop: {
         "earlier": 0,
@@ -175,6 +178,7 @@ VALID: dict[type, dict[str, Any]] = {
         "world_from_camera": _POSE,
         "observations": (),
         "space": records.SpaceObservation(free_keys=_KEYS, structure_keys=_KEYS, floor_z_m=None),
+        "degenerate": np.eye(6)[:1],
     },
     events.PoseJumped: {"stamp_ns": 1, "after_from_before": _POSE},
     events.PosesCorrected: {"stamp_ns": 1, "submap_ids": (0,), "world_from_submap": _POSE[None]},
@@ -191,6 +195,7 @@ VALID: dict[type, dict[str, Any]] = {
         "is_anchor": False,
         "spread_per_m": 0.0025,
         "fit": 0.97,
+        "degenerate": np.eye(6)[:1],
     },
     events.RequestShape: {
         "ticket": 1,
@@ -243,6 +248,9 @@ VALID: dict[type, dict[str, Any]] = {
 FREE_LENGTH = {
     (mesh.Mesh, "faces"),
     (ports.Registered, "degenerate"),
+    (records.Frame, "degenerate"),
+    (events.FrameObserved, "degenerate"),
+    (events.KeyframeRegistered, "degenerate"),
     (records.SpaceObservation, "free_keys"),
     (records.SpaceObservation, "structure_keys"),
     (records.SpaceObservation, "surface_keys"),

@@ -78,6 +78,7 @@ class KeyframePlaces:
                 is_anchor=found.is_anchor,
                 spread_per_m=spread_per_m,
                 fit=found.fit,
+                degenerate=found.degenerate,
             ),
         )
 

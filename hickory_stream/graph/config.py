@@ -23,7 +23,8 @@ class GraphConfig(Ranged):
         turn_share: of the angle, for each radian turned.
         registered_times: where every keyframe was registered to the surface of those before, the covariance that this
             gave counts so many times: what it was registered to errs alike.
-        degenerate_share: error of the place, as a share of the way along which scans did not say where it went.
+        degenerate_share: error of the place (and angle), as a share of the way (and the turn) along which scans did not
+            say where it went.
         jump_m, jump_rad: what is left open where the odometry jumped.
         gate_chi2: a loop is impossible whose squared Mahalanobis distance from what odometry predicts is above this
             (chi-squared with 6 degrees of freedom: 22.46 is 99.9 %).

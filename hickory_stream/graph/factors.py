@@ -98,7 +98,12 @@ class PoseGraph:
 
 
 def odometry_covariance(
-    way_m: float, turn_rad: float, config: GraphConfig, *, jumps: int = 0, degenerate: float = 0.0
+    way_m: float,
+    turn_rad: float,
+    config: GraphConfig,
+    *,
+    jumps: int = 0,
+    blind: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Return the (6, 6) covariance of an edge of odometry.
 
@@ -107,13 +112,18 @@ def odometry_covariance(
         turn_rad: the sum of the angles turned on it, without sign.
         config: how the errors grow.
         jumps: how often the odometry jumped on it; one leaves the edge nearly free.
-        degenerate: the share (0..1) of the way along which scans did not say where it went.
+        blind: (6, 6) the lengths of the way, along the axes of the second node, along which scans did not say where it
+            went: turns (rad) and shifts (m); None: of no length.
     """
-    variance_m = _sum_of_squares(config.floor_m, config.way_share * way_m, config.degenerate_share * degenerate * way_m)
+    variance_m = _sum_of_squares(config.floor_m, config.way_share * way_m)
     variance_rad = _sum_of_squares(config.floor_rad, config.turn_drift_per_m * way_m, config.turn_share * turn_rad)
     variance_m += config.way_noise * config.way_noise * way_m + jumps * config.jump_m * config.jump_m
     variance_rad += config.turn_noise * config.turn_noise * way_m + jumps * config.jump_rad * config.jump_rad
-    return np.diag([variance_rad] * 3 + [variance_m] * 3)
+    covariance = np.diag([variance_rad] * 3 + [variance_m] * 3)
+    if blind is None:
+        return covariance
+    error = config.degenerate_share * blind
+    return symmetric(covariance + portable.matmul(error, error.T))
 
 
 def registered_covariance(
@@ -126,11 +136,15 @@ def registered_covariance(
         after: (4, 4) the pose of the second node in the map.
         config: how much it counts.
     """
-    carry = np.zeros((6, 6))
-    carry[:3, :3] = carry[3:, 3:] = after[:3, :3].T
     floor = np.diag([config.floor_rad * config.floor_rad] * 3 + [config.floor_m * config.floor_m] * 3)
-    own = portable.matmul(portable.matmul(carry, covariance), carry.T)
-    return symmetric(floor + config.registered_times * own)
+    return floor + config.registered_times * along_axes_of(after, covariance)
+
+
+def along_axes_of(node: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a matrix (6, 6) of turns and shifts along the map's axes along those of a node with a pose (4, 4)."""
+    carry = np.zeros((6, 6))
+    carry[:3, :3] = carry[3:, 3:] = node[:3, :3].T
+    return symmetric(portable.matmul(portable.matmul(carry, matrix), carry.T))
 
 
 def tangent_covariance(

@@ -8,7 +8,14 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
-from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance, registered_covariance
+from hickory_stream.graph.factors import (
+    LoopEdge,
+    OdometryEdge,
+    PoseGraph,
+    along_axes_of,
+    odometry_covariance,
+    registered_covariance,
+)
 from hickory_stream.graph.record import record_of
 from hickory_stream.records import GraphEdge, PoseGraphRecord
 
@@ -24,6 +31,7 @@ if TYPE_CHECKING:
 
 _GRAVITY_SIGMA_RAD = 0.01
 """How well the odometry knows the vertical: visual-inertial ones do to half a degree."""
+_NO_WAY = 1e-6
 
 
 class Node(Protocol):
@@ -48,6 +56,14 @@ class Node(Protocol):
     @property
     def registered(self) -> NDArray[np.float64] | None:
         """The covariance (6, 6) of its least sure keyframe, along the map's axes; None: not all were registered."""
+
+    @property
+    def blind(self) -> NDArray[np.float64] | None:
+        """The lengths of its way (6, 6), along the map's axes, along which the odometry saw nothing."""
+
+    @property
+    def unfixed(self) -> NDArray[np.float64] | None:
+        """The same of the registration of keyframes, where all were registered."""
 
 
 def pose_graph(
@@ -86,11 +102,20 @@ def pose_graph(
 
 
 def _edge_covariance(submap: Node, after: Node, config: GraphConfig) -> NDArray[np.float64]:
-    """Return that of what odometry says of the next submap: as registration has it, where it is surer than the way."""
-    by_way = odometry_covariance(submap.way_m, submap.turn_rad, config, jumps=int(after.after_jump))
+    """Return that of what odometry says of the next submap: as registration has it, where it is surer than the way.
+
+    Along what registration did not see the odometry alone says where the next submap lies, for that share of the way.
+    """
+    anchor = _anchor(after)
+    blind = None if submap.blind is None else along_axes_of(anchor, submap.blind)
+    by_way = odometry_covariance(submap.way_m, submap.turn_rad, config, jumps=int(after.after_jump), blind=blind)
     if submap.registered is None or after.after_jump:
         return by_way
-    by_surface = registered_covariance(submap.registered, _anchor(after), config)
+    by_surface = registered_covariance(submap.registered, anchor, config)
+    if submap.unfixed is not None:
+        whole = np.maximum([submap.turn_rad] * 3 + [submap.way_m] * 3, _NO_WAY)
+        sigmas = np.sqrt(by_way.diagonal() / whole)
+        by_surface = by_surface + along_axes_of(anchor, submap.unfixed) * (sigmas[:, None] * sigmas)
     is_surer = by_surface.diagonal()[3:].sum() < by_way.diagonal()[3:].sum()
     return by_surface if is_surer else by_way
 

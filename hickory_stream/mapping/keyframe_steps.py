@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def note_registration(state: MapState, event: KeyframeRegistered) -> None:
     """Keep how sure the pose of the keyframe to come is, for the pose graph."""
-    state.submaps = with_registration(state.submaps, event.covariance if event.corrects else None)
+    state.submaps = with_registration(state.submaps, event)
 
 
 def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig) -> None:

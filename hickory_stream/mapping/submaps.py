@@ -16,15 +16,17 @@ the odometry has it any more.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.directions import turned_directions
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.geometry.voxels import contains, difference, exchanged, places, union
 from hickory_stream.mapping import observed_space
+from hickory_stream.mapping.blind_ways import longer
 from hickory_stream.mapping.observed_space import (
     SpaceState,
     Window,
@@ -46,7 +48,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.events import FrameObserved
+    from hickory_stream.events import FrameObserved, KeyframeRegistered
     from hickory_stream.mapping.submap_surface import SurfacePoints
 
 
@@ -94,6 +96,8 @@ class SubmapState:
     `way_m` and `turn_rad` are how far the camera moved and turned in it, `after_jump` whether the odometry jumped
     before it. `surface` is all surface that was seen in it. `registered` (6, 6) is the covariance of the least sure of
     its keyframes, along the axes of the odometry's frame; None where `is_loose`: one lies where the odometry has it.
+    `blind` and `unfixed` (6, 6) are the lengths of its way (`blind_ways`) along which the odometry, and the
+    registration of keyframes, saw nothing.
     """
 
     id: int
@@ -107,6 +111,8 @@ class SubmapState:
     after_jump: bool = False
     registered: NDArray[np.float64] | None = None
     is_loose: bool = False
+    blind: NDArray[np.float64] | None = None
+    unfixed: NDArray[np.float64] | None = None
     surface: SubmapSurface = field(default_factory=no_surface)
     outdated: NDArray[np.int64] | None = None
 
@@ -176,10 +182,12 @@ def first_submap(voxel_m: float) -> Submaps:
 
 def with_keyframe(submaps: Submaps, event: FrameObserved, config: SubmapConfig) -> Submaps:
     """Return the submaps after the camera has moved to a keyframe, with its surface on that of the open one."""
-    submaps = travelled(submaps, event.world_from_camera, event.stamp_ns, config)
+    pose = event.world_from_camera
+    blind = longer(submaps.states[-1].blind, turned_directions(pose, event.degenerate), submaps.last_pose, pose)
+    submaps = travelled(_with_open(submaps, blind=blind), pose, event.stamp_ns, config)
     if event.coarse is None:
         return submaps
-    return with_surface(submaps, surface_points(event.coarse, event.world_from_camera, config.surface_range_m), config)
+    return with_surface(submaps, surface_points(event.coarse, pose, config.surface_range_m), config)
 
 
 def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config: SubmapConfig) -> Submaps:
@@ -206,16 +214,18 @@ def with_surface(submaps: Submaps, seen: SurfacePoints, config: SubmapConfig) ->
     return replace(submaps, states=(*submaps.states[:-1], current))
 
 
-def with_registration(submaps: Submaps, covariance: NDArray[np.float64] | None) -> Submaps:
-    """Return the submaps after a keyframe was registered, with its covariance (6, 6); None: where odometry has it."""
+def with_registration(submaps: Submaps, event: KeyframeRegistered) -> Submaps:
+    """Return the submaps after a keyframe was registered, or has been left where odometry has it."""
     current = submaps.states[-1]
     if current.is_loose:
         return submaps
-    known, least = current.registered, covariance
-    if known is not None and least is not None and known.diagonal()[3:].sum() >= least.diagonal()[3:].sum():
-        return submaps
-    current = replace(current, registered=least, is_loose=least is None)
-    return replace(submaps, states=(*submaps.states[:-1], current))
+    if not event.corrects:
+        return _with_open(submaps, registered=None, unfixed=None, is_loose=True)
+    least = event.covariance
+    if current.registered is not None and current.registered.diagonal()[3:].sum() >= least.diagonal()[3:].sum():
+        least = current.registered
+    unfixed = longer(current.unfixed, event.degenerate, submaps.last_pose, event.map_from_camera)
+    return _with_open(submaps, registered=least, unfixed=unfixed)
 
 
 def interrupted(submaps: Submaps) -> Submaps:
@@ -397,6 +407,8 @@ def surveyed(state: SubmapState) -> SurveyedSubmap:
         turn_rad=state.turn_rad,
         after_jump=state.after_jump,
         registered=state.registered,
+        blind=state.blind,
+        unfixed=state.unfixed,
         points=surface.points[is_sure],
         normals=surface.normals[is_sure] / length[is_sure][:, None],
         free=state.space.free,
@@ -486,6 +498,11 @@ def _opened(submaps: Submaps) -> Submaps:
         outdated=None if last.outdated is None else np.empty(0, np.int64),
     )
     return replace(submaps, states=(*submaps.states, state))
+
+
+def _with_open(submaps: Submaps, **changes: Any) -> Submaps:
+    """Return the submaps with fields of the open one changed."""
+    return replace(submaps, states=(*submaps.states[:-1], replace(submaps.states[-1], **changes)))
 
 
 def _alone(submaps: Submaps, space: SpaceState, owned: SpaceState) -> Submaps:

@@ -83,6 +83,7 @@ class Perceived:
             space=self.space,
             rejected=self.rejected,
             coarse=coarse_frame(frame.depth_m, self.segmentation.structure, frame.camera),
+            degenerate=frame.degenerate,
         )
 
 

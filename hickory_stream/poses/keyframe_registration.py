@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.directions import turned_directions
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad, rotation_vector
 from hickory_stream.poses.degeneracy import Surfels, degenerate_directions
 from hickory_stream.poses.surface_alignment import (
@@ -49,6 +50,7 @@ _MOST_WIDENED = 8.0
 _TESTED_EVERY = 4
 _STRONG_COSINE, _LEAST_STRONG = 0.6, 30.0
 """Of every sixteenth cell, at least so many must face a direction: a hundredth of a wall that fills the image."""
+_EVERY_DIRECTION = np.eye(6)
 
 Placing = Literal["first", "fits", "new ground", "begun anew"]
 """How the pose of a keyframe was found: it fits the surface; or there is none to compare it with."""
@@ -75,7 +77,8 @@ class Placed:
     """Where a keyframe is mapped: `map_from_camera` (4, 4), and what is believed from then on.
 
     `fit` is the share of the points to compare that lie on the surface, None where there are too few. Later keyframes
-    may be registered to an anchor.
+    may be registered to an anchor. Along the unit directions `degenerate` (K, 6), of the map's axes, rotation first,
+    the surface said nothing.
     """
 
     how: Placing
@@ -83,6 +86,7 @@ class Placed:
     belief: Belief
     fit: float | None
     is_anchor: bool
+    degenerate: NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -142,7 +146,8 @@ class KeyframeRegistration:
         if reason is None and fit is None:
             return self._accepted("new ground", image, expected, None)
         if reason is None:
-            return self._accepted("fits", image, self._registered(found, prior, expected, image), fit)
+            unknown = _degenerate_in_map(image, prior.map_from_camera)
+            return self._accepted("fits", image, self._registered(found, prior, expected, unknown), fit, unknown)
         self._num_kept_out += 1
         if not self._has_jumped and self._num_kept_out < self._config.lost_keyframes:
             self._widened = min(2.0 * self._widened, _MOST_WIDENED)
@@ -236,11 +241,10 @@ class KeyframeRegistration:
         limits = np.array([*3 * [np.radians(self._config.found_deg)], *3 * [self._config.found_m]])
         return bool((variances <= limits * limits).all())
 
-    def _registered(self, found: Aligned, prior: PosePrior, expected: Belief, image: SurfaceImage) -> Belief:
-        """Return what is believed after a keyframe that fits."""
+    def _registered(self, found: Aligned, prior: PosePrior, expected: Belief, unknown: NDArray[np.float64]) -> Belief:
+        """Return what is believed after a keyframe that fits; its surface says nothing along `unknown` (K, 6)."""
         config, belief = self._config, self._belief
         assert belief is not None
-        unknown = _degenerate_in_map(image, prior.map_from_camera)
         off, information = _without(unknown, found.off), _information_without(unknown, found.information)
         covariance = inverse(prior.information + information)
         num_against = 0
@@ -260,8 +264,15 @@ class KeyframeRegistration:
             odometry_from_camera=expected.odometry_from_camera,
         )
 
-    def _accepted(self, how: Placing, image: SurfaceImage, belief: Belief, fit: float | None) -> Placed:
-        """Return a keyframe's place, and remember its surface."""
+    def _accepted(
+        self,
+        how: Placing,
+        image: SurfaceImage,
+        belief: Belief,
+        fit: float | None,
+        degenerate: NDArray[np.float64] = _EVERY_DIRECTION,
+    ) -> Placed:
+        """Return a keyframe's place, and remember its surface; nothing to compare it with says nothing at all."""
         config = self._config
         # Without a correction the pose is the odometry's to the last bit.
         is_identity = np.array_equal(belief.map_from_odometry, np.eye(4))
@@ -279,7 +290,14 @@ class KeyframeRegistration:
         self._num_placed += 1
         self._belief = belief
         self._widened, self._has_jumped, self._num_kept_out = 1.0, False, 0
-        return Placed(how=how, map_from_camera=map_from_camera, belief=belief, fit=fit, is_anchor=is_anchor)
+        return Placed(
+            how=how,
+            map_from_camera=map_from_camera,
+            belief=belief,
+            fit=fit,
+            is_anchor=is_anchor,
+            degenerate=degenerate,
+        )
 
 
 def _fresh(odometry_from_camera: NDArray[np.float64]) -> Belief:
@@ -312,8 +330,7 @@ def _degenerate_in_map(image: SurfaceImage, map_from_camera: NDArray[np.float64]
     has = ~np.isnan(image.sigma_m[sampled])
     surfels = Surfels(points=image.points[sampled][has], normals=image.normals[sampled][has], weight=1.0)
     open_ones = degenerate_directions(surfels, strong_cosine=_STRONG_COSINE, least_strong=_LEAST_STRONG)
-    parts = open_ones.reshape(-1, 2, 3)
-    return portable.matmul(parts, map_from_camera[:3, :3].T).reshape(-1, 6)
+    return turned_directions(map_from_camera, open_ones)
 
 
 def _without(directions: NDArray[np.float64], off: NDArray[np.float64]) -> NDArray[np.float64]:

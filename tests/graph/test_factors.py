@@ -25,10 +25,13 @@ def test_the_covariance_of_a_way_hardly_depends_on_where_submaps_end() -> None:
     assert whole[3, 3] == pytest.approx(2 * half[3, 3], rel=0.1)
 
 
-def test_degenerate_odometry_is_wider_and_a_jump_nearly_free() -> None:
+def test_odometry_is_wider_along_what_scans_left_open_alone_and_a_jump_nearly_free() -> None:
     plain = odometry_covariance(5.0, 0.2, CONFIG)
-    degenerate = odometry_covariance(5.0, 0.2, CONFIG, degenerate=1.0)
-    assert np.sqrt(degenerate[3, 3]) == pytest.approx(np.sqrt(plain[3, 3] + (CONFIG.degenerate_share * 5.0) ** 2))
+    along = np.array([0.0, 0.0, 0.0, 0.6, 0.8, 0.0])
+    wider = odometry_covariance(5.0, 0.2, CONFIG, blind=5.0 * np.outer(along, along)) - plain
+    assert along @ wider @ along == pytest.approx((CONFIG.degenerate_share * 5.0) ** 2)
+    across = np.array([0.0, 0.0, 0.0, -0.8, 0.6, 0.0])
+    assert np.abs(wider @ across).max() == pytest.approx(0.0, abs=1e-12)
     jumped = odometry_covariance(5.0, 0.2, CONFIG, jumps=1)
     assert np.sqrt(jumped[3, 3]) > 29
     assert np.sqrt(jumped[2, 2]) > 2.9

@@ -109,6 +109,31 @@ def test_the_edge_of_a_registered_submap_is_as_sure_as_its_least_sure_keyframe_a
     assert pose_graph(torn, [], STAMPS, CONFIG).odometry[0].covariance[3, 3] > 100
 
 
+def test_along_what_registration_did_not_see_an_edge_is_as_wide_as_odometry_alone_for_that_share_of_the_way() -> None:
+    covariance = np.eye(6) * 1e-6
+    sure = [replace(WALK[0], registered=covariance), *WALK[1:]]
+    half = np.zeros((6, 6))
+    half[3, 3] = 0.5 * WALK[0].way_m  # along the map's x, for half of the way
+    open_x = [replace(sure[0], unfixed=half), *WALK[1:]]
+    narrow, wide, by_way = (pose_graph(each, [], STAMPS, CONFIG).odometry[0] for each in (sure, open_x, WALK))
+    along = np.concatenate([np.zeros(3), WALK[1].anchor[:3, :3].T[:, 0]])
+    across = np.concatenate([np.zeros(3), WALK[1].anchor[:3, :3].T[:, 1]])
+    added = wide.covariance - narrow.covariance
+    assert along @ added @ along == pytest.approx(0.5 * by_way.covariance[3, 3])
+    assert across @ added @ across == pytest.approx(0.0, abs=1e-12)
+
+
+def test_along_what_the_odometry_did_not_see_an_edge_is_wider_unless_a_registration_saw_it() -> None:
+    blind = np.zeros((6, 6))
+    blind[4, 4] = 4.0  # along the map's y, for four of five metres
+    unseen = [replace(WALK[0], blind=blind), *WALK[1:]]
+    plain, wide = (pose_graph(each, [], STAMPS, CONFIG).odometry[0].covariance for each in (WALK, unseen))
+    along = np.concatenate([np.zeros(3), WALK[1].anchor[:3, :3].T[:, 1]])
+    assert along @ (wide - plain) @ along == pytest.approx((CONFIG.degenerate_share * 4.0) ** 2)
+    seen = [replace(unseen[0], registered=np.eye(6) * 1e-6), *WALK[1:]]
+    assert (pose_graph(seen, [], STAMPS, CONFIG).odometry[0].covariance.diagonal() < plain.diagonal()).all()
+
+
 def test_a_submap_without_a_keyframe_is_no_node() -> None:
     with pytest.raises(ValueError, match="anchor"):
         pose_graph([WALK[0], replace(WALK[1], anchor=np.eye(3))], [], STAMPS, CONFIG)

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.map_codec import encode_snapshot
 from hickory_stream.engine.record_codec import decode, encode
-from hickory_stream.events import FrameObserved, PoseJumped, PosesCorrected, Publish, RequestShape, SourceEnded
+from hickory_stream.events import (
+    FrameObserved,
+    KeyframeRegistered,
+    PoseJumped,
+    PosesCorrected,
+    Publish,
+    RequestShape,
+    SourceEnded,
+)
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points
@@ -31,6 +39,7 @@ from hickory_stream.mapping.submaps import (
     record_of,
     torn,
     travelled,
+    with_keyframe,
     with_registration,
     with_room,
     with_seen,
@@ -55,6 +64,7 @@ CONFIG = MappingConfig(
 )
 A, B, C = (box_surface((x, 0, 0.1)) for x in (0.0, 1.5, 3.0))
 JUMP = from_rotation_translation(np.eye(3), np.array([0.3, 0.0, 0.0]))
+ALONG_X = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
 MOVE = from_rotation_translation(yaw_rotation(0.4), np.array([1.0, -2.0, 0.1]))
 
 
@@ -348,12 +358,46 @@ def test_a_floor_that_turns_out_to_be_a_table_is_none_in_the_submaps_before_eith
     assert [state.space.floor_z_m for state in two.states] == [-0.5, -0.5]
 
 
+def registered(covariance: NDArray[np.float64], x_m: float, *, corrects: bool = True) -> KeyframeRegistered:
+    """A keyframe at (x_m, -2, 0.5), whose surface says nothing along the map's x."""
+    pose = at(0, x_m).world_from_camera
+    return KeyframeRegistered(
+        frame_index=0,
+        stamp_ns=0,
+        how="fits",
+        odometry_from_camera=pose,
+        map_from_camera=pose,
+        map_from_odometry=np.eye(4),
+        covariance=covariance,
+        corrects=corrects,
+        num_against=0,
+        is_anchor=True,
+        spread_per_m=0.0025,
+        fit=0.9,
+        degenerate=ALONG_X,
+    )
+
+
 def test_a_submap_keeps_the_covariance_of_its_least_sure_keyframe_unless_one_lies_where_odometry_has_it() -> None:
     narrow, wide = np.diag([1e-6] * 3 + [1e-4] * 3), np.diag([1e-6] * 3 + [1e-2] * 3)
     submaps = first_submap(0.05)
     for covariance in (narrow, wide, narrow):
-        submaps = with_registration(submaps, covariance)
+        submaps = with_registration(submaps, registered(covariance, 0.0))
     assert submaps.states[0].registered is not None
     assert np.array_equal(submaps.states[0].registered, wide)
-    loose = with_registration(with_registration(submaps, None), narrow)
+    loose = with_registration(submaps, registered(narrow, 0.0, corrects=False))
+    loose = with_registration(loose, registered(narrow, 0.0))
     assert loose.states[0].registered is None
+
+
+def test_a_submap_adds_up_the_way_along_which_registration_and_odometry_saw_nothing() -> None:
+    submaps = first_submap(0.05)
+    for i in range(5):
+        seen = replace(at(i, 0.25 * i), degenerate=ALONG_X if i < 3 else ALONG_X[:0])
+        submaps = with_keyframe(with_registration(submaps, registered(np.eye(6), 0.25 * i)), seen, SubmapConfig())
+    (submap,) = submaps.states
+    assert submap.unfixed is not None
+    assert submap.blind is not None
+    assert np.allclose(submap.unfixed, np.diag([0.0, 0, 0, 1.0, 0, 0]))
+    assert np.allclose(submap.blind, np.diag([0.0, 0, 0, 0.5, 0, 0]))
+    assert decode(encode(submap)).blind.tobytes() == submap.blind.tobytes()

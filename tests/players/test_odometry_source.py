@@ -17,7 +17,9 @@ from hickory_stream.cli import main
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.evaluation.trajectory_error import trajectory_error
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
+from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.ports import SourceAround
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from hickory_stream.worlds.corridor import CorridorConfig, scan_from
@@ -118,7 +120,9 @@ def test_a_frame_that_cannot_be_registered_is_left_out_counted_and_said(caplog: 
     assert caplog.text.count("goes on at") == 1
 
 
-def swept_log(folder: Path, *, lidar_frame: str = "lidar", with_odometry: bool = False) -> Path:
+def swept_log(
+    folder: Path, *, lidar_frame: str = "lidar", with_odometry: bool = False, hall: CorridorConfig = HALL
+) -> Path:
     """A log with a LiDAR that sees a bare hall, while the camera sees its own scene: only the motion is one."""
     m, frames = scenes.Messages(2), scenes.make_scene(num_frames=NUM_SWEPT)
     messages = scenes.scene_messages(m, frames, scenes.raw_images, with_odometry=with_odometry)
@@ -133,9 +137,9 @@ def swept_log(folder: Path, *, lidar_frame: str = "lidar", with_odometry: bool =
     for frame in frames:
         # Between the images: poses have to be interpolated.
         stamp_ns = frame.stamp_ns - 30_000_000
-        hall_from_world = from_rotation_translation(np.eye(3), np.array([4.0, 0.0, -0.3]))
+        hall_from_world = from_rotation_translation(np.eye(3), np.array([0.5 * hall.length_m - 0.5, 0.0, -0.3]))
         world_from_lidar = scenes.pose_at(stamp_ns) @ invert(scenes.BODY_FROM_CAMERA) @ BODY_FROM_LIDAR
-        points = scan_from(hall_from_world @ world_from_lidar, HALL, rng)
+        points = scan_from(hall_from_world @ world_from_lidar, hall, rng)
         message = m.make(
             "sensor_msgs/msg/PointCloud2", header=m.header(stamp_ns, lidar_frame), height=1, width=len(points),
             fields=fields, is_bigendian=False, point_step=12, row_step=12 * len(points),
@@ -164,6 +168,17 @@ def test_where_both_exist_the_pose_topic_predicts_how_the_lidar_moved(tmp_path: 
     true = np.array([scenes.pose_at(stamp_ns) for stamp_ns in stamps_ns])
     np.testing.assert_allclose(poses[0], true[0], atol=1e-6)
     np.testing.assert_allclose(poses[-1][:3, 3], true[-1][:3, 3], atol=0.02)
+
+
+def test_a_frame_says_along_what_the_scans_did_not_tell_where_it_is(tmp_path: Path) -> None:
+    endless = replace(HALL, length_m=60.0, width_m=3.0, range_m=10.0)
+    source = open_source(swept_log(tmp_path, with_odometry=True, hall=endless), SourceOptions(odometry="lidar"))
+    last = list(source.frames())[-1].decode()
+    (direction,) = last.degenerate[np.abs(last.degenerate[:, 3:]).max(axis=1) > 0]
+    assert abs((last.world_from_camera[:3, :3] @ direction[3:])[0]) > 0.99
+    segmenter = InstanceSegmenter({last.stamp_ns: np.zeros(last.depth_m.shape, np.int32)})
+    seen = perceive(last, None, None, segmenter, PerceptionConfig(), lattice=Lattice())
+    assert np.array_equal(seen.event(last).degenerate, last.degenerate)
 
 
 def test_a_lidar_that_nothing_connects_to_the_camera_is_no_way_to_its_poses(tmp_path: Path) -> None:

@@ -103,6 +103,9 @@ def test_along_a_bare_wall_only_the_odometry_moves_a_keyframe() -> None:
     assert last.map_from_camera[0, 3] == pytest.approx(odometry[-1][0, 3], abs=0.01)
     sigma_m = np.sqrt(np.diag(last.belief.covariance)[3:])
     assert sigma_m[0] > 3 * sigma_m[1]
+    shifts = last.degenerate[np.abs(last.degenerate[:, 3:]).max(axis=1) > 0, 3:]
+    assert np.abs(shifts @ [1.0, 0.0, 0.0]).max() > 0.95
+    assert np.abs(shifts @ [0.0, 1.0, 0.0]).max() < 0.3
 
 
 def test_new_ground_is_mapped_where_the_odometry_has_it_and_is_less_sure() -> None:
