@@ -28,6 +28,8 @@ _BEFORE, _AFTER, _LOOP, _REFUSED, _NODE = (
 _WIDTH, _NODE_PX = -1.5, -4.0
 # Lines have no dashes in Rerun: a loop that is not believed is drawn as so many pieces with gaps.
 _DASHES = 12
+_MOST_SCORES = 6
+"""More loops than that show their scores where one points at them: their labels would hide the objects."""
 _STATUSES: tuple[EdgeStatus, ...] = ("accepted", "rejected", "withdrawn")
 
 
@@ -89,7 +91,8 @@ def _loops(graph: PoseGraphRecord, status: EdgeStatus) -> rr.LineStrips3D:
             strips += pieces
             labels += [_label(loop), *[""] * (len(pieces) - 1)]
     color = _LOOP if status == "accepted" else _REFUSED
-    return rr.LineStrips3D(strips, colors=color, radii=_WIDTH, labels=labels, show_labels=status == "accepted")
+    is_told = status == "accepted" and len(labels) <= _MOST_SCORES
+    return rr.LineStrips3D(strips, colors=color, radii=_WIDTH, labels=labels, show_labels=is_told)
 
 
 def _dashes(ends: NDArray[np.float64]) -> list[NDArray[np.float64]]:

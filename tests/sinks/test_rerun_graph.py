@@ -53,6 +53,15 @@ def test_loops_that_are_believed_have_their_scores_and_others_their_reasons_too(
     assert len(refused) == 12 * len(rejected)
 
 
+def test_few_loops_show_their_scores_and_many_only_where_one_points_at_them(tmp_path) -> None:
+    report = keyframe(tmp_path)
+    one = next(loop for loop in RECORD.loops if loop.status == "accepted")
+    for count, is_shown in ((1, True), (12, False)):
+        graph = replace(RECORD, edges=(one,) * count)
+        strips = archetypes(GraphLines().items(with_graph(report, graph=graph)), f"{GRAPH}/loops/accepted")
+        assert strips.show_labels.as_arrow_array().to_pylist() == [is_shown]
+
+
 def test_the_way_before_is_that_of_odometry_and_the_way_after_as_the_submaps_moved(tmp_path) -> None:
     shift = np.eye(4)
     shift[0, 3] = 2.0

@@ -36,6 +36,7 @@ _HELPERS = {
     "foreign_runs",
     "furnished_maps",
     "intervals",
+    "kept",
     "keyframe_memory",
     "labelled_clouds",
     "layer2_objects",

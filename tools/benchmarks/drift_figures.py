@@ -7,12 +7,11 @@ pose graph) is on. Each map is kept under `--state` by the code that it was made
 from __future__ import annotations
 
 import asyncio
-import json
 import tempfile
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,15 +25,14 @@ from hickory_stream.evaluation.trajectory_error import trajectory_error
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.rigid import compose
-from hickory_stream.json_text import dumps
 from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.trajectory import Trajectory
 from tools.benchmarks.drift_logs import FACTORS, Poses, drift_of, drifting_walks
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.first_layer import keyframes_of
-from tools.benchmarks.foreign_parts import map_code_hash
 from tools.benchmarks.intervals import bootstrap
+from tools.benchmarks.kept import kept, state_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -69,10 +67,10 @@ class Mapped:
 
 def drift_figures(options: Options) -> list[Figure]:
     """Return how much of a drift is taken out, and what maps lose by the rest, the worst of all walks."""
-    folder = options.state / f"drift-{map_code_hash()[:12]}"
+    folder = state_folder(options.state, "drift")
     walks = drifting_walks(options)
-    exact = {walk.name: kept(folder, walk, 0.0) for walk in walks}
-    runs = {(walk.name, factor): kept(folder, walk, factor) for walk in walks for factor in FACTORS}
+    exact = {walk.name: _kept(folder, walk, 0.0) for walk in walks}
+    runs = {(walk.name, factor): _kept(folder, walk, factor) for walk in walks for factor in FACTORS}
     for (name, factor), run in runs.items():
         found, of = sum(run.found_50), len(run.found_50)
         print(
@@ -140,18 +138,14 @@ def registration_figures(log: Path) -> list[Figure]:
     ]
 
 
-def kept(folder: Path, walk: DriftingWalk, factor: float) -> Mapped:
+def _kept(folder: Path, walk: DriftingWalk, factor: float) -> Mapped:
     """Return what a run makes of a walk with an odometry, measured only if it is not kept yet."""
-    file = folder / f"{walk.name}-{walk.log.key}-{factor:g}.json"
-    if file.is_file():
-        return Mapped(**json.loads(file.read_text(encoding="utf-8")))
-    print(f"{walk.name}, drift {factor:g}: minutes", flush=True)
-    found = mapped(walk, factor, read_config(MapperConfig, None, _CONFIG))
-    file.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(".unfinished")
-    unfinished.write_text(dumps(asdict(found)) + "\n", encoding="utf-8")
-    unfinished.replace(file)
-    return found
+
+    def measured() -> dict[str, Any]:
+        print(f"{walk.name}, drift {factor:g}: minutes", flush=True)
+        return asdict(mapped(walk, factor, read_config(MapperConfig, None, _CONFIG)))
+
+    return Mapped(**kept(folder / f"{walk.name}-{walk.log.key}-{factor:g}.json", measured))
 
 
 def mapped(walk: DriftingWalk, factor: float, config: MapperConfig) -> Mapped:

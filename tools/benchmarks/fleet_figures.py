@@ -7,11 +7,13 @@ long as the three together.
 
 from __future__ import annotations
 
+import shutil
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,9 +34,10 @@ from hickory_stream.worlds.recording import RecordingConfig, drawn_frame
 from players import SourceOptions, open_source
 from tools.benchmarks.coarse_runs import COARSE
 from tools.benchmarks.figures import Figure, Options
+from tools.benchmarks.kept import kept, state_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -87,31 +90,42 @@ class _Counts:
     joined: int = 0
     undecidable: int = 0
 
+    def add(self, other: Mapping[str, int]) -> None:
+        """Add what was counted of one more fleet."""
+        for name, count in other.items():
+            setattr(self, name, getattr(self, name) + count)
+
 
 def fleet_figures(options: Options) -> list[Figure]:
-    """Return the figures of fleets; a quick run has one room, and no apartment."""
+    """Return the figures of fleets; a quick run has one room, and no apartment.
+
+    What each fleet gave is kept under `--state`, with the maps of its robots; a later call goes on.
+    """
     counts = _Counts()
     first = 300 + 100 * options.seed
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        rooms = {}
-        for seed in range(first, first + (_QUICK_ROOMS if options.quick else _ROOMS)):
-            fleet = _recorded(replace(_ROOM, seed=seed))
-            rooms[seed] = fleet
-            result = _run(fleet, folder / str(seed), is_coarse=True)
-            _count(fleet, result, counts)
-        mixed = _strangers(rooms, folder, counts)
-        losses = [] if options.quick else [_apartment(seed, folder, counts) for seed in _APARTMENTS]
-    told = f"{len(rooms)} rooms with two robots, and {mixed} strangers among them"
+    folder = state_folder(options.state, "fleet")
+    seeds = range(first, first + (_QUICK_ROOMS if options.quick else _ROOMS))
+    for seed in seeds:
+        _tell(counts, kept(folder / f"room-{seed}.json", partial(_room, seed, folder)))
+    mixed = 0
+    for seed in seeds[:-1]:
+        _tell(counts, kept(folder / f"mixed-{seed}.json", partial(_stranger, seed, folder)))
+        mixed += 1
+    losses = []
+    for seed in () if options.quick else _APARTMENTS:
+        found = kept(folder / f"apartment-{seed}.json", partial(_apartment, seed, folder))
+        losses.append((found["loss_25"], found["loss_50"]))
+        _tell(counts, found["counts"])
+    told = f"{len(seeds)} rooms with two robots, and {mixed} strangers among them"
     told += f", {len(losses)} apartments with three" if losses else ""
-    found = [
+    figures = [
         Figure(
             name="fleet_wrong_joins", value=float(counts.wrong), unit="", better="lower",
             of=f"of {counts.joins} joins, those while the maps grew and those of the finished maps; {told}",
         )
     ]  # fmt: skip
     if counts.robots:
-        found.append(
+        figures.append(
             Figure(
                 name="fleet_joined", value=counts.joined / counts.robots, unit="", better="higher",
                 of=f"{counts.robots} robots",
@@ -121,8 +135,13 @@ def fleet_figures(options: Options) -> list[Figure]:
     for name, place, iou in (("fleet_recall_25_loss", 0, 0.25), ("fleet_recall_loss", 1, 0.5)) if losses else ():
         value = float(np.mean([loss[place] for loss in losses]))
         of = f"mean of {len(losses)} apartments, IoU {iou}; one robot walks as long as three"
-        found.append(Figure(name=name, value=value, unit="", better="lower", of=of))
-    return found
+        figures.append(Figure(name=name, value=value, unit="", better="lower", of=of))
+    return figures
+
+
+def _tell(counts: _Counts, found: Mapping[str, int]) -> None:
+    counts.add(found)
+    print(f"{counts.joined} of {counts.robots} robots joined, {counts.wrong} of {counts.joins} joins wrong", flush=True)
 
 
 def _recorded(config: RecordingConfig) -> _Fleet:
@@ -139,6 +158,7 @@ def _recorded(config: RecordingConfig) -> _Fleet:
 
 def _run(fleet: _Fleet, out: Path, *, is_coarse: bool) -> FleetResult:
     print(f"fleet {fleet.logs[0].stem}", flush=True)
+    shutil.rmtree(out, ignore_errors=True)  # of a call that was stopped
     plan = FleetPlan(
         robots=tuple(
             Robot(name=name, uris=(str(log),), options=SourceOptions())
@@ -157,7 +177,14 @@ def _settings(*, is_coarse: bool) -> Settings:
     return read_config(Settings, None, (*COARSE, "mapper.run.workers=1") if is_coarse else ())
 
 
-def _count(fleet: _Fleet, result: FleetResult, counts: _Counts) -> None:
+def _room(seed: int, folder: Path) -> dict[str, int]:
+    """Return what was counted of two robots in a room; their maps stay in the folder, named by the seed."""
+    fleet = _recorded(replace(_ROOM, seed=seed))
+    return asdict(_counted(fleet, _run(fleet, folder / str(seed), is_coarse=True)))
+
+
+def _counted(fleet: _Fleet, result: FleetResult) -> _Counts:
+    counts = _Counts()
     for event in result.events:
         if event.kind == "joined":
             counts.joins += 1
@@ -176,42 +203,38 @@ def _count(fleet: _Fleet, result: FleetResult, counts: _Counts) -> None:
             counts.joined += any(frame[other] == frame[name] for other in others)
         else:
             counts.undecidable += 1
+    return counts
 
 
-def _strangers(rooms: dict[int, _Fleet], folder: Path, counts: _Counts) -> int:
-    """Join the finished maps of each room with one of the next; return how many such fleets there were."""
-    mixed = 0
-    for seed in rooms:
-        if seed + 1 not in rooms:
-            continue
-        maps = {f"robot-{i}": folder / str(seed) / f"robot-{i}.map" for i in (1, 2)}
-        maps["stranger"] = folder / str(seed + 1) / "robot-1.map"
-        out = folder / f"{seed}-mixed"
-        out.mkdir()
-        found: Finished = finish(maps, out, overwrite=False)
-        frame = next(frame for frame in found.frames if "stranger" in frame.names)
-        counts.joins += len(frame.names) - 1
-        counts.wrong += len(frame.names) - 1
-        mixed += 1
-    return mixed
+def _stranger(seed: int, folder: Path) -> dict[str, int]:
+    """Return who was joined, always wrongly, with a robot of the next room: the finished maps of both are there."""
+    maps = {f"robot-{i}": folder / str(seed) / f"robot-{i}.map" for i in (1, 2)}
+    maps["stranger"] = folder / str(seed + 1) / "robot-1.map"
+    with tempfile.TemporaryDirectory() as out:
+        found: Finished = finish(maps, Path(out), overwrite=False)
+    frame = next(frame for frame in found.frames if "stranger" in frame.names)
+    return {"joins": len(frame.names) - 1, "wrong": len(frame.names) - 1}
 
 
-def _apartment(seed: int, folder: Path, counts: _Counts) -> tuple[float, float]:
+def _apartment(seed: int, folder: Path) -> dict[str, Any]:
     """Return how much less of an apartment the merged map of three has than that of one, at IoU 0.25 and 0.5."""
     fleet = _recorded(replace(_APARTMENT, seed=seed))
     result = _run(fleet, folder / f"flat-{seed}", is_coarse=False)
-    _count(fleet, result, counts)
     alone = replace(_APARTMENT, seed=seed, robots=0, seconds=_APARTMENT_S * len(fleet.names))
     log, truth = cached_recording(alone)
     _play(log, folder / f"alone-{seed}")
     seen = np.max([[item.seen_fraction for item in one.objects] for one in fleet.truths], axis=0)
     same = _restricted(truth, [min(a, item.seen_fraction) for a, item in zip(seen, truth.objects, strict=True)])
     one = score_map(*_with_meshes(folder / f"alone-{seed}"), same)
+    found = {"counts": asdict(_counted(fleet, result)), "loss_25": one.recall_25, "loss_50": one.recall_50}
     if not result.merged:
-        return one.recall_25, one.recall_50
+        return found
     frame_from_world = fleet.robot_from_world[fleet.names.index(result.merged[0].names[0])]
     merged = score_map(*_with_meshes(result.merged[0].path), moved_truth(same, frame_from_world))
-    return one.recall_25 - merged.recall_25, one.recall_50 - merged.recall_50
+    return found | {
+        "loss_25": one.recall_25 - merged.recall_25,
+        "loss_50": one.recall_50 - merged.recall_50,
+    }
 
 
 def _restricted(truth: Truth, seen: Sequence[float]) -> Truth:
@@ -226,6 +249,7 @@ def _with_meshes(folder: Path) -> tuple[MapSnapshot, dict[int, Mesh]]:
 
 
 def _play(log: Path, out: Path) -> None:
+    shutil.rmtree(out, ignore_errors=True)
     source = open_source(log)
     try:
         play(

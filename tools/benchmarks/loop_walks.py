@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import tempfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,6 +30,7 @@ from hickory_stream.worlds.trajectory import Trajectory
 from tools.benchmarks.drift_logs import drift_of
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.intervals import wilson
+from tools.benchmarks.kept import kept, state_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -67,11 +68,15 @@ class Closed:
 
 
 def walk_figures(options: Options, num_walks: int) -> list[Figure]:
-    """Return how many loops of whole logs are wrong, and in how many walks that come back one is found."""
+    """Return how many loops of whole logs are wrong, and in how many walks that come back one is found.
+
+    What a walk gave is kept under `--state`; a later call goes on.
+    """
+    folder = state_folder(options.state, "walks")
     walks = [_walk(options.seed, i) for i in range(num_walks)]
     found = []
     for i, walk in enumerate(walks):
-        found.append(played(walk))
+        found.append(Closed(**kept(folder / f"{options.seed}-{i}.json", lambda walk=walk: asdict(played(walk)))))
         back = "comes back" if walk.returns else "goes on"
         print(f"walk {i}, {back}: {found[-1]}", flush=True)
     wrong, believed = sum(each.wrong for each in found), sum(each.wrong + each.right for each in found)
