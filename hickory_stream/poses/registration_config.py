@@ -50,7 +50,7 @@ class RegistrationConfig(Ranged):
     jump_m: float = number(0.05, 0, 10, "m")
     jump_deg: float = number(2.0, 0, 180, "deg")
     contradiction_sigmas: float = number(2.0, 0, 1000, "sigmas")
-    contradictions: int = number(3, 1, 1000, "keyframes")
+    contradictions: int = number(4, 1, 1000, "keyframes")
     bound_sigmas: float = number(6.0, 1, 1000, "sigmas")
     max_depth_sigma_m: float = number(0.1, 0.001, 10, "m")
     surface_noise_m: float = number(0.005, 0.0001, 1, "m")
