@@ -49,7 +49,7 @@ class RegistrationConfig(Ranged):
     tilt_deg: float = number(0.5, 0.01, 180, "deg")
     jump_m: float = number(0.05, 0, 10, "m")
     jump_deg: float = number(2.0, 0, 180, "deg")
-    contradiction_sigmas: float = number(2.0, 0, 1000, "sigmas")
+    contradiction_sigmas: float = number(2.5, 0, 1000, "sigmas")
     contradictions: int = number(4, 1, 1000, "keyframes")
     bound_sigmas: float = number(6.0, 1, 1000, "sigmas")
     max_depth_sigma_m: float = number(0.1, 0.001, 10, "m")
