@@ -103,7 +103,7 @@ def fleet_figures(options: Options) -> list[Figure]:
     """
     counts = _Counts()
     first = 300 + 100 * options.seed
-    folder = state_folder(options.state, "fleet")
+    folder = state_folder(options.state, "fleet", "hickory_stream/fleet", "hickory_stream/merging")
     seeds = range(first, first + (_QUICK_ROOMS if options.quick else _ROOMS))
     for seed in seeds:
         _tell(counts, kept(folder / f"room-{seed}.json", partial(_room, seed, folder)))

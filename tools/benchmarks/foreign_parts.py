@@ -46,7 +46,19 @@ _CODE = (
     ),
     *(
         f"hickory_stream/{name}"
-        for name in ("engine", "evaluation", "geometry", "mapping", "perception", "shapes", "worlds")
+        for name in (
+            "alignment",
+            "engine",
+            "evaluation",
+            "geometry",
+            "graph",
+            "loops",
+            "mapping",
+            "perception",
+            "poses",
+            "shapes",
+            "worlds",
+        )
     ),
     *(
         f"tools/benchmarks/{name}.py"
@@ -135,6 +147,6 @@ class Store:
         return self._folder / f"{part.name.replace(':', '-')}-{key}.json"
 
 
-def map_code_hash() -> str:
-    """Return the sha256 of all that a map and its figures depend on, weights among it."""
-    return hash_of_files(_CODE, _KINDS)
+def map_code_hash(*more: str) -> str:
+    """Return the sha256 of all that a map and its figures depend on, weights among it, and of more files or folders."""
+    return hash_of_files((*_CODE, *more), _KINDS)

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def state_folder(state: Path, name: str) -> Path:
-    """Return the folder of what is kept under a name by this code: other code measures anew."""
-    return state / f"{name}-{map_code_hash()[:12]}"
+def state_folder(state: Path, name: str, *code: str) -> Path:
+    """Return the folder of what is kept by the code of maps, and by more of it: other code measures anew."""
+    return state / f"{name}-{map_code_hash(*code)[:12]}"
 
 
 def kept(file: Path, measured: Callable[[], dict[str, Any]]) -> dict[str, Any]:
