@@ -33,6 +33,7 @@ class Chance:
     """The background model of the test: the numbers of objects, and the volume that they occupy.
 
     A tilted transform, of up to `max_tilt_rad`, has `tilt_price` times the expected false alarms of a level one.
+    `grouped` is the probability that things stand in groups in both places (`grouping.py`).
     """
 
     num_a: int
@@ -40,6 +41,7 @@ class Chance:
     volume_m3: float
     max_tilt_rad: float
     tilt_price: float = 1.0
+    grouped: float = 0.0
 
 
 def log_expected_sets(

@@ -16,10 +16,11 @@ from hickory_stream.alignment.affinity import (
 )
 from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
+from hickory_stream.alignment.grouping import grouped_probability
 from hickory_stream.alignment.hypothesis import Evidence, matched
 from hickory_stream.alignment.hypothesis import judged as judged_as
 from hickory_stream.alignment.judgement import (
-    Judged,
+    Findings,
     centroid_information,
     confronted,
     rival_of,
@@ -79,16 +80,17 @@ def align(
         return refusal
     evidence, scores = evidence_of(map_a, map_b, config, shape_scores)
     judged = confronted(map_a, map_b, evidence, hypotheses_of(evidence, config), config)
-    refusal = why_refused(map_a, judged, evidence, scores.notes, config)
+    findings = Findings(map_a=map_a, evidence=evidence, judged=judged, notes=scores.notes)
+    refusal = why_refused(findings, config)
     if refusal is not None:
         return refusal
-    uncertain = why_uncertain(map_a, judged, evidence, scores.notes, config)
+    uncertain = why_uncertain(findings, config)
     if uncertain is not None and judged[0].log10_chance > _SURE * config.acceptance.max_log10_chance:
         return uncertain
     placed = _placed(map_a, map_b, evidence, judged[0].hypothesis, config)
     if uncertain is not None and not placed.is_certain(config):
         return uncertain
-    return _answered(map_a, map_b, scores, evidence, judged, placed, config)
+    return _answered(map_b, scores, findings, placed, config)
 
 
 def evidence_of(
@@ -137,21 +139,17 @@ def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: Al
             volume_m3=float(volume_m3),
             max_tilt_rad=float(np.radians(config.acceptance.max_tilt_deg)),
             tilt_price=10.0**config.acceptance.tilt_price,
+            grouped=grouped_probability((map_a.centroids, map_b.centroids)),
         ),
         looks=tuple(score for score in (scores.semantic, scores.geometric) if score is not None),
     )
 
 
 def _answered(
-    map_a: ObjectMap,
-    map_b: ObjectMap,
-    scores: PairScores,
-    evidence: Evidence,
-    judged: tuple[Judged, ...],
-    placed: _Placed,
-    config: AlignConfig,
+    map_b: ObjectMap, scores: PairScores, findings: Findings, placed: _Placed, config: AlignConfig
 ) -> Alignment:
     best, settled = placed.best, placed.settled
+    map_a, judged = findings.map_a, findings.judged
     points = map_a.centroids[best.pairs[:, 0]]
     center_a = points.mean(axis=0)
     common_m = config.refinement.common_m, config.refinement.common_up_m
@@ -169,7 +167,7 @@ def _answered(
         is_level=settled.is_level,
         is_refined=placed.is_refined,
         notes=scores.notes,
-        rivals=tuple(rival_of(map_a, one, evidence, config) for one in judged[1 : 1 + len(judged[0].margins)]),
+        rivals=tuple(rival_of(findings, one, config) for one in judged[1 : 1 + len(judged[0].margins)]),
     )
 
 

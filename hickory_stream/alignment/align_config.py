@@ -39,7 +39,7 @@ class AcceptanceConfig(Ranged):
         num_insignificant: ... and maximum number of insignificant ones among them.
     """
 
-    max_log10_chance: float = number(-2.5, -1000, 1000, "log10")
+    max_log10_chance: float = number(-2.0, -1000, 1000, "log10")
     min_margin: float = number(2.0, 0, 1000, "log10")
     min_pairs: int = number(4, 1, 1_000_000, "pairs")
     min_spread_m: float = number(0.3, 0, 1000, "m")

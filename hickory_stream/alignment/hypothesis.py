@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from hickory_stream.alignment.acceptance import log_expected_sets
+from hickory_stream.alignment.grouping import log_prices
 from hickory_stream.alignment.registration import registered
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply
@@ -28,7 +29,7 @@ class Hypothesis:
 
     `a_from_b` (4, 4); `pairs` (K, 2) are indices into the maps, most certain first, with `log_ranks` and `residuals_m`
     (K,); `log10_chance` is log10 of the expected number of false alarms: sets of pairs between two unrelated maps that
-    are as good as the best `num_proving` of these pairs.
+    are as good as the best `num_proving` of these pairs. `log10_uniform` is the same where nothing stands in groups.
     """
 
     a_from_b: NDArray[np.float64]
@@ -36,6 +37,7 @@ class Hypothesis:
     log_ranks: NDArray[np.float64]
     residuals_m: NDArray[np.float64]
     log10_chance: float
+    log10_uniform: float
     num_proving: int
     is_level: bool
 
@@ -120,13 +122,15 @@ def judged(
     order = np.lexsort((pairs[:, 0], squares / (2 * evidence.sigma_m**2) + ranks))
     pairs, squares, ranks, points_a = pairs[order], squares[order], ranks[order], points_a[order]
     logs = log_expected_sets(evidence.chance, ranks, np.cumsum(squares), _running_scatters(points_a), is_level=is_level)
-    best = int(np.argmin(logs))
+    grouped = logs + log_prices(points_a, ranks, evidence.chance.grouped, evidence.chance.volume_m3)
+    best = int(np.argmin(grouped))
     return Hypothesis(
         a_from_b=a_from_b,
         pairs=pairs,
         log_ranks=ranks,
         residuals_m=np.sqrt(squares),
-        log10_chance=float(logs[best] / np.log(10.0)),
+        log10_chance=float(grouped[best] / np.log(10.0)),
+        log10_uniform=float(logs.min() / np.log(10.0)),
         num_proving=best + 1,
         is_level=is_level,
     )

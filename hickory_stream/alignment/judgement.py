@@ -15,6 +15,7 @@ from hickory_stream.alignment.registration import information
 from hickory_stream.alignment.rivalry import alike, separation
 from hickory_stream.alignment.search import NOTABLE, distinct, searched
 from hickory_stream.alignment.tilt import levelled
+from hickory_stream.alignment.unrepeated import unrepeated_hypotheses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,20 +25,45 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
 
 # Mirrored hypotheses are not tried if the evidence, in decades, is this multiple of the required one.
-_SURE = 4.0
+_SURE = 5.0
+# What mirrors the second axis.
+_MIRROR = np.array([1.0, -1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Findings:
+    """What is known of two maps when it is decided: the hypotheses, best first, and what they rest on."""
+
+    map_a: ObjectMap
+    evidence: Evidence
+    judged: tuple[Judged, ...]
+    notes: tuple[str, ...]
+
+    def refusal(self, kind: Refusal, reason: str, rivals: tuple[Rival, ...] = ()) -> NoAlignment:
+        """Return the refusal of all of them."""
+        return NoAlignment(
+            refusal=kind,
+            reason=reason,
+            hypotheses=tuple(one.hypothesis for one in self.judged),
+            contradictions=self.judged[0].contradictions if self.judged else Contradictions(),
+            notes=self.notes,
+            rivals=rivals,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Judged:
     """A hypothesis, the evidence against it, and log10 of its expected number of false alarms with that included.
 
-    `margins` are the differences in significance, in decades, to each of the others in their order; `margin` is the
-    least of them, or its own significance if no other hypothesis is significant.
+    `log10_uniform` is the same where nothing stands in groups: by it a hypothesis is a rival of others. `margins` are
+    the differences in significance, in decades, to each of the others in their order; `margin` is the least of them, or
+    its own significance if no other hypothesis is significant.
     """
 
     hypothesis: Hypothesis
     contradictions: Contradictions
     log10_chance: float
+    log10_uniform: float
     margins: tuple[float, ...] = ()
 
     @property
@@ -54,37 +80,56 @@ def confronted(
     The best is the one that is separated from all others or, if there is none, the one of fewest expected false alarms.
     """
     judged = []
-    if sum(one.log10_chance <= NOTABLE for one in found) > 1:
-        found = with_look_alikes(evidence, found, config)
-    for hypothesis in found:
+    for hypothesis in _among_look_alikes(evidence, found, config):
         against = Contradictions()
-        if hypothesis.log10_chance <= NOTABLE:
+        if hypothesis.log10_uniform <= NOTABLE:
             against = contradictions(map_a, map_b, hypothesis.a_from_b, config.contradiction)
         price = config.contradiction.price * against.num_missing
         judged.append(
-            Judged(hypothesis=hypothesis, contradictions=against, log10_chance=hypothesis.log10_chance + price)
+            Judged(
+                hypothesis=hypothesis,
+                contradictions=against,
+                log10_chance=hypothesis.log10_chance + price,
+                log10_uniform=hypothesis.log10_uniform + price,
+            )
         )
     return _compared(evidence, sorted(judged, key=lambda one: one.log10_chance))
 
 
-def with_look_alikes(evidence: Evidence, found: list[Hypothesis], config: AlignConfig) -> list[Hypothesis]:
-    """Return the hypotheses grown again by pairs that are as similar as those of the best one, regardless of rank.
+def _among_look_alikes(evidence: Evidence, found: list[Hypothesis], config: AlignConfig) -> list[Hypothesis]:
+    """Return the hypotheses, grown again by all that look alike if there are rivals or most pairs do.
+
+    Those of what is not repeated are added.
+    """
+    if not found or found[0].log10_uniform > NOTABLE:
+        return found
+    is_alike = alike(evidence, found[0])
+    is_sure = found[0].log10_uniform <= config.acceptance.max_log10_chance
+    are_most = is_sure and bool(is_alike.mean() > config.affinity.candidate_share)
+    if not are_most and sum(one.log10_uniform <= NOTABLE for one in found) < 2:
+        return found
+    wider = _with_all_alike(evidence, is_alike)
+    grew = [grown(wider, one.pairs, is_level=one.is_level) or one for one in found]
+    return distinct([*grew, *unrepeated_hypotheses(wider, is_alike)], evidence, config)
+
+
+def _with_all_alike(evidence: Evidence, is_alike: NDArray[np.bool_]) -> Evidence:
+    """Return the evidence in which all pairs (N, M) that look alike may be matched, regardless of rank.
 
     If many objects look the same, ranks among them are noise, and each hypothesis would contain a random few of these
     pairs.
     """
-    is_plausible = alike(evidence, found[0])
+    is_plausible = is_alike.copy()
     is_plausible[evidence.plausible[:, 0], evidence.plausible[:, 1]] = True
-    wider = replace(evidence, plausible=np.argwhere(is_plausible))
-    grew = [grown(wider, one.pairs, is_level=one.is_level) or one for one in found]
-    return distinct(grew, evidence, config)
+    return replace(evidence, plausible=np.argwhere(is_plausible))
 
 
 def _compared(evidence: Evidence, judged: list[Judged]) -> tuple[Judged, ...]:
     """Return the hypotheses, each with its margins to the significant others after it in the result."""
-    notable = [one for one in judged if one.log10_chance <= NOTABLE]
+    notable = [one for one in judged if one.log10_uniform <= NOTABLE]
     if len(notable) < 2:
         return tuple(judged)
+    others_left = [one for one in judged if one.log10_uniform > NOTABLE]
     margins = np.zeros((len(notable), len(notable)))
     for i, j in combinations(range(len(notable)), 2):
         others = [one.hypothesis for k, one in enumerate(notable) if k not in (i, j)]
@@ -96,22 +141,12 @@ def _compared(evidence: Evidence, judged: list[Judged]) -> tuple[Judged, ...]:
     best = int(np.argmax(worst)) if worst.max() > 0 else 0
     order = [best, *(i for i in range(len(notable)) if i != best)]
     ranked = [replace(notable[i], margins=tuple(float(margins[i, j]) for j in order if j != i)) for i in order]
-    return (*ranked, *judged[len(notable) :])
+    return (*ranked, *others_left)
 
 
-def why_refused(
-    map_a: ObjectMap,
-    judged: tuple[Judged, ...],
-    evidence: Evidence,
-    notes: tuple[str, ...],
-    config: AlignConfig,
-) -> NoAlignment | None:
+def why_refused(findings: Findings, config: AlignConfig) -> NoAlignment | None:
     """Return why the best hypothesis is not believed; None if it is."""
-    acceptance = config.acceptance
-
-    def refusal(kind: Refusal, reason: str, rivals: tuple[Rival, ...] = ()) -> NoAlignment:
-        return _refusal(judged, notes, kind, reason, rivals)
-
+    acceptance, judged, refusal = config.acceptance, findings.judged, findings.refusal
     most = len(judged[0].hypothesis.pairs) if judged else 0
     if most < acceptance.min_pairs:
         reason = f"at most {most} pairs of objects agree, {acceptance.min_pairs} are needed"
@@ -131,7 +166,7 @@ def why_refused(
             f"of pairs as good; at most 10^{limit:.1f} are allowed"
         )
         return refusal(Refusal.CHANCE, reason)
-    if _is_mirrored(best, evidence, config):
+    if _is_mirrored(findings, config):
         reason = f"the mirror image of one map fits the other better than its {len(best.pairs)} pairs do"
         return refusal(Refusal.MIRRORED, reason)
     if judged[0].margin < acceptance.min_margin:
@@ -139,44 +174,24 @@ def why_refused(
             f"a different alignment cannot be told from it: what separates the two is worth {judged[0].margin:.1f} "
             f"decades, {acceptance.min_margin:.1f} are needed"
         )
-        return refusal(
-            Refusal.RIVAL, reason, tuple(rival_of(map_a, one, evidence, config) for one in open_ones(judged, config))
-        )
+        rivals = tuple(rival_of(findings, one, config) for one in open_ones(judged, config))
+        return refusal(Refusal.RIVAL, reason, rivals)
     return None
 
 
-def why_uncertain(
-    map_a: ObjectMap,
-    judged: tuple[Judged, ...],
-    evidence: Evidence,
-    notes: tuple[str, ...],
-    config: AlignConfig,
-) -> NoAlignment | None:
+def why_uncertain(findings: Findings, config: AlignConfig) -> NoAlignment | None:
     """Return why the places of the matched objects leave the rotation open; None if they do not."""
-    acceptance, best = config.acceptance, judged[0].hypothesis
-    points = map_a.centroids[best.pairs[:, 0]]
+    acceptance, best = config.acceptance, findings.judged[0].hypothesis
+    points = findings.map_a.centroids[best.pairs[:, 0]]
     spread_m = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(points[:, :2].T))[0], 0.0)))
     if spread_m < acceptance.min_spread_m:
         reason = f"the {len(points)} pairs stand in a line: {spread_m:.2f} m across, {acceptance.min_spread_m} m needed"
-        return _refusal(judged, notes, Refusal.COLLINEAR, reason)
-    turn_deg = np.degrees(np.sqrt(np.trace(centroid_covariance(points, evidence, best, config)[:3, :3])))
+        return findings.refusal(Refusal.COLLINEAR, reason)
+    turn_deg = np.degrees(np.sqrt(np.trace(centroid_covariance(points, findings.evidence, best, config)[:3, :3])))
     if turn_deg > acceptance.max_turn_deg:
         reason = f"the {len(points)} pairs leave the rotation uncertain by {turn_deg:.1f} degrees"
-        return _refusal(judged, notes, Refusal.UNCERTAIN, reason)
+        return findings.refusal(Refusal.UNCERTAIN, reason)
     return None
-
-
-def _refusal(
-    judged: tuple[Judged, ...], notes: tuple[str, ...], kind: Refusal, reason: str, rivals: tuple[Rival, ...] = ()
-) -> NoAlignment:
-    return NoAlignment(
-        refusal=kind,
-        reason=reason,
-        hypotheses=tuple(one.hypothesis for one in judged),
-        contradictions=judged[0].contradictions if judged else Contradictions(),
-        notes=notes,
-        rivals=rivals,
-    )
 
 
 def open_ones(judged: tuple[Judged, ...], config: AlignConfig) -> tuple[Judged, ...]:
@@ -188,12 +203,12 @@ def open_ones(judged: tuple[Judged, ...], config: AlignConfig) -> tuple[Judged, 
     return (best, *others)
 
 
-def rival_of(map_a: ObjectMap, one: Judged, evidence: Evidence, config: AlignConfig) -> Rival:
+def rival_of(findings: Findings, one: Judged, config: AlignConfig) -> Rival:
     """Return a hypothesis as a `Rival`: its transform, and the covariance of that if it is the right one."""
-    points = map_a.centroids[one.hypothesis.pairs[:, 0]]
+    points = findings.map_a.centroids[one.hypothesis.pairs[:, 0]]
     return Rival(
         a_from_b=one.hypothesis.a_from_b,
-        covariance=centroid_covariance(points, evidence, one.hypothesis, config),
+        covariance=centroid_covariance(points, findings.evidence, one.hypothesis, config),
         center_a=points.mean(axis=0),
         num_pairs=len(points),
         log10_chance=one.log10_chance,
@@ -201,16 +216,23 @@ def rival_of(map_a: ObjectMap, one: Judged, evidence: Evidence, config: AlignCon
     )
 
 
-def _is_mirrored(best: Hypothesis, evidence: Evidence, config: AlignConfig) -> bool:
+def _is_mirrored(findings: Findings, config: AlignConfig) -> bool:
     """Return whether the mirror image of map b fits better, as it may if the matched objects lie in one plane.
 
-    It is not tried if the pairs are too many to lie in one plane by chance.
+    It is not tried if the pairs are too many to lie in one plane by chance. Where a place repeats itself its mirror
+    image does so, too, and fits as well as any wrong transform does: then it counts as a rival.
     """
-    if best.log10_chance < _SURE * config.acceptance.max_log10_chance:
+    evidence, best = findings.evidence, findings.judged[0].hypothesis
+    if best.log10_uniform < _SURE * config.acceptance.max_log10_chance:
         return False
-    mirrored = replace(evidence, centroids_b=evidence.centroids_b * (1.0, -1.0, 1.0))
+    mirrored = replace(evidence, centroids_b=evidence.centroids_b * _MIRROR[:3])
     found = searched(mirrored, config, is_level=best.is_level)
-    return bool(found) and found[0].log10_chance < best.log10_chance
+    if not found or found[0].log10_uniform >= best.log10_uniform:
+        return False
+    image = replace(found[0], a_from_b=found[0].a_from_b * _MIRROR)
+    others = [one.hypothesis for one in findings.judged[1:] if one.log10_uniform <= NOTABLE]
+    nothing = Contradictions()
+    return separation(evidence, (best, nothing), (image, nothing), others) < config.acceptance.min_margin
 
 
 def centroid_covariance(

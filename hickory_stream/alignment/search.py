@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.align_config import AlignConfig
 
 # Further searches are skipped if the evidence exceeds the required one by this many decades.
-_CLEAR = 3.0
+_CLEAR = 4.0
 # log10 of expected false alarms from which on hypotheses occur in unrelated maps, and are not counted as rivals.
 NOTABLE = -1.0
 
@@ -42,7 +42,7 @@ def searched(evidence: Evidence, config: AlignConfig, *, is_level: bool) -> list
     for _ in range(config.acceptance.num_rivals):
         if len(found) > 1 and _is_clear(found, config):
             break
-        if sum(one.log10_chance > NOTABLE for one in found) >= config.acceptance.num_insignificant:
+        if sum(one.log10_uniform > NOTABLE for one in found) >= config.acceptance.num_insignificant:
             break
         clique = densest_clique(affinity, alive, config.consensus)
         if len(clique) < 3:
@@ -64,18 +64,18 @@ def _better(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> 
     level = grown(evidence, pairs, is_level=True) if is_level else None
     if level is None or tilted is None:
         return level or tilted
-    return tilted if tilted.log10_chance < level.log10_chance else level
+    return tilted if tilted.log10_uniform < level.log10_uniform else level
 
 
 def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
     """Return whether no further rival is possible: the next clique has less weight than an insignificant one."""
-    best, second = found[0].log10_chance, found[1].log10_chance
+    best, second = found[0].log10_uniform, found[1].log10_uniform
     return best < _CLEAR * config.acceptance.max_log10_chance and second > NOTABLE
 
 
 def _shows_gravity(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> bool:
     """Return whether the pairs confirm that the maps are level: there are many, distributed in all directions."""
-    if not best.is_level or best.log10_chance > _CLEAR * config.acceptance.max_log10_chance:
+    if not best.is_level or best.log10_uniform > _CLEAR * config.acceptance.max_log10_chance:
         return False
     points = evidence.centroids_a[best.pairs[:, 0]]
     total = information(points, np.full(len(points), evidence.sigma_m), points.mean(axis=0))
@@ -94,7 +94,7 @@ def distinct(found: list[Hypothesis], evidence: Evidence, config: AlignConfig) -
     """Return the hypotheses that differ from every better one."""
     acceptance = config.acceptance
     kept: list[Hypothesis] = []
-    for hypothesis in sorted(found, key=lambda h: h.log10_chance):
+    for hypothesis in sorted(found, key=lambda h: h.log10_uniform):
         center_b = evidence.centroids_b[hypothesis.pairs[:, 1]].mean(axis=0)
         if all(
             differs(

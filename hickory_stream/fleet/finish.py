@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.merging.groups import Group
+    from hickory_stream.merging.joining import JoiningConfig
 
     Answers = Mapping[tuple[int, int], Alignment | NoAlignment]
 
@@ -77,10 +78,12 @@ def finish(
     tell: Callable[[str], None] = lambda text: None,
     choose: Callable[[Sequence[ObjectMap]], Iterable[tuple[int, int]]] = all_pairs,
     name: str = FLEET,
+    joining: JoiningConfig | None = None,
 ) -> Finished:
     """Align and merge the maps of a fleet's robots, in the order of `folders`; `tell` is told what is being done.
 
-    `choose` says which two maps are aligned, (a, b) with a < b; `name` is that of the merged map.
+    `choose` says which two maps are aligned, (a, b) with a < b, and `joining` how surely; `name` is that of the merged
+    map.
 
     Raises:
         MapFolderError: a merged map cannot be written.
@@ -91,7 +94,7 @@ def finish(
     answers = {}
     for a, b in choose(objects):
         tell(f"aligning {names[a]} and {names[b]}")
-        answers[a, b] = aligned_to_join(objects[a], objects[b])
+        answers[a, b] = aligned_to_join(objects[a], objects[b], joining)
     groups = groups_of([saved.snapshot for saved in maps.values()], answers)
     joined = sorted((group for group in groups if len(group.members) > 1), key=lambda group: -len(group.members))
     merged = tuple(

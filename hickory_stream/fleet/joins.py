@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.answer import NoAlignment
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.fleet.growth import Round
+    from hickory_stream.merging.joining import JoiningConfig
 
 # What may lie between two answers that say the same, as where a log is found in a map.
 _AGREE_M, _AGREE_RAD = 0.3, np.radians(3.0)
@@ -73,9 +74,10 @@ class Joint:
 
 
 class Joins:
-    """Remembers the answers about each two robots, and who was joined."""
+    """Remembers the answers about each two robots, and who was joined; `joining` says how surely they are."""
 
-    def __init__(self) -> None:
+    def __init__(self, joining: JoiningConfig | None = None) -> None:
+        self._joining = joining
         self._answers: dict[tuple[str, str], Alignment | NoAlignment] = {}
         self._confirmed: dict[tuple[str, str], Alignment] = {}
         self._joined: dict[tuple[str, str], Alignment] = {}
@@ -94,7 +96,7 @@ class Joins:
 
     def _align(self, pair: tuple[str, str]) -> None:
         before = self._answers.get(pair)
-        answer = aligned_to_join(self._maps[pair[0]], self._maps[pair[1]])
+        answer = aligned_to_join(self._maps[pair[0]], self._maps[pair[1]], self._joining)
         self._answers[pair] = answer
         if isinstance(answer, Alignment) and isinstance(before, Alignment) and _agree(answer, before):
             self._confirmed[pair] = answer

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.config import from_dict
 from hickory_stream.errors import ConfigError
+from hickory_stream.merging.joining import JoiningConfig
 from hickory_stream.ranges import Ranged, number
 from players import SourceOptions, note_of
 from players.live.routes import is_live
@@ -52,12 +53,14 @@ class FleetConfig(Ranged):
         processes: robots that are mapped at the same time; 0: as many as there are processors.
         for_s: live robots are mapped for so long; 0: until they end or the run is stopped.
         patience_s: a live robot is given up when nothing of it can be mapped for so long.
+        joining: how two maps are aligned, and how surely they are joined.
     """
 
     every_keyframes: int = number(10, 1, 1_000_000, "keyframes")
     processes: int = number(0, 0, 1024, "processes")
     for_s: float = number(0.0, 0, 1e9, "s")
     patience_s: float = number(60.0, 0, 1e9, "s")
+    joining: JoiningConfig = field(default_factory=JoiningConfig)
 
 
 def read_fleet(path: Path) -> tuple[tuple[Robot, ...], FleetConfig]:
@@ -76,8 +79,8 @@ def read_fleet(path: Path) -> tuple[tuple[Robot, ...], FleetConfig]:
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ConfigError(f"{path}: found robot = {entries!r:.40}, expected a table [[robot]] for each robot")
     try:
-        if unknown := sorted(set(data) - {field.name for field in fields(FleetConfig)}):
-            known = ", ".join(sorted(field.name for field in fields(FleetConfig)))
+        if unknown := sorted(set(data) - {one.name for one in fields(FleetConfig)}):
+            known = ", ".join(sorted(one.name for one in fields(FleetConfig)))
             raise ConfigError(f"unknown key {unknown[0]}; known keys: {known}, and a table [[robot]] for each robot")
         config = from_dict(FleetConfig, data)
         robots = tuple(_robot_of(entry, i, path.parent) for i, entry in enumerate(entries, start=1))

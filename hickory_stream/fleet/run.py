@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from hickory_stream.fleet.joins import Frame, JoinEvent, Joint
     from hickory_stream.fleet.messages import Message
     from hickory_stream.fleet.robots import FleetConfig, Robot
+    from hickory_stream.merging.joining import JoiningConfig
     from hickory_stream.records import MapSnapshot
     from hickory_stream.sinks.disk_sink import DiskSinkConfig
 
@@ -97,11 +98,17 @@ def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
     processes = plan.config.processes or _processors()
     # Sums that are split differently differ in their last bits.
     with threadpool_limits(limits=1, user_api="blas"), _recording(plan, watcher) as recording:
-        run = _Run(rounds, recording, watcher)
+        run = _Run(rounds, recording, watcher, plan.config.joining)
         ended = run_crew([_task(plan, robot) for robot in plan.robots], processes, run.hear)
         ended = {name: ended[name] for name in names}
         usable = {name: folders[name] for name in names if ended[name].is_finished or ended[name].was_stopped}
-        finished = finish(usable, plan.out, overwrite=plan.overwrite or plan.resumes, tell=watcher.said)
+        finished = finish(
+            usable,
+            plan.out,
+            overwrite=plan.overwrite or plan.resumes,
+            tell=watcher.said,
+            joining=plan.config.joining,
+        )
         if not finished.maps and not any(one.was_stopped for one in ended.values()):
             raise InputError(
                 "no robot gave a map: " + "; ".join(f"{name}: {one.reason}" for name, one in ended.items())
@@ -113,11 +120,11 @@ def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
 class _Run:
     """What is known of a fleet while its robots are mapped."""
 
-    def __init__(self, rounds: Rounds, recording: FleetRecording, watcher: Watcher) -> None:
+    def __init__(self, rounds: Rounds, recording: FleetRecording, watcher: Watcher, joining: JoiningConfig) -> None:
         self._rounds = rounds
         self._recording = recording
         self._watcher = watcher
-        self._joins = Joins()
+        self._joins = Joins(joining)
         self._last: Round | None = None
         self.keyframes: dict[str, int] = {}
         self.events: list[JoinEvent] = []

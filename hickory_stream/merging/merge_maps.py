@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.merging.clusters import Pairing, Place, clusters_of
-from hickory_stream.merging.joining import MAX_LOG10_CHANCE, aligned_to_join
+from hickory_stream.merging.joining import JoiningConfig, aligned_to_join
 from hickory_stream.merging.layout import largest_layout
 from hickory_stream.merging.objects import MergedObject, placed, united
 from hickory_stream.ranges import Ranged, number
@@ -33,15 +32,13 @@ class MergeMapsConfig(Ranged):
     """How maps are merged.
 
     Attributes:
-        align: how two of them are aligned.
-        max_log10_chance: maximum log10 of the expected number of false alarms of an alignment that joins two maps.
+        joining: how two of them are aligned, and how surely.
         same_share: objects of two maps that share this much of their surface are one, though no alignment paired them.
         changed_share: a shape is made anew where other maps add more than this share of new surface.
         max_views: views that a merged object keeps.
     """
 
-    align: AlignConfig = field(default_factory=AlignConfig)
-    max_log10_chance: float = number(MAX_LOG10_CHANCE, -1000, 1000, "log10")
+    joining: JoiningConfig = field(default_factory=JoiningConfig)
     same_share: float = number(0.6, 0, 1, "share")
     changed_share: float = number(0.15, 0, 1, "share")
     max_views: int = number(8, 1, 64, "views")
@@ -84,7 +81,7 @@ def merge_maps(
     answers: dict[tuple[int, int], Alignment | NoAlignment] = {}
     for a, b in combinations(range(len(maps)), 2):
         progress(a, b)
-        answers[a, b] = aligned_to_join(maps[a], maps[b], config.align, config.max_log10_chance)
+        answers[a, b] = aligned_to_join(maps[a], maps[b], config.joining)
     return merge_aligned(snapshots, answers, config)
 
 

@@ -60,6 +60,12 @@ def test_what_is_repeated_is_no_evidence_however_much_of_it_there_is(
     assert sum(isinstance(answer, Alignment) for answer, _ in told) == 0
 
 
+def test_a_repeated_grid_is_decided_by_the_few_things_that_are_not_repeated() -> None:
+    told = answered(AmbiguousConfig(kind="repeated", breaking=3, difficulty="hard"), range(2_000_003, 2_000_010, 2))
+    assert sum(is_right for _, is_right in told) >= 3
+    assert not any(isinstance(answer, Alignment) and not is_right for answer, is_right in told)
+
+
 def test_one_room_in_common_is_found_among_different_ones() -> None:
     told = answered(AmbiguousConfig(kind="different-rooms", num_objects=10, num_rooms=3), range(6))
     assert all(is_right for _, is_right in told)

@@ -22,7 +22,8 @@ def file(folder: Path, text: str) -> Path:
 
 
 def test_robots_are_read_in_their_order_with_paths_beside_the_file(tmp_path: Path) -> None:
-    text = 'every_keyframes = 7\n[[robot]]\nname = "b"\nlog = ["b.bag", "b_vio.bag"]\nprofile = "kimera_multi"\n'
+    text = "every_keyframes = 7\n[joining]\nmax_log10_chance = -9\n"
+    text += '[[robot]]\nname = "b"\nlog = ["b.bag", "b_vio.bag"]\nprofile = "kimera_multi"\n'
     text += '[[robot]]\nname = "a"\nlog = "zenoh://a.local"\npose_file = "a.tum"\n'
     (b, a), config = read_fleet(file(tmp_path, text))
     assert (b.name, b.uris) == ("b", (str(tmp_path / "b.bag"), str(tmp_path / "b_vio.bag")))
@@ -30,6 +31,7 @@ def test_robots_are_read_in_their_order_with_paths_beside_the_file(tmp_path: Pat
     assert (a.name, a.uris, a.is_live) == ("a", ("zenoh://a.local",), True)
     assert a.options.pose_file == tmp_path / "a.tum"
     assert (config.every_keyframes, config.processes) == (7, 0)
+    assert config.joining.max_log10_chance == -9
 
 
 @pytest.mark.parametrize(

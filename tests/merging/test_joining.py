@@ -7,7 +7,7 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
 from hickory_stream.alignment.object_map import taken
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
-from hickory_stream.merging.joining import MAX_LOG10_CHANCE, aligned_to_join
+from hickory_stream.merging.joining import JoiningConfig, aligned_to_join
 
 pytestmark = pytest.mark.timeout(150)
 
@@ -16,11 +16,12 @@ def test_maps_are_joined_only_where_chance_hardly_gives_as_many_pairs() -> None:
     pair = simulate_pair(SimulationConfig(difficulty="easy"), 3)
     answer = align(pair.map_a, pair.map_b)
     assert isinstance(answer, Alignment)
-    assert answer.log10_chance < MAX_LOG10_CHANCE
+    assert answer.log10_chance < JoiningConfig().max_log10_chance
     joined = aligned_to_join(pair.map_a, pair.map_b)
     assert isinstance(joined, Alignment)
     assert joined.a_from_b.tobytes() == answer.a_from_b.tobytes()
-    too_weak = aligned_to_join(pair.map_a, pair.map_b, max_log10_chance=answer.log10_chance - 0.1)
+    surer = JoiningConfig(max_log10_chance=answer.log10_chance - 0.1)
+    too_weak = aligned_to_join(pair.map_a, pair.map_b, surer)
     assert isinstance(too_weak, NoAlignment)
     assert too_weak.refusal is Refusal.CHANCE
     assert f"{len(answer.pairs)} pairs agree, and 10^{answer.log10_chance:.1f}" in too_weak.reason

@@ -35,6 +35,7 @@ _HELPERS = {
     "foreign_parts",
     "foreign_runs",
     "furnished_maps",
+    "furniture_groups",
     "intervals",
     "kept",
     "keyframe_memory",
