@@ -17,11 +17,13 @@ if TYPE_CHECKING:
 
 _STYLE = """
 table { background: var(--card); border: 1px solid var(--line); width: 100%; }
-th, td { padding: .3rem .8rem; text-align: left; border-bottom: 1px solid var(--line); } td.n { text-align: right; }
+th, td { padding: .3rem .8rem; text-align: left; border-bottom: 1px solid var(--line); }
+td.n, th.n { text-align: right; }
 tr.bad td:first-child { border-left: 5px solid var(--bad); }
 tr.good td:first-child { border-left: 5px solid var(--good); }
 """
 _HEAD = ("log", "state", "objects", "keyframes", "wall s", "processor s", "MB", "digest", "made by")
+_NUMBERS = range(2, 7)
 _DIGITS = 12
 
 
@@ -91,9 +93,8 @@ def _html_row(row: Row) -> str:
 
 
 def _cells_html(cells: Sequence[str], kind: str = "td") -> str:
-    numbers = range(2, 7) if kind == "td" else ()
     return "".join(
-        f"<{kind}{' class=n' if i in numbers else ''}>{html.escape(cell)}</{kind}>" for i, cell in enumerate(cells)
+        f"<{kind}{' class=n' if i in _NUMBERS else ''}>{html.escape(cell)}</{kind}>" for i, cell in enumerate(cells)
     )
 
 
@@ -106,7 +107,7 @@ def _overlaps_html(joined: Joined) -> str:
         "</tr>"
         for one in joined.overlaps
     )
-    head = "<tr><th>map</th><th>map</th><th>objects that agree</th><th></th></tr>"
+    head = "<tr><th>map</th><th>map</th><th class=n>objects that agree</th><th></th></tr>"
     return f"<h2>Overlaps</h2>{lines}<table>{head}{rows}</table>"
 
 
