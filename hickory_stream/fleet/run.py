@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from hickory_stream.engine.manifest import is_map_folder
 from hickory_stream.errors import InputError
 from hickory_stream.fleet.crew import run_crew
-from hickory_stream.fleet.finish import finish, merged_path
+from hickory_stream.fleet.finish import finish, merged_path, why_alone
 from hickory_stream.fleet.growth import GrownMap, Rounds
 from hickory_stream.fleet.joins import Joins
 from hickory_stream.fleet.messages import Ended, Moved, Opened
@@ -166,8 +166,15 @@ class _Run:
         snapshots = {name: grown.snapshot for name, grown in self._last.maps.items()}
         snapshots |= {name: saved.snapshot for name, saved in finished.maps.items()}
         shown = [_shown(name, snapshot, finished.frames, None) for name, snapshot in snapshots.items()]
-        texts = [f"the finished maps of {', '.join(merged.names)} are merged" for merged in finished.merged]
-        self._recording.show(self._last.keyframe + 1, shown, texts or ["no two of the finished maps are joined"])
+        self._recording.show(self._last.keyframe + 1, shown, end_texts(finished))
+
+
+def end_texts(finished: Finished) -> list[str]:
+    """Return a line for each map that was merged, and for each robot that is in nobody's frame, and why."""
+    texts = [f"the finished maps of {', '.join(merged.names)} are merged" for merged in finished.merged]
+    alone = [frame.names[0] for frame in finished.frames if len(frame.names) == 1]
+    texts = texts or ["no two of the finished maps are joined"]
+    return texts + [f"{name} is in no other robot's frame: {why_alone(name, finished.answers)}" for name in alone]
 
 
 def event_text(event: JoinEvent) -> str:

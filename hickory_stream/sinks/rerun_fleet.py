@@ -150,6 +150,9 @@ class FleetRecording:
             )
             for place, name in enumerate(self._names)
         ]
+        # How many frames there are stays until robots are joined: no slope from one round to the next.
+        steps = rr.SeriesLines(names="frames", interpolation_mode=rr.components.InterpolationMode.StepAfter)
+        lines.append(LogItem(path=FRAMES, archetypes=(steps,), span=Span.STATIC))
         return [LogItem(path="world", archetypes=(rr.ViewCoordinates.RIGHT_HAND_Z_UP,), span=Span.STATIC), *lines]
 
     def _robot_items(

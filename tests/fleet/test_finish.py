@@ -14,6 +14,7 @@ from hickory_stream.engine.saved_map import open_map
 from hickory_stream.fleet.finish import Finished, finish
 from hickory_stream.fleet.messages import Ended
 from hickory_stream.fleet.result import result_of
+from hickory_stream.fleet.run import end_texts
 from hickory_stream.geometry.rigid import invert
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.merging.test_merge_maps import save
@@ -98,6 +99,13 @@ def test_who_is_alone_is_told_with_the_reason_and_an_altered_map_joins_nothing(
     ]
     assert len(lines) == 1 + len(names) + 3  # of three robots that are joined each has two others
     assert "no other robot's frame: a: too-few" in reasons[0]
+
+
+def test_the_recording_ends_with_who_was_merged_and_why_who_is_alone(finished: Finished) -> None:
+    merged, other, alone = end_texts(finished)
+    assert merged == "the finished maps of a, b, c are merged"
+    assert other == "the finished maps of x, y are merged"
+    assert alone.startswith("alone is in no other robot's frame: a: ")
 
 
 def test_clocks_that_do_not_overlap_are_named(folder: Path, finished: Finished) -> None:

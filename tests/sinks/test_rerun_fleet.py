@@ -76,6 +76,7 @@ def test_paths_grow_and_labels_say_who_is_alone(columns: dict[str, dict[str, lis
     assert columns["/world/b/robot"]["Points3D:labels"] == [["b, alone"], ["b"]]
     assert columns["/fleet/joins"]["TextLog:text"] == [["a and b are joined"]]
     assert columns["/plots/frames"]["Scalars:scalars"] == [[2.0], [1.0]]
+    assert columns["/plots/frames"]["SeriesLines:interpolation_mode"] == [[2]], "a step, no slope"
 
 
 def test_it_opens_with_the_end_and_with_all_there_was(recording: Path) -> None:
