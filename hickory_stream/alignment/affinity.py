@@ -136,7 +136,8 @@ def _log_ranks(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     logs = np.full(scores.shape, -1.0)  # The mean of the logarithm of a uniform number.
     is_known = np.isfinite(scores)
     known = scores[is_known]
-    order = np.argsort(known, kind="stable")
+    # Not a stable sort, which takes three times as long: equal scores have the same rank in any order.
+    order = np.argsort(known)
     ascending = known[order]
     # Slightly below the score: scores that differ by rounding only are ties. In order, a search is near the last one.
     at_least = np.empty(len(known))

@@ -66,9 +66,12 @@ def separation(
     is_alike = alike(evidence, one[0])
     explained = [_explained(evidence, hypothesis, is_alike) for hypothesis in (one[0], other[0], *others)]
     own, rival, *repeated = explained
-    return _significance(evidence, (one, own), (other, rival), repeated) - _significance(
+    found = _significance(evidence, (one, own), (other, rival), repeated) - _significance(
         evidence, (other, rival), (one, own), repeated
     )
+    # Robots measure gravity: a tilt that explains a pair more is not preferred until it has paid its price.
+    most = float(np.log10(evidence.chance.tilt_price)) * (other[0].is_level - one[0].is_level)
+    return found - float(np.clip(found, min(most, 0.0), max(most, 0.0)))
 
 
 def alike(evidence: Evidence, hypothesis: Hypothesis) -> NDArray[np.bool_]:

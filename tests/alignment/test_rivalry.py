@@ -8,6 +8,7 @@ import pytest
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
 from hickory_stream.evaluation.maps.ambiguous import AmbiguousConfig, AmbiguousKind, simulate_ambiguous
+from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
 from hickory_stream.evaluation.maps.trial import error_of, overlap_b
 
 pytestmark = pytest.mark.timeout(150)
@@ -64,6 +65,16 @@ def test_a_repeated_grid_is_decided_by_the_few_things_that_are_not_repeated() ->
     told = answered(AmbiguousConfig(kind="repeated", breaking=3, difficulty="hard"), range(2_000_003, 2_000_010, 2))
     assert sum(is_right for _, is_right in told) >= 3
     assert not any(isinstance(answer, Alignment) and not is_right for answer, is_right in told)
+
+
+def test_a_tilt_that_explains_a_pair_more_is_not_preferred_to_the_level_alignment() -> None:
+    pair = simulate_pair(SimulationConfig(num_objects=20), 11)
+    answer = align(pair.map_a, pair.map_b)
+    assert isinstance(answer, NoAlignment)
+    assert answer.refusal is Refusal.RIVAL
+    errors = [error_of(rival.a_from_b, pair.a_from_b, overlap_b(pair)) for rival in answer.rivals]
+    assert any(error.is_success for error in errors)
+    assert not all(error.is_success for error in errors)
 
 
 def test_one_room_in_common_is_found_among_different_ones() -> None:

@@ -127,10 +127,9 @@ def measure(options: Options) -> list[Figure]:
     figures += _of_unrelated(options)
     figures += _of_confidence(trials)
     figures += of_ambiguous(_in_processes(ambiguous_trial, jobs_of_ambiguous(options.seed, 2 if options.quick else 40)))
-    if not options.quick:  # to furnish a room takes a second
-        worlds = _in_processes(furnished_trial, jobs_of_ambiguous(options.seed, 10))
-        figures += of_ambiguous(worlds, suffix="_worlds")
-    apartments = jobs_of_apartments(options.seed, 4 if options.quick else 20)
+    worlds = _in_processes(furnished_trial, jobs_of_ambiguous(options.seed, 1 if options.quick else 10))
+    figures += of_ambiguous(worlds, suffix="_worlds")
+    apartments = jobs_of_apartments(options.seed, 6 if options.quick else 40)
     figures += of_apartments(_in_processes(apartment_trial, apartments))
     figures += of_squares(_in_processes(square_trial, jobs_of_squares(options.seed, 8 if options.quick else 100)))
     figures += _of_times(options)
