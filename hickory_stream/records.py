@@ -16,6 +16,7 @@ from hickory_stream.confined import plain_name, whole_number
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.directions import no_directions
+from hickory_stream.geometry.made_arrays import GivesUpArrays
 from hickory_stream.geometry.superquadric import check_bodies
 
 if TYPE_CHECKING:
@@ -355,15 +356,15 @@ class ObjectShape:
     verdict: str = ""
 
     def __post_init__(self) -> None:
-        plain_name(self.mesh_name, ".glb")
+        plain_name(self.mesh_name, ".glb" if str(self.mesh_name).endswith(".glb") else ".mesh")
         check_bodies(self.fitted)
         check_bodies(self.inflated)
         freeze(self, "world_from_object", np.float64, (4, 4))
         freeze(self, "seen_share", np.float64, (len(self.fitted),))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class TrackedObject:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
+class TrackedObject(GivesUpArrays):
     """One object of the map: its layer 1, its views, and layers 2 to 4 once they were built.
 
     `points_world` (N, 3) float32, one per occupied voxel of the fixed lattice, with `colors` (N, 3) uint8; `feature`
@@ -402,8 +403,8 @@ class TrackedObject:
             freeze(self, "feature", np.float32, (None,))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class ObservedSpace:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
+class ObservedSpace(GivesUpArrays):
     """A sparse grid of what was seen: sorted voxel keys `free` and `structure`; everything else is unknown.
 
     `floor_z_m` is the floor's height, None while no floor was seen. All in the frame of the submap.
@@ -448,8 +449,8 @@ class Submap:
         freeze(self, "world_from_submap", np.float64, (4, 4))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class SurveyedSubmap:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
+class SurveyedSubmap(GivesUpArrays):
     """A submap as a search for loops has it, when it was asked for.
 
     `anchor` (4, 4) is the camera's first pose in its frame, the node of the pose graph; `way_m` and `turn_rad` are how

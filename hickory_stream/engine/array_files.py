@@ -1,13 +1,18 @@
-"""The binary files of a map: points as PLY, keys of voxels and other arrays as NPY, read without trust in a header."""
+"""The binary files of a map: points and keys of voxels as the journal has arrays, compressed; no header is trusted.
+
+Maps of format 1 have points as PLY and keys as NPY.
+"""
 
 from __future__ import annotations
 
-import io
 import math
 import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import zstandard
+
+from hickory_stream.engine.record_codec import decode, encode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -17,6 +22,8 @@ _NPY_HEADER = re.compile(
     rb"'shape': \((?P<shape>\d{1,15},(?: \d{1,15})?)\), \} *\n",
     re.DOTALL,
 )
+# Of a large building; a few bytes that somebody made could claim all of the memory.
+_MOST_BYTES = 1 << 27
 _PLY_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _PLY_HEADER = (
     "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
@@ -26,18 +33,36 @@ _PLY_HEADER = (
 
 
 def ply_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> bytes:
-    """Return a binary little-endian PLY of (N, 3) points with (N, 3) colours."""
+    """Return a binary little-endian PLY of (N, 3) points with (N, 3) colours, for other programs."""
     vertices = np.empty(len(points), dtype=_PLY_VERTEX)
     vertices["xyz"], vertices["rgb"] = points, colors
     return _PLY_HEADER.format(count=len(points)).encode() + vertices.tobytes()
 
 
-def ply_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return the points (N, 3) and colours (N, 3) of a PLY that `ply_bytes` wrote.
+def points_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> bytes:
+    """Return a file of (N, 3) points with (N, 3) colours: both as the journal has them, as a frame of zstd."""
+    return _packed((points, colors))
+
+
+def points_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return the points (N, 3) and colours (N, 3) of a file that `points_bytes` wrote, or of a PLY of format 1.
 
     Raises:
-        ValueError: it is another kind of PLY, or shorter than it says.
+        ValueError: it is another kind of file, or damaged.
     """
+    if data.startswith(b"ply"):
+        return _ply_arrays(data)
+    arrays = _unpacked(data)
+    if not isinstance(arrays, tuple) or [_kind(array) for array in arrays] != ["float32, 2", "uint8, 2"]:
+        raise ValueError("not a file of points")
+    points, colors = arrays
+    if points.shape[1:] != (3,) or points.shape != colors.shape or not np.isfinite(points).all():
+        raise ValueError("not a file of points and their colours, or a point that is not finite")
+    return points, colors
+
+
+def _ply_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return the points (N, 3) and colours (N, 3) of a PLY of format 1."""
     header, end, body = data.partition(b"end_header\n")
     count = len(body) // _PLY_VERTEX.itemsize
     if header + end != _PLY_HEADER.format(count=count).encode() or len(body) != count * _PLY_VERTEX.itemsize:
@@ -48,15 +73,46 @@ def ply_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     return vertices["xyz"].astype(np.float32), vertices["rgb"].astype(np.uint8)
 
 
-def npy_bytes(keys: NDArray[np.int64]) -> bytes:
-    """Return a .npy file of (N,) keys."""
-    buffer = io.BytesIO()
-    np.save(buffer, keys.astype("<i8"), allow_pickle=False)
-    return buffer.getvalue()
+def keys_bytes(keys: NDArray[np.int64]) -> bytes:
+    """Return a file of (N,) sorted keys of voxels: an array as the journal has it, as a frame of zstd."""
+    return _packed(keys)
+
+
+def keys_array(data: bytes) -> NDArray[np.int64]:
+    """Return the keys (N,) of a file that `keys_bytes` wrote, or of a .npy file of format 1.
+
+    Raises:
+        ValueError: it is another kind of file, or damaged.
+    """
+    if _NPY_HEADER.match(data):
+        return npy_array(data)
+    keys = _unpacked(data)
+    if _kind(keys) != "int64, 1":
+        raise ValueError("not a file of voxels")
+    array: NDArray[np.int64] = keys
+    return array
+
+
+def _packed(value: Any) -> bytes:
+    return bytes(zstandard.compress(encode(value), 3))
+
+
+def _unpacked(data: bytes) -> Any:
+    """Return the value of a frame of zstd; raises ValueError."""
+    try:
+        if not 0 <= zstandard.frame_content_size(data) <= _MOST_BYTES:
+            raise ValueError("not a file of this map format, or larger than one")
+        return decode(zstandard.decompress(data))
+    except zstandard.ZstdError as error:
+        raise ValueError(f"not a file of this map format: {error}") from error
+
+
+def _kind(value: Any) -> str:
+    return f"{value.dtype}, {value.ndim}" if isinstance(value, np.ndarray) else ""
 
 
 def npy_array(data: bytes, descr: str = "<i8") -> NDArray[Any]:
-    """Return the (N,) or (N, n) array of a .npy file, by default the (N,) keys of voxels.
+    """Return the (N,) or (N, n) array of a .npy file.
 
     What the header claims must be there: `numpy.load` would take the memory first.
 

@@ -9,7 +9,9 @@ import numpy as np
 
 from hickory_stream.geometry.arrays import freeze, frozen_array
 from hickory_stream.mapping.cloud import Cloud, without
+from hickory_stream.mapping.observed_space import SpaceState
 from hickory_stream.mapping.split_candidates import SplitCandidate
+from hickory_stream.mapping.submap_surface import SubmapSurface
 from hickory_stream.mapping.submaps import SubmapState
 from hickory_stream.mapping.track import Track
 from hickory_stream.mapping.track_merging import VoteBook
@@ -42,7 +44,10 @@ class TablePage:
 
 _PAGE = 32
 _TABLES = {"tracks", "elsewhere", "absorbed", "split_candidates"}
-KEPT_RECORDS = (PackedTrack, SplitCandidate, Submap, SubmapState, SurveyedSubmap, TablePage, Track, TrackedObject)
+KEPT_RECORDS = (
+    *(PackedTrack, SplitCandidate, SpaceState, Submap, SubmapState, SubmapSurface, SurveyedSubmap, TablePage),
+    *(Track, TrackedObject),
+)
 """The records that a checkpoint takes from the one before it where they are the same: there are many, few change."""
 
 

@@ -3,10 +3,10 @@
     MAP/
       manifest.json   format, software, config, source, `finished_cleanly`, and the digest once it is finished
       objects.json    the last saved snapshot; names the files in points/ and space/ by the hash of their content
-      points/         layer 1 of each object, binary PLY
-      space/          observed voxels of each submap, .npy
+      points/         layer 1 of each object, compressed
+      space/          observed voxels of each submap, compressed keys
       views/          the pixels of the kept views: NAME.color.png, NAME.depth.png, NAME.json
-      shapes/         layer 2 of each object, GLB
+      shapes/         layer 2 of each object, compressed
       jobs/           what shape workers are given and give back
       journal.mcap    all events, step by step, and the state of the core now and then
       failed/         the input of shape jobs that failed for good

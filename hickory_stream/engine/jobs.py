@@ -29,6 +29,7 @@ from hickory_stream.engine.map_codec import decode_superquadrics, encode_superqu
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import glb_bytes, mesh_of_glb, sha256_of
+from hickory_stream.geometry.mesh_file import SUFFIX, mesh_file_bytes
 from hickory_stream.json_text import dumps, dumps_exactly
 from hickory_stream.ports import BuiltShape, NoShape, ShapeInputs
 from hickory_stream.records import Containment, ObjectShape
@@ -147,16 +148,15 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
             return ShapeAnswer(
                 shape=None, reason=result["reason"], timings_s={}, hit_limit=bool(result.get("hit_limit"))
             )
-        # The hash is of what was written, read back: the map's digest then holds for the file.
-        mesh_sha256 = sha256_of(mesh_of_glb(read_within(folder, MESH)))
-        name = f"{object_id:06d}-{ticket:06d}.glb"
-        (shapes / name).unlink(missing_ok=True)
-        link_or_copy(folder / MESH, shapes / name)
+        # The hash is of what the worker wrote, read back: the map's digest then holds for the file.
+        mesh = mesh_of_glb(read_within(folder, MESH))
+        name = f"{object_id:06d}-{ticket:06d}{SUFFIX}"
+        write_atomically(shapes / name, mesh_file_bytes(mesh), sync=False)
         shape = ObjectShape(
             revision=ticket,
             reconstructor=result["reconstructor"],
             mesh_name=name,
-            mesh_sha256=mesh_sha256,
+            mesh_sha256=sha256_of(mesh),
             world_from_object=result["world_from_object"],
             fitted=decode_superquadrics(result["fitted"]),
             inflated=decode_superquadrics(result["inflated"]),

@@ -14,6 +14,7 @@ from mcap.writer import CompressionType, Writer
 from hickory_stream.confined import open_new
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
 from hickory_stream.engine.checkpoints import KEPT_RECORDS, Packer
+from hickory_stream.engine.heap import give_back_free
 from hickory_stream.engine.journal_format import (
     CHANNELS,
     CHECKPOINT,
@@ -96,6 +97,8 @@ class JournalWriter:
             for part in new:
                 self._add(CHECKPOINT, stamp_ns, part)
             self._end_chunk()
+        del new, document
+        give_back_free()
 
     def sync(self) -> None:
         """Wait until everything has reached the disk."""
@@ -206,4 +209,5 @@ class _Parts:
     def end(self) -> list[bytes]:
         # What this checkpoint did not use is forgotten, so that the arrays of the past can go.
         self._places = self._used
-        return self._new
+        new, self._new = self._new, []
+        return new

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""Format 1 had points as PLY, meshes as GLB and the observed space as NPY; it is read, too."""
+
+_READ = (1, FORMAT_VERSION)
 MANIFEST = "manifest.json"
 _KIND = "hickory-stream map"
 _ENTRIES: dict[str, Any] = {
@@ -138,8 +141,8 @@ def pretty_json(data: Any) -> bytes:
 
 
 def _check_format(folder: Path, found: object) -> None:
-    if found == FORMAT_VERSION:
+    if type(found) is int and found in _READ:
         return
     is_newer = isinstance(found, int) and found > FORMAT_VERSION
     remedy = "open it with a newer hickory-stream" if is_newer else "play the log again"
-    raise MapFolderError(f"{folder} has map format {found}, this version reads {FORMAT_VERSION}; {remedy}")
+    raise MapFolderError(f"{folder} has map format {found}, this version reads {_READ[0]} to {_READ[-1]}; {remedy}")

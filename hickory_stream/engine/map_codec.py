@@ -13,7 +13,7 @@ import itertools
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hickory_stream.confined import plain_name, whole_number
-from hickory_stream.engine.array_files import npy_array, npy_bytes, ply_arrays, ply_bytes
+from hickory_stream.engine.array_files import keys_array, keys_bytes, points_arrays, points_bytes
 from hickory_stream.engine.json_values import (
     finite,
     finite_array,
@@ -113,16 +113,16 @@ def encode_submap(submap: Submap, files: dict[str, bytes]) -> Json:
         "world_from_submap": json_numbers(submap.world_from_submap),
         "voxel_m": float(space.voxel_m),
         "floor_z_m": json_number(space.floor_z_m),
-        "free": _add_file(files, f"{SPACE}/{submap.id:04d}-free", ".npy", npy_bytes(space.free)),
-        "structure": _add_file(files, f"{SPACE}/{submap.id:04d}-structure", ".npy", npy_bytes(space.structure)),
+        "free": _add_file(files, f"{SPACE}/{submap.id:04d}-free", ".keys", keys_bytes(space.free)),
+        "structure": _add_file(files, f"{SPACE}/{submap.id:04d}-structure", ".keys", keys_bytes(space.structure)),
     }
 
 
 def _decode_submap(entry: Json, read: Callable[[str], bytes]) -> Submap:
     space = ObservedSpace(
         voxel_m=finite(entry["voxel_m"]),
-        free=npy_array(read(_file_of(entry["free"], SPACE, ".npy"))),
-        structure=npy_array(read(_file_of(entry["structure"], SPACE, ".npy"))),
+        free=keys_array(read(_file_of(entry["free"], SPACE, ""))),
+        structure=keys_array(read(_file_of(entry["structure"], SPACE, ""))),
         floor_z_m=None if entry["floor_z_m"] is None else finite(entry["floor_z_m"]),
     )
     if not space.voxel_m > 0:
@@ -141,7 +141,7 @@ def encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
         "first_seen_ns": int(tracked.first_seen_ns),
         "last_seen_ns": int(tracked.last_seen_ns),
         "points": _add_file(
-            files, f"{POINTS}/{tracked.id:06d}", ".ply", ply_bytes(tracked.points_world, tracked.colors)
+            files, f"{POINTS}/{tracked.id:06d}", ".points", points_bytes(tracked.points_world, tracked.colors)
         ),
         "box": {
             "world_from_box": json_numbers(tracked.box.world_from_box),
@@ -157,7 +157,7 @@ def encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
 
 
 def _decode_object(entry: Json, read: Callable[[str], bytes]) -> TrackedObject:
-    points_world, colors = ply_arrays(read(_file_of(entry["points"], POINTS, ".ply")))
+    points_world, colors = points_arrays(read(_file_of(entry["points"], POINTS, "")))
     views = tuple(_decode_view(view) for view in entry["views"])
     return TrackedObject(
         id=entry["id"],
@@ -251,8 +251,8 @@ def _decode_shape(entry: Json) -> ObjectShape:
         mesh_name=entry["mesh_name"],
         mesh_sha256=plain_text(entry["mesh_sha256"]),
         world_from_object=rigid_pose(entry["world_from_object"]),
-        fitted=decode_superquadrics(entry["fitted"]),
-        inflated=decode_superquadrics(entry["inflated"]),
+        fitted=_superquadrics(entry["fitted"]),
+        inflated=_superquadrics(entry["inflated"]),
         seen_share=finite_array(entry["seen_share"]),
         containment=Containment(
             num_checked=whole_number(checked["num_checked"], "a number of pieces"),
@@ -353,14 +353,19 @@ def decode_superquadrics(entry: Json) -> Superquadrics:
     Raises:
         KeyError, TypeError, ValueError: it is damaged.
     """
+    bodies = _superquadrics(entry)
+    check_bodies(bodies)
+    return bodies
+
+
+def _superquadrics(entry: Json) -> Superquadrics:
+    """Return superquadrics that the record which they become a part of will check."""
     count = len(entry["exponents"])
-    bodies = Superquadrics(
+    return Superquadrics(
         exponents=to_array(entry["exponents"]).reshape(count, 2),
         semi_axes_m=to_array(entry["semi_axes_m"]).reshape(count, 3),
         world_from_local=to_array(entry["world_from_local"]).reshape(count, 4, 4),
     )
-    check_bodies(bodies)
-    return bodies
 
 
 # ---- files ----------------------------------------------------------------------------------------------------------

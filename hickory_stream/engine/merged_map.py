@@ -7,6 +7,7 @@ object the maps and ids that it was.
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.alignment.answer import Alignment
@@ -17,7 +18,8 @@ from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.manifest import read_json
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.processor import processor_kind
-from hickory_stream.geometry.mesh import read_glb, sha256_of, write_glb
+from hickory_stream.geometry.mesh import sha256_of
+from hickory_stream.geometry.mesh_file import SUFFIX, mesh_file_bytes
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import NoShape, ShapeInputs
 from hickory_stream.records import ObjectShape
@@ -147,7 +149,7 @@ def _with_mesh(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: S
     if item.shape is None:
         return item
     origin = next(i for i, old in merged.provenance[item.id] if _has_mesh(inputs[i], old, item.shape))
-    name = f"{item.id:06d}-{item.shape.revision:06d}.glb"
+    name = f"{item.id:06d}-{item.shape.revision:06d}{PurePath(item.shape.mesh_name).suffix}"
     _copied(inputs[origin].folder, f"shapes/{item.shape.mesh_name}", folder.shapes / name)
     return replace(item, shape=replace(item.shape, mesh_name=name))
 
@@ -175,15 +177,14 @@ def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config:
     if isinstance(built, NoShape):
         return item
     old = item.shape.revision if item.shape is not None else 0
-    name = f"{item.id:06d}-{_MERGED_REVISION + old:07d}.glb"
-    path = folder.shapes / name
+    name = f"{item.id:06d}-{_MERGED_REVISION + old:07d}{SUFFIX}"
     with disk_errors(folder.path):
-        write_glb(built.reconstruction.mesh, path)
+        write_atomically(folder.shapes / name, mesh_file_bytes(built.reconstruction.mesh), sync=False)
     shape = ObjectShape(
         revision=_MERGED_REVISION + old,
         reconstructor=reconstructor.name,
         mesh_name=name,
-        mesh_sha256=sha256_of(read_glb(path)),
+        mesh_sha256=sha256_of(built.reconstruction.mesh),
         world_from_object=built.reconstruction.world_from_object,
         fitted=built.fitted,
         inflated=built.inflated,

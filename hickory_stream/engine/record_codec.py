@@ -2,7 +2,8 @@
 
 A record is a map of its fields under a tag with its name; only records of our own packages are ever made from it, by
 their constructors, and only where every field holds what it is declared to hold (`field_types`): who wrote the bytes is
-not known. Arrays are stored so that they compress: keys of voxels as differences, numbers byte by byte.
+not known. Arrays are stored so that they compress: keys of voxels as blocks of bits or as differences, colours as
+differences from those before them and from their green, other numbers byte by byte.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ import cbor2
 import numpy as np
 
 from hickory_stream.engine.field_types import checked_record, field_checks
+from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of
+from hickory_stream.geometry.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +31,9 @@ if TYPE_CHECKING:
 # Of the range that is free for everybody's use ("first come, first served", RFC 8949, 9.2).
 _RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
 _PART_BYTES = 1024
-_PLAIN, _BITS, _DIFFERENCES, _PLANES = range(4)
+_PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS = range(6)
+_SMALL_BYTES = 64
+_BLOCK_BYTES = 16
 _MOST_DIMENSIONS = 8
 _INT64 = np.iinfo(np.int64)
 _DAMAGE = (
@@ -148,19 +153,20 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
     method, data = _PLAIN, b""
     if little.dtype == bool:
         method, data = _BITS, np.packbits(little).tobytes()
-    elif little.dtype.itemsize == 1 or little.nbytes < 64:
+    elif little.nbytes < _SMALL_BYTES:
         data = little.tobytes()
+    elif little.dtype == np.uint8 and little.ndim == 2 and little.shape[1] == 3:
+        method, data = _COLORS, color_planes(little)
+    elif little.dtype.itemsize == 1:
+        data = little.tobytes()
+    elif little.dtype == np.int64 and little.ndim == 1 and is_denser(little):
+        heads, words = blocks_of(little)
+        method, data = _BLOCKS, planes_of(np.diff(heads, prepend=np.int64(0))) + planes_of(words)
     elif little.dtype == np.int64 and little.ndim == 1:
-        method, data = _DIFFERENCES, _planes(np.diff(little, prepend=np.int64(0)))
+        method, data = _DIFFERENCES, planes_of(np.diff(little, prepend=np.int64(0)))
     else:
-        method, data = _PLANES, _planes(little)
+        method, data = _PLANES, planes_of(little)
     return cbor2.CBORTag(_ARRAY, [little.dtype.str, list(little.shape), method, data])
-
-
-def _planes(array: NDArray[Any]) -> bytes:
-    """Return the first bytes of all numbers, then the second ones, ...: columns after one another."""
-    columns = np.ascontiguousarray(array.reshape(array.shape[0], -1).T)
-    return columns.reshape(-1).view(np.uint8).reshape(-1, array.dtype.itemsize).T.tobytes()
 
 
 # ---- reading --------------------------------------------------------------------------------------------------------
@@ -231,24 +237,36 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
         raise ValueError(f"an array of shape {shape}")
     count = math.prod(shape)
     # What a shape claims must be there: memory is taken for it.
-    if len(data) != (-(-count // 8) if method == _BITS else count * dtype.itemsize):
+    if method != _BLOCKS and len(data) != (-(-count // 8) if method == _BITS else count * dtype.itemsize):
         raise ValueError(f"an array of shape {shape} in {len(data)} bytes")
-    if method == _BITS:
+    if method == _BLOCKS:
+        array = _keys(data, count).astype(dtype)
+    elif method == _COLORS and dtype == np.uint8 and tuple(shape[1:]) == (3,):
+        array = colors_of(data, shape[0])
+    elif method == _BITS:
         array = np.unpackbits(np.frombuffer(data, np.uint8), count=count).astype(bool)
     elif method == _PLAIN:
         array = np.frombuffer(data, dtype)
     elif method in (_DIFFERENCES, _PLANES):
-        planes = np.frombuffer(data, np.uint8).reshape(dtype.itemsize, -1)
-        array = np.ascontiguousarray(planes.T).reshape(-1).view(dtype)
+        array = array_of(data, dtype, tuple(shape))
         if method == _DIFFERENCES:
             array = np.cumsum(array, dtype=np.int64)
-        else:
-            array = np.ascontiguousarray(array.reshape(-1, shape[0]).T)
     else:
         raise ValueError(f"unknown storage {method} of an array")
     array = array.reshape(shape).astype(dtype.newbyteorder("="), copy=False)
     array.flags.writeable = False
     return array
+
+
+def _keys(data: bytes, count: int) -> NDArray[np.int64]:
+    """Return the keys of blocks; raises ValueError where they are not as many as is claimed."""
+    half = len(data) // 2
+    if len(data) % _BLOCK_BYTES or count > MOST_KEYS:
+        raise ValueError(f"{count} keys in blocks of {len(data)} bytes")
+    heads, words = (array_of(part, np.dtype("<i8"), (half // 8,)) for part in (data[:half], data[half:]))
+    if count_in(words) != count:
+        raise ValueError(f"{count} keys in blocks of {count_in(words)}")
+    return keys_of_blocks(np.cumsum(heads, dtype=np.int64), words.view("<u8"))
 
 
 @cache

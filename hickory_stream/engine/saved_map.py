@@ -15,7 +15,8 @@ from hickory_stream.engine.folder_layout import EMPTY, LEDGER, OBJECTS, SHAPES, 
 from hickory_stream.engine.manifest import Manifest, read_file, read_json, read_manifest
 from hickory_stream.engine.map_codec import decode_snapshot, has_named_content
 from hickory_stream.errors import MapFolderError
-from hickory_stream.geometry.mesh import mesh_of_glb, sha256_of
+from hickory_stream.geometry.mesh import sha256_of
+from hickory_stream.geometry.mesh_file import mesh_of_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -93,7 +94,7 @@ class SavedMap:
         return changes(self.as_known_at(first_ns), self.as_known_at(second_ns))
 
     def mesh_path(self, shape: ObjectShape) -> Path:
-        """Return the GLB file of a shape."""
+        """Return the file of a shape's mesh (`geometry.mesh_file`)."""
         return self.folder / SHAPES / shape.mesh_name
 
     def mesh(self, shape: ObjectShape) -> Mesh:
@@ -104,7 +105,7 @@ class SavedMap:
         """
         path = self.mesh_path(shape)
         try:
-            mesh = mesh_of_glb(read_within(self.folder, f"{SHAPES}/{shape.mesh_name}"))
+            mesh = mesh_of_file(read_within(self.folder, f"{SHAPES}/{shape.mesh_name}"))
         except (OSError, ValueError) as error:
             raise MapFolderError(f"cannot read the mesh {path}: {error}; play the log again") from error
         if sha256_of(mesh) != shape.mesh_sha256:

@@ -140,17 +140,21 @@ def is_rigid(a_from_b: NDArray[Any], tolerance: float = 1e-3) -> bool:
     if a_from_b.shape != (4, 4):
         return False
     # A map is read with tens of thousands of poses: sixteen numbers are checked sooner one by one than as an array.
-    rows = a_from_b.tolist()
-    if not all(isfinite(value) for row in rows for value in row):
-        return False
-    x, y, z = (row[:3] for row in rows[:3])
-    pairs = ((x, x, 1.0), (y, y, 1.0), (z, z, 1.0), (x, y, 0.0), (x, z, 0.0), (y, z, 0.0))
+    # What is not finite fails every comparison.
+    (xx, xy, xz, x), (yx, yy, yz, y), (zx, zy, zz, z), (a, b, c, d) = a_from_b.tolist()
     return (
-        all(abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] - wanted) < tolerance for a, b, wanted in pairs)
-        and _triple_product(x, y, z) > 0
-        and all(abs(value - wanted) < tolerance for value, wanted in zip(rows[3], (0.0, 0.0, 0.0, 1.0), strict=True))
+        isfinite(x)
+        and isfinite(y)
+        and isfinite(z)
+        and abs(xx * xx + xy * xy + xz * xz - 1.0) < tolerance
+        and abs(yx * yx + yy * yy + yz * yz - 1.0) < tolerance
+        and abs(zx * zx + zy * zy + zz * zz - 1.0) < tolerance
+        and abs(xx * yx + xy * yy + xz * yz) < tolerance
+        and abs(xx * zx + xy * zy + xz * zz) < tolerance
+        and abs(yx * zx + yy * zy + yz * zz) < tolerance
+        and xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx) > 0
+        and abs(a) < tolerance
+        and abs(b) < tolerance
+        and abs(c) < tolerance
+        and abs(d - 1.0) < tolerance
     )
-
-
-def _triple_product(x: list[float], y: list[float], z: list[float]) -> float:
-    return x[0] * (y[1] * z[2] - y[2] * z[1]) - x[1] * (y[0] * z[2] - y[2] * z[0]) + x[2] * (y[0] * z[1] - y[1] * z[0])

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import zstandard
+
+from hickory_stream.geometry.made_arrays import compressed, restored
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
@@ -26,18 +27,18 @@ _cold: WeakKeyDictionary[Any, _Packed] = WeakKeyDictionary()
 
 @dataclass(frozen=True, slots=True)
 class _Packed:
-    """The arrays of a cloud of `count` points, and what gives them back."""
+    """How many points a cloud has, and what gives each of its arrays back."""
 
     count: int
-    arrays: Callable[[], Mapping[str, NDArray[Any]]]
+    array: Callable[[str], NDArray[Any]]
 
 
 def pack(cloud: Any) -> None:
     """Compress the arrays of a cloud."""
     with _lock:
         if cloud not in _cold and len(cloud.keys):
-            packed = [_compressed(getattr(cloud, name)) for name in NAMES]
-            _keep(cloud, _Packed(len(cloud.keys), lambda: dict(zip(NAMES, map(_restored, packed), strict=True))))
+            packed = {name: compressed(getattr(cloud, name)) for name in NAMES}
+            _keep(cloud, _Packed(len(cloud.keys), lambda name: restored(packed[name])))
 
 
 def pack_part(part: Any, whole: Any) -> None:
@@ -53,11 +54,11 @@ def pack_part(part: Any, whole: Any) -> None:
         if all(np.array_equal(chosen[name], getattr(part, name)) for name in NAMES):
             bits, count = np.packbits(marks), len(marks)
 
-            def arrays() -> Mapping[str, NDArray[Any]]:
-                kept = np.unpackbits(bits, count=count).astype(bool)
-                return {name: array[kept] for name, array in _arrays_of(whole).items()}
+            def chosen_of(name: str) -> NDArray[Any]:
+                kept: NDArray[Any] = array_of(whole, name)[np.unpackbits(bits, count=count).astype(bool)]
+                return kept
 
-            _keep(part, _Packed(len(part.keys), arrays))
+            _keep(part, _Packed(len(part.keys), chosen_of))
         else:
             pack(part)
         return pack(whole)
@@ -74,8 +75,8 @@ def unpacked(cloud: Any, name: str) -> NDArray[Any]:
     with _lock:
         packed = _cold.get(cloud)
         if packed is not None:
-            for array_name, restored in packed.arrays().items():
-                object.__setattr__(cloud, array_name, restored)
+            for each in NAMES:
+                object.__setattr__(cloud, each, packed.array(each))
             del _cold[cloud]
     array: NDArray[Any] = object.__getattribute__(cloud, name)
     return array
@@ -92,31 +93,13 @@ def is_packed(cloud: Any) -> bool:
     return cloud in _cold
 
 
-def _arrays_of(cloud: Any) -> Mapping[str, NDArray[Any]]:
-    """Return the arrays of a cloud, which stays packed if it is."""
+def array_of(cloud: Any, name: str) -> NDArray[Any]:
+    """Return an array of a cloud, which stays packed if it is."""
     packed = _cold.get(cloud)
-    return {name: getattr(cloud, name) for name in NAMES} if packed is None else packed.arrays()
+    return getattr(cloud, name) if packed is None else packed.array(name)
 
 
 def _keep(cloud: Any, packed: _Packed) -> None:
     _cold[cloud] = packed
     for name in NAMES:
         object.__delattr__(cloud, name)
-
-
-def _compressed(array: NDArray[Any]) -> tuple[str, tuple[int, ...], bytes]:
-    """Return an array packed byte by byte: the first bytes of all numbers, then the second ones, ...; keys as steps."""
-    steps = np.diff(array, prepend=array.dtype.type(0)) if array.ndim == 1 else array
-    columns = np.ascontiguousarray(steps.reshape(len(array), -1).T)
-    planes = columns.reshape(-1).view(np.uint8).reshape(-1, array.dtype.itemsize).T.tobytes()
-    return array.dtype.str, array.shape, zstandard.compress(planes, 1)
-
-
-def _restored(packed: tuple[str, tuple[int, ...], bytes]) -> NDArray[Any]:
-    name, shape, data = packed
-    dtype = np.dtype(name)
-    planes = np.frombuffer(zstandard.decompress(data), np.uint8).reshape(dtype.itemsize, -1)
-    columns = np.ascontiguousarray(planes.T).reshape(-1).view(dtype).reshape(-1, shape[0])
-    if len(shape) == 1:
-        return np.cumsum(columns[0], dtype=dtype)
-    return np.ascontiguousarray(columns.T).reshape(shape)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.made_arrays import GivesUpArrays
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
     cells_of_keys,
@@ -116,8 +117,8 @@ def _ends(values: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
-class SpaceState:
-    """The voxels with an observed surface, and the free voxels, as sorted keys.
+class SpaceState(GivesUpArrays):
+    """The voxels with an observed surface, and the free voxels, as sorted keys; far away they are kept compressed.
 
     `hits` counts the keyframes that showed a voxel of `surface` as structure (without the map prior), `misses` those
     that showed it as something else. A voxel is structure if it has at least two hits, and more hits than misses.

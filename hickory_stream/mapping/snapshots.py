@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.geometry.made_arrays import give_up, has_given_up
+from hickory_stream.geometry.rigid import apply
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import as_record, without_room
 from hickory_stream.mapping.submaps import LEAST_BESIDE_M, record_of
@@ -141,9 +143,25 @@ class Snapshots:
         shown = self._submaps.get(state.id)
         if shown is None or shown[0] is not state:
             shown = self._submaps[state.id] = (state, record_of(state))
+        if has_given_up(state.space):
+            # A record whose space is compressed does not hold it either.
+            give_up(shown[1].observed_space, lambda name: _of_space(state, name), "free", "structure")
         return shown[1]
 
 
 def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:
     """Return an object at its submap's corrected pose; the unchanged record if the pose was not corrected."""
-    return item if np.array_equal(world_from_submap, np.eye(4)) else moved_object(item, world_from_submap)
+    if np.array_equal(world_from_submap, np.eye(4)):
+        return item
+    moved = moved_object(item, world_from_submap)
+    give_up(moved, lambda name: _moved_array(item, world_from_submap, name), "points_world", "colors")
+    return moved
+
+
+def _moved_array(item: TrackedObject, world_from_submap: NDArray[np.float64], name: str) -> NDArray[Any]:
+    return apply(world_from_submap, item.points_world) if name == "points_world" else item.colors
+
+
+def _of_space(state: SubmapState, name: str) -> NDArray[Any]:
+    array: NDArray[Any] = getattr(record_of(state).observed_space, name)
+    return array

@@ -13,6 +13,7 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.made_arrays import GivesUpArrays
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import contains, inserted, keys_of_points, places
 
@@ -39,8 +40,8 @@ class SurfacePoints:
     normals: NDArray[np.float32]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class SubmapSurface:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
+class SubmapSurface(GivesUpArrays):
     """Sorted voxel `keys` (N,), mean `points` and `normals` (N, 3) in the odometry's frame, and `hits` (N,): keyframes.
 
     A mean of normals is shorter than 1 the more these differ: where both sides of a board are in one voxel, near 0.

@@ -17,12 +17,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.directions import turned_directions
+from hickory_stream.geometry.made_arrays import compress, give_up
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.geometry.voxels import contains, difference, exchanged, places, union
 from hickory_stream.mapping import observed_space
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
 
 
 _SURE_HITS, _SURE_NORMAL = 2, 0.8
+_NO_POINTS, _NO_KEYS = np.empty((0, 3), np.float32), np.empty(0, np.int64)
 # The window reaches at least so far around what a keyframe sees: further than any check of a track looks, and than the
 # next keyframe may look beside it. Where it is moved it reaches further by the second length.
 LEAST_BESIDE_M = 4.0
@@ -83,7 +86,7 @@ class SubmapConfig(Ranged):
     loop_latency_s: float = number(3.0, 0, 3600, "s")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class SubmapState:
     """A submap: `space` is the part of the observed space that it owns; `world_from_submap` is its corrected pose.
 
@@ -265,7 +268,9 @@ def looking_at(submaps: Submaps, seen: SpaceObservation) -> Submaps:
     least = sight.wider(round(LEAST_BESIDE_M / voxel_m))
     if submaps.window is not None and submaps.window.holds(least):
         return submaps
-    return _within(submaps, least.wider(round(_MOST_BESIDE_M / voxel_m)))
+    moved = _within(submaps, least.wider(round(_MOST_BESIDE_M / voxel_m)))
+    _compress_far(moved)
+    return moved
 
 
 def space_around(submaps: Submaps, bounds: NDArray[np.float32], reach_m: float) -> SpaceState:
@@ -394,26 +399,55 @@ def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float
 
 
 def surveyed(state: SubmapState) -> SurveyedSubmap:
-    """Return a submap as a search for loops has it: surface that was seen twice, with a normal that is certain."""
-    surface = state.surface
-    length = np.sqrt((surface.normals * surface.normals).sum(axis=1))
+    """Return a submap as a search for loops has it: surface that was seen twice, with a normal that is certain.
+
+    It is the same record while the submap is, and its arrays are made when they are read: few are candidates.
+    """
+    if state not in _SURVEYED:
+        assert state.anchor is not None
+        _SURVEYED[state] = SurveyedSubmap(
+            id=state.id,
+            world_from_submap=state.world_from_submap,
+            anchor=state.anchor,
+            way_m=state.way_m,
+            turn_rad=state.turn_rad,
+            after_jump=state.after_jump,
+            registered=state.registered,
+            blind=state.blind,
+            unfixed=state.unfixed,
+            points=_NO_POINTS,
+            normals=_NO_POINTS,
+            free=_NO_KEYS,
+            voxel_m=state.space.voxel_m,
+        )
+        surface, space = state.surface, state.space
+        give_up(_SURVEYED[state], lambda name: _survey(surface, space, name), "points", "normals", "free")
+    return _SURVEYED[state]
+
+
+_SURVEYED: WeakKeyDictionary[SubmapState, SurveyedSubmap] = WeakKeyDictionary()
+
+
+def _survey(surface: SubmapSurface, space: SpaceState, name: str) -> NDArray[Any]:
+    if name == "free":
+        return space.free.view()
+    normals = surface.normals
+    length = np.sqrt((normals * normals).sum(axis=1))
     is_sure = (surface.hits >= _SURE_HITS) & (length > _SURE_NORMAL)
-    assert state.anchor is not None
-    return SurveyedSubmap(
-        id=state.id,
-        world_from_submap=state.world_from_submap,
-        anchor=state.anchor,
-        way_m=state.way_m,
-        turn_rad=state.turn_rad,
-        after_jump=state.after_jump,
-        registered=state.registered,
-        blind=state.blind,
-        unfixed=state.unfixed,
-        points=surface.points[is_sure],
-        normals=surface.normals[is_sure] / length[is_sure][:, None],
-        free=state.space.free,
-        voxel_m=state.space.voxel_m,
-    )
+    array: NDArray[Any]
+    array = surface.points[is_sure] if name == "points" else normals[is_sure] / length[is_sure][:, None]
+    return array
+
+
+def _compress_far(submaps: Submaps) -> None:
+    """Compress the spaces and surfaces of the submaps that the window does not reach."""
+    window = submaps.window
+    for state in submaps.states[:-1]:
+        reach = extent(state.space)
+        if state.id < submaps.first or (window is not None and reach is not None and not window.meets(reach)):
+            for space in (state.space, state.seen):
+                compress(space, "free", "hidden_free", "surface", "hits", "misses", "room")
+            compress(state.surface, "keys", "points", "normals", "hits")
 
 
 def own_space(state: SubmapState) -> SpaceState:

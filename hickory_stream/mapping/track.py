@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
+from hickory_stream.geometry.made_arrays import give_up
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.voxels import in_company
 from hickory_stream.mapping.cloud import Cloud, fuse, solid_part
+from hickory_stream.mapping.cold_clouds import array_of
 from hickory_stream.mapping.existence import Existence, no_evidence
 from hickory_stream.mapping.views import better
 from hickory_stream.ranges import Ranged, number
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 
 
 _BOX_POINTS = 10_000
+_NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -204,20 +207,17 @@ def box_of(points: NDArray[np.float32], voxel_m: float) -> OrientedBox:
 
 
 def as_object(track: Track) -> TrackedObject:
-    """Return the public record of a track."""
-    core = track.solid
-    # The record has the same points, not a copy: a view that nobody writes to.
-    points = core.points.view()
-    points.flags.writeable = False
-    return TrackedObject(
+    """Return the public record of a track; its arrays are made of the track's, which may be compressed, when read."""
+    solid = track.solid
+    item = TrackedObject(
         id=track.id,
         phase=track.phase,
         submap_id=track.submap_id,
         sightings=track.sightings,
         first_seen_ns=track.first_seen_ns,
         last_seen_ns=track.last_seen_ns,
-        points_world=points,
-        colors=np.round(core.colors).astype(np.uint8),
+        points_world=_NO_POINTS,
+        colors=_NO_COLORS,
         box=track.box,
         feature=_mean_feature(track.views),
         views=track.views,
@@ -226,6 +226,15 @@ def as_object(track: Track) -> TrackedObject:
         merged_ids=track.merged_ids,
         sketch=track.sketch if track.shape is None else None,
     )
+    give_up(item, lambda name: _shown(solid, name), "points_world", "colors")
+    return item
+
+
+def _shown(solid: Cloud, name: str) -> NDArray[Any]:
+    """Return an array of the public record of a cloud: the same points, not a copy; nobody writes to the view."""
+    if name == "points_world":
+        return array_of(solid, "points").view()
+    return np.round(array_of(solid, "colors")).astype(np.uint8)
 
 
 def _mean_feature(views: tuple[View, ...]) -> NDArray[np.float32] | None:

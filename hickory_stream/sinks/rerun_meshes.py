@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from hickory_stream.confined import read_within
-from hickory_stream.geometry.mesh import mesh_of_glb
+from hickory_stream.geometry.mesh_file import mesh_of_file
 from hickory_stream.geometry.palette import shaded
 from hickory_stream.geometry.superquadric import outward_normals
 from hickory_stream.geometry.superquadric_surface import display_mesh
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:
     """Return a layer-2 mesh in the world; not as the GLB itself, which has no normals and would be drawn flat."""
-    mesh = mesh_of_glb(read_within(path.parent, path.name))
+    mesh = mesh_of_file(read_within(path.parent, path.name))
     vertices = mesh.vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
     return rr.Mesh3D(
         vertex_positions=vertices.astype(np.float32),

@@ -10,7 +10,8 @@ import pytest
 from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.jobs import job_folder, read_job, take_result, write_job, write_result
 from hickory_stream.errors import MapFolderError, WorkerError
-from hickory_stream.geometry.mesh import read_glb, sha256_of
+from hickory_stream.geometry.mesh import sha256_of
+from hickory_stream.geometry.mesh_file import mesh_of_file
 from hickory_stream.ports import BuiltShape, NoShape
 from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.testing import BoxReconstructor
@@ -88,7 +89,7 @@ def test_the_answer_is_the_shape_that_was_built(tmp_path: Path, request_3: Reque
     taken = take_result(folder, 1, 3, shapes)
     shape = taken.shape
     assert shape is not None
-    assert (shape.reconstructor, shape.revision, shape.mesh_name) == ("box", 1, "000003-000001.glb")
+    assert (shape.reconstructor, shape.revision, shape.mesh_name) == ("box", 1, "000003-000001.mesh")
     np.testing.assert_array_equal(shape.fitted.semi_axes_m, answer.fitted.semi_axes_m)
     np.testing.assert_array_equal(shape.inflated.world_from_local, answer.inflated.world_from_local)
     np.testing.assert_array_equal(shape.world_from_object, answer.reconstruction.world_from_object)
@@ -105,7 +106,7 @@ def test_the_hash_holds_for_the_mesh_in_the_map_and_the_job_stays_until_it_is_wr
     write_result(folder, built(folder), "box")
     shape = take_result(folder, 1, 3, shapes).shape
     assert shape is not None
-    assert sha256_of(read_glb(shapes / shape.mesh_name)) == shape.mesh_sha256
+    assert sha256_of(mesh_of_file((shapes / shape.mesh_name).read_bytes())) == shape.mesh_sha256
     assert folder.exists()
 
 

@@ -69,6 +69,28 @@ def test_sorted_keys_of_voxels_take_a_tenth_of_their_size() -> None:
     assert len(zlib.compress(encode(keys))) < keys.nbytes / 6
 
 
+@given(st.lists(st.integers(1, 200), max_size=300), st.integers(-(2**62), 2**61))
+def test_keys_in_columns_come_back(steps: list[int], first: int) -> None:
+    keys = np.repeat(np.cumsum([0, *steps], dtype=np.int64) * 64 + first, 3) + np.tile([0, 1, 2], len(steps) + 1)
+    read = decode(encode(keys))
+    assert read.tobytes() == keys.tobytes()
+
+
+def test_columns_of_free_voxels_take_a_tenth_of_what_their_differences_take() -> None:
+    columns = np.unique(np.random.default_rng(0).integers(0, 2**21, 2_000)) << 21
+    keys = (columns[:, None] + np.arange(40)).reshape(-1)
+    assert len(encode(keys)) < keys.nbytes / 10
+
+
+def test_colours_that_change_little_take_little() -> None:
+    import zlib
+
+    rng = np.random.default_rng(0)
+    colors = (np.cumsum(rng.integers(-2, 3, (4_000, 1)), axis=0) + rng.integers(0, 3, (4_000, 3))).astype(np.uint8)
+    assert decode(encode(colors)).tobytes() == colors.tobytes()
+    assert len(zlib.compress(encode(colors))) < 0.75 * len(zlib.compress(colors.tobytes()))
+
+
 def test_only_records_of_ours_are_written_or_made() -> None:
     @dataclass(frozen=True)
     class Foreign:
@@ -99,6 +121,10 @@ HOSTILE = {
     "more_zeros_than_memory": tagged(39_101, ["|b1", [10**12], 1, b""]),
     "more_numbers_than_bytes": tagged(39_101, ["<f8", [10**9], 0, b"\0" * 8]),
     "negative_shape": tagged(39_101, ["<f8", [-1, 1], 0, b"\0" * 8]),
+    "more_keys_than_blocks": tagged(39_101, ["<i8", [65], 4, b"\0" * 8 + b"\xff" * 8]),
+    "keys_by_the_billion": tagged(39_101, ["<i8", [10**9], 4, b"\xff" * 16]),
+    "half_a_block": tagged(39_101, ["<i8", [0], 4, b"\0" * 8]),
+    "colours_of_two": tagged(39_101, ["|u1", [4, 2], 5, b"\0" * 8]),
     "objects": tagged(39_101, ["|O", [1], 0, b"\0" * 8]),
     "pickled": tagged(39_101, ["|V1000000000", [1], 0, b""]),
     "a_pattern": cbor2.dumps(re.compile("(a+)+$")),

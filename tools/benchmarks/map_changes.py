@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import cbor2
+import zstandard
 
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.journal import Journal
@@ -57,6 +58,7 @@ _HOSTILE: tuple[Any, ...] = (
     {},
     [[[[]]]],
 )
+_MESH_HEADER = 12
 _BYTES = ("flip", "zero", "cut", "insert", "empty", "huge")
 TARGETS = ("manifest", "objects", "view", "job", "points", "space", "mesh", "png", "journal", "ledger", "link", "pipe")
 
@@ -69,7 +71,7 @@ def change_map(path: Path, target: str, rng: np.random.Generator) -> str:
         case "points" | "space":
             return _change_named(path, target, rng)
         case "mesh":
-            return _change_mesh(_one(path / "shapes", "*.glb", rng), rng)
+            return _change_mesh(_one(path / "shapes", "*.mesh", rng), rng)
         case "png":
             return _change_png(_one(path / "views", "*.png", rng), rng)
         case "journal":
@@ -157,13 +159,9 @@ def _change_mesh(file: Path, rng: np.random.Generator) -> str:
     if rng.random() < 0.4:
         changed, told = _damaged(data, rng)
     else:
-        size = struct.unpack_from("<I", data, 12)[0]
-        document = json.loads(data[20 : 20 + size])
-        told = _change_value(document, rng)
-        text = json.dumps(document).encode()
-        text += b" " * (-len(text) % 4)
-        rest = data[20 + size :]
-        changed = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
+        # What is compressed: the frame around it is whole.
+        body, told = _damaged(zstandard.decompress(data[_MESH_HEADER:]), rng)
+        changed = data[:_MESH_HEADER] + zstandard.compress(body)
     _replace(file, changed)
     return f"{file.name}: {told}"
 

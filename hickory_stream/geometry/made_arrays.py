@@ -1,0 +1,107 @@
+"""Arrays that a record need not hold: given up, they are made again whenever somebody reads them.
+
+A map of a building has hundreds of records that nobody looks at. What is made is the same to the byte, and nobody can
+tell but by the time it takes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from threading import RLock
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import zstandard
+
+from hickory_stream.geometry.packing import array_of, planes_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Make = Callable[[str], NDArray[Any]]
+    Compressed = tuple[str, tuple[int, ...], bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class _Maker:
+    """What makes the arrays `names` of a record again; `keeps`: one that was read stays, until it is given up again."""
+
+    make: Make
+    names: tuple[str, ...]
+    keeps: bool
+
+
+_lock = RLock()
+_makers: WeakKeyDictionary[Any, _Maker] = WeakKeyDictionary()
+
+
+class GivesUpArrays:
+    """A frozen record, with a slot for weak references, whose arrays may be given up."""
+
+    __slots__ = ()
+
+    def __getattr__(self, name: str) -> Any:
+        # Python asks here only for what is not at hand.
+        maker = None if name.startswith("__") else _makers.get(self)
+        if maker is None or name not in maker.names:
+            raise AttributeError(name)
+        array = maker.make(name)
+        array.flags.writeable = False
+        if maker.keeps:
+            object.__setattr__(self, name, array)
+        return array
+
+
+def give_up(record: GivesUpArrays, make: Make, *names: str) -> None:
+    """Let go of arrays of a record; `make` gives each by its name, as it is, and must not hold the record."""
+    _let_go(record, _Maker(make, names, keeps=False))
+
+
+def compress(record: GivesUpArrays, *names: str) -> None:
+    """Keep arrays of a record compressed alone; those that were read since the last time are let go again."""
+    with _lock:
+        if record in _makers:
+            return _let_go(record, _makers[record])
+        packed = {name: compressed(getattr(record, name)) for name in names}
+        return _let_go(record, _Maker(lambda name: restored(packed[name]), names, keeps=True))
+
+
+def has_given_up(record: GivesUpArrays) -> bool:
+    """Return whether arrays of a record are made when they are read."""
+    return record in _makers
+
+
+def _let_go(record: GivesUpArrays, maker: _Maker) -> None:
+    with _lock:
+        _makers[record] = maker
+        for name in maker.names:
+            try:
+                object.__delattr__(record, name)
+            except AttributeError:
+                pass  # given up before
+
+
+def compressed(array: NDArray[Any]) -> Compressed:
+    """Return an array packed: keys and other whole numbers in a row as steps."""
+    if array.size == 0:
+        return array.dtype.str, array.shape, b""
+    steps = np.diff(array, prepend=array.dtype.type(0)) if _is_row(array) else array
+    # A copy: what zstandard returns holds the memory of the most that it could have become.
+    return array.dtype.str, array.shape, bytes(memoryview(zstandard.compress(planes_of(steps), 1)))
+
+
+def restored(packed: Compressed) -> NDArray[Any]:
+    """Return the array that was packed."""
+    name, shape, data = packed
+    dtype = np.dtype(name)
+    if not data:
+        return np.empty(shape, dtype)
+    array = array_of(zstandard.decompress(data), dtype, shape)
+    return np.cumsum(array, dtype=dtype) if _is_row(array) else array
+
+
+def _is_row(array: NDArray[Any]) -> bool:
+    return array.ndim == 1 and array.dtype.kind in "iu"

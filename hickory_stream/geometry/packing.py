@@ -1,0 +1,42 @@
+"""Arrays as bytes that compress: the first bytes of all numbers, then the second ones, ...; colours by their changes.
+
+A general compressor finds in planes of bytes what it does not in numbers: their upper bytes hardly differ.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_RED_AND_BLUE = np.array([1, 0, 1], np.uint8)
+
+
+def planes_of(array: NDArray[Any]) -> bytes:
+    """Return the bytes of an array of at least one dimension: columns after one another, first bytes first."""
+    columns = np.ascontiguousarray(array.reshape(array.shape[0], math.prod(array.shape[1:])).T)
+    return columns.reshape(-1).view(np.uint8).reshape(-1, array.dtype.itemsize).T.tobytes()
+
+
+def array_of(planes: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return the array of which `planes_of` gave the bytes; raises ValueError where there are not as many."""
+    numbers = np.frombuffer(planes, np.uint8).reshape(dtype.itemsize, math.prod(shape))
+    columns = np.ascontiguousarray(numbers.T).reshape(-1).view(dtype).reshape(math.prod(shape[1:]), shape[0])
+    return np.ascontiguousarray(columns.T).reshape(shape)
+
+
+def color_planes(colors: NDArray[np.uint8]) -> bytes:
+    """Return the bytes of (N, 3) colours, each as what it changes: red and blue against green, all against the last."""
+    from_green = colors - colors[:, 1:2] * _RED_AND_BLUE
+    return planes_of(np.diff(from_green, axis=0, prepend=np.zeros((1, 3), np.uint8)))
+
+
+def colors_of(planes: bytes, count: int) -> NDArray[np.uint8]:
+    """Return the (N, 3) colours of `color_planes`; raises ValueError where there are not as many."""
+    from_green = np.cumsum(array_of(planes, np.dtype(np.uint8), (count, 3)), axis=0, dtype=np.uint8)
+    colors: NDArray[np.uint8] = from_green + from_green[:, 1:2] * _RED_AND_BLUE
+    return colors

@@ -1,0 +1,67 @@
+"""Records that give their arrays up: the same bytes when they are read, and nothing to write to."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from hickory_stream.geometry.made_arrays import compress, compressed, give_up, has_given_up, restored
+from hickory_stream.records import ObservedSpace
+
+FREE, STRUCTURE = np.arange(5, 500, 3), np.arange(7)
+
+
+def space() -> ObservedSpace:
+    return ObservedSpace(voxel_m=0.05, free=FREE, structure=STRUCTURE, floor_z_m=0.0)
+
+
+@given(
+    hnp.arrays(
+        dtype=st.sampled_from(["<f4", "<i8", "|u1", "<i4"]),
+        shape=hnp.array_shapes(min_dims=1, max_dims=2, min_side=0, max_side=20),
+    )
+)
+def test_a_compressed_array_comes_back_to_the_bit(array: np.ndarray) -> None:
+    read = restored(compressed(array))
+    assert (read.dtype, read.shape, read.tobytes()) == (array.dtype, array.shape, array.tobytes())
+
+
+def test_an_array_that_was_given_up_is_made_each_time_it_is_read() -> None:
+    record, made = space(), []
+
+    def make(name: str) -> np.ndarray:
+        made.append(name)
+        return FREE.copy()
+
+    give_up(record, make, "free")
+    assert has_given_up(record)
+    assert np.array_equal(record.free, FREE)
+    assert np.array_equal(record.free, FREE)
+    assert made == ["free", "free"]
+    assert record.structure.tolist() == STRUCTURE.tolist()
+    with pytest.raises(ValueError, match="read-only"):
+        record.free[0] = 1
+    assert not hasattr(record, "no_such_array")
+
+
+def test_a_compressed_array_stays_once_it_is_read_until_it_is_compressed_again() -> None:
+    record = space()
+    compress(record, "free", "structure")
+    first = record.free
+    assert np.array_equal(first, FREE)
+    assert record.free is first
+    compress(record, "free", "structure")
+    assert record.free is not first
+    assert np.array_equal(record.free, FREE)
+
+
+def test_copies_of_a_record_hold_what_it_gave_up() -> None:
+    record = space()
+    compress(record, "free", "structure")
+    for copied in (replace(record, floor_z_m=1.0), pickle.loads(pickle.dumps(record))):
+        assert not has_given_up(copied)
+        assert np.array_equal(copied.free, FREE)

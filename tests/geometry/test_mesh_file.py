@@ -1,0 +1,61 @@
+"""Files of meshes: exact, smaller than a GLB, and read without trust in what they claim."""
+
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.geometry.mesh import Mesh, glb_bytes, sha256_of
+from hickory_stream.geometry.mesh_file import mesh_file_bytes, mesh_of_file
+
+
+def ball(num_colors: int = 7) -> Mesh:
+    solid = trimesh.creation.icosphere(3)
+    return Mesh(
+        vertices=solid.vertices.astype(np.float32),
+        faces=solid.faces,
+        colors=(np.arange(3 * len(solid.vertices)) % num_colors).reshape(-1, 3).astype(np.uint8),
+        is_seen=solid.vertices[:, 2] > 0,
+    )
+
+
+@given(st.integers(1, 40), st.integers(0, 60), st.integers(0, 2**32 - 1))
+def test_a_mesh_comes_back_exactly(num_vertices: int, num_faces: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mesh = Mesh(
+        vertices=rng.normal(size=(num_vertices, 3)).astype(np.float32),
+        faces=rng.integers(0, num_vertices, (num_faces, 3)),
+        colors=rng.integers(0, 256, (num_vertices, 3)).astype(np.uint8),
+        is_seen=rng.random(num_vertices) < 0.5,
+    )
+    assert sha256_of(mesh_of_file(mesh_file_bytes(mesh))) == sha256_of(mesh)
+
+
+def test_it_takes_half_of_a_glb_which_is_read_as_well() -> None:
+    data, glb = mesh_file_bytes(ball()), glb_bytes(ball())
+    assert len(data) < len(glb) / 2
+    assert sha256_of(mesh_of_file(data)) == sha256_of(mesh_of_file(glb)) == sha256_of(ball())
+
+
+WHOLE = mesh_file_bytes(ball())
+BODY = zstandard.decompress(WHOLE[12:])
+DAMAGED = {
+    "empty": b"",
+    "only its name": b"HSM1",
+    "cut": WHOLE[:-20],
+    "more than there is": struct.pack("<4sII", b"HSM1", 2**32 - 1, 2**32 - 1) + WHOLE[12:],
+    "other numbers of the same size": struct.pack("<4sII", b"HSM1", 5, 5) + WHOLE[12:],
+    "no frame": WHOLE[:12] + bytes(40),
+    "not finite": WHOLE[:12] + zstandard.compress(b"\xff" * len(BODY)),
+    "a face of no vertex": WHOLE[:12] + zstandard.compress(BODY[: 15 * 642] + b"\x80" * (12 * 1280) + BODY[-81:]),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_file_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        mesh_of_file(DAMAGED[name])
