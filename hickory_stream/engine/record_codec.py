@@ -263,10 +263,12 @@ def _keys(data: bytes, count: int) -> NDArray[np.int64]:
     half = len(data) // 2
     if len(data) % _BLOCK_BYTES or count > MOST_KEYS:
         raise ValueError(f"{count} keys in blocks of {len(data)} bytes")
-    heads, words = (array_of(part, np.dtype("<i8"), (half // 8,)) for part in (data[:half], data[half:]))
+    heads, words = (
+        array_of(part, np.dtype(kind), (half // 8,)) for part, kind in ((data[:half], "<i8"), (data[half:], "<u8"))
+    )
     if count_in(words) != count:
         raise ValueError(f"{count} keys in blocks of {count_in(words)}")
-    return keys_of_blocks(np.cumsum(heads, dtype=np.int64), words.view("<u8"))
+    return keys_of_blocks(np.cumsum(heads, dtype=np.int64), words)
 
 
 @cache

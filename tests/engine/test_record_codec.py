@@ -76,6 +76,12 @@ def test_keys_in_columns_come_back(steps: list[int], first: int) -> None:
     assert read.tobytes() == keys.tobytes()
 
 
+@pytest.mark.parametrize("first", [0, 1, 63, -64, 1 << 50])
+def test_full_columns_come_back(first: int) -> None:
+    keys = np.arange(first, first + 500)
+    assert decode(encode(keys)).tobytes() == keys.tobytes()
+
+
 def test_columns_of_free_voxels_take_a_tenth_of_what_their_differences_take() -> None:
     columns = np.unique(np.random.default_rng(0).integers(0, 2**21, 2_000)) << 21
     keys = (columns[:, None] + np.arange(40)).reshape(-1)
