@@ -69,8 +69,9 @@ def separation(
     found = _significance(evidence, (one, own), (other, rival), repeated) - _significance(
         evidence, (other, rival), (one, own), repeated
     )
-    # Robots measure gravity: a tilt that explains a pair more is not preferred until it has paid its price.
-    most = float(np.log10(evidence.chance.tilt_price)) * (other[0].is_level - one[0].is_level)
+    # Robots measure gravity: a tilt that explains a pair more, and is likelier chance, is not preferred unpaid.
+    is_dearer = (one[0].log10_uniform > other[0].log10_uniform) == other[0].is_level
+    most = float(np.log10(evidence.chance.tilt_price)) * (other[0].is_level - one[0].is_level) * is_dearer
     return found - float(np.clip(found, min(most, 0.0), max(most, 0.0)))
 
 
