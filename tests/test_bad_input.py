@@ -345,6 +345,21 @@ def test_with_json_the_refusal_is_one_json_object_on_standard_output(
     assert ended.errors == [f"hickory-stream: {answer['message']}"]
 
 
+def test_a_map_larger_than_memory_is_said_to_be(
+    tmp_path: Path, run: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def too_large(*_: object) -> None:
+        raise MemoryError("Unable to allocate 446. GiB")
+
+    monkeypatch.setattr("hickory_stream.cli.inspect.run", too_large)
+    ended = run("inspect", tmp_path)
+    assert ended.status == 2
+    assert ended.errors == [
+        "hickory-stream: found too little memory: Unable to allocate 446. GiB; expected a machine with more, or a "
+        "smaller map or log"
+    ]
+
+
 def test_our_own_failure_exits_with_1_and_one_line_that_says_how_to_see_more(
     log: Path, tmp_path: Path, run: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,6 +57,11 @@ def _run(arguments: Sequence[str] | None) -> int:
         return STOPPED
     except BrokenPipeError:
         return 0
+    except MemoryError as error:
+        # A map or a log that is larger than this machine, or one that somebody altered to look so.
+        what = str(error) or "no more can be had"
+        _fail(f"found too little memory: {what}; expected a machine with more, or a smaller map or log", options)
+        return 2
     except Exception as error:  # noqa: BLE001 -- what nobody foresaw ends here, in one line
         if options.debug:
             traceback.print_exc()
