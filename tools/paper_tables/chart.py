@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from tools.paper_tables.tables import Cell, Column, Table
 
 _OURS, _PAPER, _INK, _SOFT, _RULE = (28, 98, 196), (198, 205, 217), (29, 35, 48), (102, 102, 119), (225, 228, 234)
-_LEFT, _BAR, _PANEL, _GAP, _ROW, _TOP = 150, 150, 320, 20, 34, 86
+_LETTER, _BAR, _PANEL, _GAP, _ROW, _TOP = 8, 150, 320, 20, 34, 86
 
 
 def chart(table: Table) -> Drawing:
@@ -22,7 +22,8 @@ def chart(table: Table) -> Drawing:
         for i, column in enumerate(table.columns)
         if any(cells[i].value is not None or cells[i].paper is not None for _, cells in table.rows)
     ]
-    width = _LEFT + max(len(shown), 1) * (_PANEL + _GAP)
+    left = 30 + _LETTER * max((len(title) for title, _ in table.rows), default=0)
+    width = left + max(len(shown), 1) * (_PANEL + _GAP)
     drawing = Drawing(width, _TOP + _ROW * len(table.rows) + 24)
     drawing.add(Text(place_px=(16, 24), text=table.caption, color=_INK))
     drawing.add(
@@ -32,9 +33,9 @@ def chart(table: Table) -> Drawing:
         Text(place_px=(280, 48), text="the paper's own", color=_SOFT),
     )
     for i, (title, _) in enumerate(table.rows):
-        drawing.add(Text(place_px=(_LEFT - 12, _TOP + _ROW * i + 20), text=title, color=_INK, anchor="end"))
+        drawing.add(Text(place_px=(left - 12, _TOP + _ROW * i + 20), text=title, color=_INK, anchor="end"))
     for j, (column, cells) in enumerate(shown):
-        _panel(drawing, _LEFT + j * (_PANEL + _GAP), column, cells)
+        _panel(drawing, left + j * (_PANEL + _GAP), column, cells)
     return drawing
 
 
