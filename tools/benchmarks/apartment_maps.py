@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +19,7 @@ from hickory_stream.worlds.cache import cached_recording, recording_name
 from hickory_stream.worlds.recording import RecordingConfig
 from players import open_source
 from tools.benchmarks.processes import ROOT
+from tools.benchmarks.repetitions import hash_of_files
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -69,8 +69,5 @@ def frame_of(apartment: int, walk: int) -> NDArray[np.float64]:
 
 def _code_digest() -> str:
     """Return what tells two states of the code that makes maps apart."""
-    digest = hashlib.sha256()
-    for package in ("geometry", "perception", "mapping", "shapes"):
-        for file in sorted((ROOT / "hickory_stream" / package).rglob("*.py")):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()[:8]
+    packages = ("geometry", "perception", "mapping", "shapes")
+    return hash_of_files([f"hickory_stream/{package}" for package in packages], (".py",))[:8]

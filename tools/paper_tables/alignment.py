@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _METHODS: dict[Method, str] = {
     "bbox": "Mesh-BBox", "roman-xl": "ROMAN-XL", "roman-one": "ROMAN-One", "sq": "Superquadrics (ours)",
 }  # fmt: skip
-_FIGURES = (("num_pairs", "N_a", 0), ("translation_m", "m", 4), ("rotation_deg", "deg", 4))
+_FIGURES = ("num_pairs", "translation_m", "rotation_deg")
 
 
 def alignment_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
@@ -106,7 +106,7 @@ def _cells(found: dict[str, Any], paper: Aligned | None) -> tuple[Cell, ...]:
             paper=None if paper is None else float(getattr(paper, name)),
             why=why,
         )
-        for name, _, _ in _FIGURES
+        for name in _FIGURES
     ]
     return (*cells, Cell(value=found["overlap_m"], why=why))
 
@@ -116,7 +116,7 @@ def _means(method: Method, data_set: str, answers: dict[tuple[str, str], dict[Me
     answered = [row for row in rows if row["refusal"] is None and row["overlap_m"] is not None]
     published = ALIGNMENT[method].get(data_set, ())
     cells = []
-    for name in ("num_pairs", "translation_m", "rotation_deg", "overlap_m"):
+    for name in (*_FIGURES, "overlap_m"):
         paper = [float(getattr(one, name)) for one in published if hasattr(one, name)]
         value = sum(row[name] for row in answered) / len(answered) if answered else None
         cells.append(

@@ -100,7 +100,7 @@ def kimera_pairs(data: Path, plan: Plan) -> list[Pair]:
                     data_set=KIMERA_MULTI.name,
                     scene=folder.name,
                     logs=(logs[0][1], logs[1][1]),
-                    truths=tuple(folder / f"{name}_gt_odom.csv" for name, _ in logs[:2]),  # type: ignore[arg-type]
+                    truths=(_ground_truth(folder, logs[0][0]), _ground_truth(folder, logs[1][0])),
                 )
             )
     return pairs[: plan.robot_pairs]
@@ -128,6 +128,10 @@ def nus_pairs(data: Path, plan: Plan) -> list[Pair]:
                 Pair(data_set=NUS_CLB.name, scene=folder.name, logs=(logs[0], logs[1]), truths=(runs[0], runs[1]))
             )
     return pairs[: plan.nus_pairs]
+
+
+def _ground_truth(folder: Path, robot: str) -> Path:
+    return folder / f"{robot}_gt_odom.csv"
 
 
 def _robot_log(folder: Path, robot: str) -> Log | None:

@@ -38,7 +38,7 @@ _ADDS_SHARE = {HOPE.name: 0.05, REPLICA_CAD.name: 0.1}
 
 def views_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
     """Return the table; a data set without logs has empty cells that say why."""
-    sets = {HOPE.name: _hope(data, plan, shop), REPLICA_CAD.name: _apartments(data, plan, shop)}
+    sets = {name: _found(name, data, plan, shop) for name in _ADDS_SHARE}
     rows = []
     for strategy in sorted(STRATEGIES, key=list(_TITLES).index):
         paper = VIEWS[strategy]
@@ -70,21 +70,19 @@ def views_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
     )
 
 
-def _hope(data: Path, plan: Plan, shop: Workshop) -> dict[str, list[Any]] | str:
+def _found(name: str, data: Path, plan: Plan, shop: Workshop) -> dict[str, list[Any]] | str:
+    """Return what `_evaluated` does of a data set's logs, or why there is nothing."""
     try:
-        logs = [(log, hope_truth(data, log, shop)) for log in hope_logs(data, plan)]
-        return _evaluated(logs, shop)
+        return _evaluated(_logs(name, data, plan, shop), shop)
     except HickoryError as error:
         return refusal(error)
 
 
-def _apartments(data: Path, plan: Plan, shop: Workshop) -> dict[str, list[Any]] | str:
-    try:
-        pairs = apartment_pairs(data, plan, shop)
-        logs = [(log, load_truth(truth)) for pair in pairs for log, truth in zip(pair.logs, pair.truths, strict=True)]
-        return _evaluated(logs, shop)
-    except HickoryError as error:
-        return refusal(error)
+def _logs(name: str, data: Path, plan: Plan, shop: Workshop) -> list[tuple[Log, Truth]]:
+    if name == HOPE.name:
+        return [(log, hope_truth(data, log, shop)) for log in hope_logs(data, plan)]
+    pairs = apartment_pairs(data, plan, shop)
+    return [(log, load_truth(truth)) for pair in pairs for log, truth in zip(pair.logs, pair.truths, strict=True)]
 
 
 def _evaluated(logs: list[tuple[Log, Truth]], shop: Workshop) -> dict[str, list[Any]] | str:

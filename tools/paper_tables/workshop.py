@@ -7,22 +7,24 @@ made by `hickory-stream play`, a process of its own; one that was interrupted is
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.engine.atomic import write_atomically
 from hickory_stream.errors import HickoryError, MapFolderError
 from hickory_stream.json_text import dumps
 from tools.benchmarks.processes import ROOT
+from tools.benchmarks.repetitions import hash_of_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
+
+# What makes and measures maps.
+_CODE, _KINDS = ("hickory_stream", "players", "tools/paper_tables"), (".py", ".toml", ".json", ".npz")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -48,7 +50,7 @@ class Workshop:
         self.folder = folder
         self.told = told
         self._workers = workers
-        self._code = _code_digest()
+        self._code = hash_of_files(_CODE, _KINDS)[:16]
         for part in ("results", "maps", "data", "truth"):
             (folder / part).mkdir(parents=True, exist_ok=True)
 
@@ -102,17 +104,6 @@ def _identity(file: Path) -> list[Any]:
         return [file.name, 1, file.stat().st_size]
     sizes = [each.stat().st_size for each in sorted(file.rglob("*")) if each.is_file()]
     return [file.name, len(sizes), sum(sizes)]
-
-
-def _code_digest() -> str:
-    """Return a digest of the code that makes and measures maps."""
-    digest = sha256()
-    for package in ("hickory_stream", "players", "tools/paper_tables"):
-        for path in sorted((ROOT / package).rglob("*")):
-            if path.suffix in (".py", ".toml", ".json", ".npz") and "__pycache__" not in path.parts:
-                digest.update(os.fsencode(path.relative_to(ROOT)))
-                digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def refusal(error: HickoryError) -> str:
