@@ -1,6 +1,7 @@
 """What odometry alone says between any two nodes: its edges along the way from one to the other, errors added up.
 
-Independent errors of edges in a row add up once all are seen from one frame; to first order this is exact.
+Independent errors of edges in a row add up once all are seen from one frame; to first order this is exact. Those of a
+way are what has added up from the first node to its ends, without what both share.
 """
 
 from __future__ import annotations
@@ -11,10 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.rigid import invert
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -48,7 +48,7 @@ class Chain:
     def __init__(self, graph: PoseGraph) -> None:
         poses = np.array(graph.world_from_node)
         errors = np.zeros((graph.num_nodes, 6, 6))
-        self._before = [-1] * graph.num_nodes
+        self._before = [0] * graph.num_nodes
         for edge in sorted(graph.odometry, key=lambda edge: edge.after):
             self._before[edge.after] = edge.before
             poses[edge.after] = portable.matmul(poses[edge.before], edge.before_from_after)
@@ -56,20 +56,24 @@ class Chain:
         # Of the edge to each node, as small motions in the frame of the world.
         carry = _adjoints(poses[:, :3, :3], poses[:, :3, 3])
         self._errors = portable.matmul(portable.matmul(carry, errors), np.swapaxes(carry, 1, 2))
-        turned = np.ascontiguousarray(np.swapaxes(poses[:, :3, :3], 1, 2))
-        self._node_from_world = _adjoints(turned, -portable.matmul(turned, poses[:, :3, 3:])[:, :, 0])
+        for node in range(1, graph.num_nodes):
+            self._errors[node] += self._errors[self._before[node]]
+        self._node_from_world = np.tile(np.eye(4), (graph.num_nodes, 1, 1))
+        self._node_from_world[:, :3, :3] = np.swapaxes(poses[:, :3, :3], 1, 2)
+        self._node_from_world[:, :3, 3:] = -portable.matmul(self._node_from_world[:, :3, :3], poses[:, :3, 3:])
         self._upright = graph.world_from_node[:, 2, :3]
         self._gravity_sigma_rad = graph.gravity_sigma_rad
         self.world_from_node = poses
 
     def predictions(self, pairs: Sequence[tuple[int, int]]) -> list[Prediction]:
         """Return what odometry and the verticals say of pairs of nodes, the earlier first."""
-        # The ways from both to the first node, without what they share.
-        ways = [sorted(set(self._above(earlier)) ^ set(self._above(later))) for earlier, later in pairs]
-        covariances = self._known([later for _, later in pairs], ways)
+        earlier, later = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+        shared = [self._meeting(a, b) for a, b in pairs]
+        summed = self._errors[earlier] + self._errors[later] - 2.0 * self._errors[shared]
+        between = self._between(earlier, later)
         return [
-            Prediction(earlier_from_later=self._between(earlier, later), covariance=covariance)
-            for (earlier, later), covariance in zip(pairs, covariances, strict=True)
+            Prediction(earlier_from_later=transform, covariance=covariance)
+            for transform, covariance in zip(between, self._known(later, summed), strict=True)
         ]
 
     def skeleton(self, ends: Iterable[int]) -> tuple[Link, ...]:
@@ -79,53 +83,56 @@ class Chain:
         """
         kept = {0} | set(ends)
         passed: set[int] = set()
-        for end in sorted(kept):
-            for node in self._above(end):
-                if node in passed:
-                    kept.add(node)
-                    break
+        for node in sorted(kept):
+            while node > 0 and node not in passed:
                 passed.add(node)
+                node = self._before[node]
+            kept.add(node)
         nodes = sorted(kept - {0})
-        ways = [self._up_to(node, kept) for node in nodes]
-        befores = [self._before[way[-1]] for way in ways]
+        befores = [self._up_to(node, kept) for node in nodes]
+        between = self._between(befores, nodes)
+        covariances = self._known(nodes, self._errors[nodes] - self._errors[befores])
         return tuple(
-            Link(
-                before=before,
-                after=after,
-                before_from_after=self._between(before, after),
-                covariance=covariance,
-            )
-            for before, after, covariance in zip(befores, nodes, self._known(nodes, ways), strict=True)
+            Link(before=before, after=after, before_from_after=transform, covariance=covariance)
+            for before, after, transform, covariance in zip(befores, nodes, between, covariances, strict=True)
         )
 
-    def _up_to(self, node: int, kept: set[int]) -> list[int]:
-        """Return a node and those before it, up to the first that hangs on one of `kept`."""
-        way = [node]
-        while self._before[way[-1]] not in kept:
-            way.append(self._before[way[-1]])
-        return way
+    def carried(self, places: Mapping[int, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return the poses (N, 4, 4) of all nodes by the places of some, node 0 among them, and odometry from there."""
+        nodes = range(len(self._before))
+        owners = list(nodes)
+        for node in nodes:
+            if node not in places:
+                owners[node] = owners[self._before[node]]
+        return portable.matmul(np.array([places[owner] for owner in owners]), self._between(owners, nodes))
 
-    def _above(self, node: int) -> list[int]:
-        """Return a node and those on the way from it to the first."""
-        way = []
-        while node >= 0:
-            way.append(node)
+    def _up_to(self, node: int, kept: set[int]) -> int:
+        """Return the first of `kept` on the way from a node to node 0, after the node itself."""
+        node = self._before[node]
+        while node not in kept:
             node = self._before[node]
-        return way
+        return node
 
-    def _between(self, a: int, b: int) -> NDArray[np.float64]:
-        return portable.matmul(invert(self.world_from_node[a]), self.world_from_node[b])
+    def _meeting(self, a: int, b: int) -> int:
+        """Return the last node that is on the ways of both to node 0; edges lead from earlier nodes to later ones."""
+        while a != b:
+            a, b = (self._before[a], b) if a > b else (a, self._before[b])
+        return a
 
-    def _known(self, nodes: Sequence[int], ways: Sequence[list[int]]) -> NDArray[np.float64]:
-        """Return (K, 6, 6) the covariance of each way, seen from its node, when the verticals at its ends are known.
+    def _between(self, firsts: Sequence[int], seconds: Sequence[int]) -> NDArray[np.float64]:
+        """Return where the second of pairs of nodes lie in the first, (K, 4, 4)."""
+        return portable.matmul(self._node_from_world[list(firsts)], self.world_from_node[list(seconds)])
 
-        A way are the nodes to which its edges lead.
+    def _known(self, nodes: Sequence[int], errors: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (K, 6, 6) the covariances of ways, each seen from the node at its end, with the verticals known.
+
+        `errors` (K, 6, 6) are those of the ways, as small motions in the frame of the world.
         """
-        if not ways:
+        if not nodes:
             return np.empty((0, 6, 6))
-        carry = self._node_from_world[nodes]
-        summed = np.array([self._errors[way].sum(axis=0) for way in ways])
-        covariances = portable.matmul(portable.matmul(carry, summed), np.swapaxes(carry, 1, 2))
+        node_from_world = self._node_from_world[nodes]
+        carry = _adjoints(node_from_world[:, :3, :3], node_from_world[:, :3, 3])
+        covariances = portable.matmul(portable.matmul(carry, errors), np.swapaxes(carry, 1, 2))
         return _with_verticals(covariances, self._upright[nodes], self._gravity_sigma_rad)
 
 

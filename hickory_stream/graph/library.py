@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.geometry import portable
+from hickory_stream.graph.graduated import sharper, smoothest, weights_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -22,14 +23,13 @@ if TYPE_CHECKING:
 
 # Node 0 is held this well, in radians and metres: far better than any edge, far from the end of double precision.
 _HELD = 1e-5
-_GNC_STEP = 1.4
-# Weights need no more exact places than two steps give; three take a third longer.
-_GNC_INNER_STEPS = 2
+# At each step of graduated non-convexity its limit is sharper by 1.4: far more than are needed.
+_MOST_ROUNDS = 200
 _DIGITS_M, _DIGITS_ROTATION = 6, 7
 
 
 class Factors:
-    """A factor graph that grows; `sure` are the places of factors that are not to be doubted."""
+    """A factor graph that grows."""
 
     def __init__(self) -> None:
         import gtsam
@@ -37,7 +37,6 @@ class Factors:
         self._gtsam = gtsam
         self.graph = gtsam.NonlinearFactorGraph()
         self.values = gtsam.Values()
-        self.sure: list[int] = []
 
     def add_nodes(self, nodes: Sequence[int], start: NDArray[np.float64]) -> None:
         """Add nodes by their numbers in `start` (N, 4, 4), the first of them held there."""
@@ -45,18 +44,18 @@ class Factors:
         for node in nodes:
             self.values.insert(node, gtsam.Pose3(start[node]))
         held = gtsam.noiseModel.Isotropic.Sigma(6, _HELD)
-        self._add_sure(gtsam.PriorFactorPose3(nodes[0], gtsam.Pose3(start[nodes[0]]), held))
+        self._add(gtsam.PriorFactorPose3(nodes[0], gtsam.Pose3(start[nodes[0]]), held))
 
     def add_verticals(self, nodes: Sequence[int], upright: NDArray[np.float64], sigma_rad: float) -> None:
         """Add that the vertical of nodes is the one that they have in `upright` (N, 4, 4), z up."""
         gtsam = self._gtsam
         up, level = gtsam.Unit3(np.array([0.0, 0.0, 1.0])), gtsam.noiseModel.Isotropic.Sigma(2, sigma_rad)
         for node in nodes:
-            self._add_sure(gtsam.AttitudeFactorPose3(node, up, level, gtsam.Unit3(upright[node][2, :3])))
+            self._add(gtsam.AttitudeFactorPose3(node, up, level, gtsam.Unit3(upright[node][2, :3])))
 
     def add_odometry(self, edge: OdometryEdge | Link) -> None:
         """Add an edge that is not to be cut: its covariance says how far it may stretch."""
-        self._add_sure(self._between(edge.before, edge.after, edge.before_from_after, edge.covariance))
+        self._add(self._between(edge.before, edge.after, edge.before_from_after, edge.covariance))
 
     def add_loop(self, loop: LoopEdge) -> int:
         """Add a loop; return its place."""
@@ -66,22 +65,29 @@ class Factors:
         """Return the values of least squares, all factors taken as they are; raises RuntimeError."""
         return self._gtsam.LevenbergMarquardtOptimizer(self.graph, self.values, _parameters()).optimize()
 
-    def weights(self, inlier_chi2: float) -> NDArray[np.float64]:
-        """Return the weights (F,) that graduated non-convexity gives to factors, 0..1; raises RuntimeError."""
-        gtsam = self._gtsam
-        parameters = gtsam.GncLMParams(_parameters(most_steps=_GNC_INNER_STEPS))
-        parameters.setLossType(gtsam.GncLossType.TLS)
-        # Its faster schedule, and greater steps, accepted wrong loops in simulation.
-        parameters.setScheduler(gtsam.GncScheduler.Linear)
-        parameters.setLambdaStep(_GNC_STEP)
-        # Until weights are 0 or 1: with tolerances it ends at once where the first weights are all next to 0.
-        parameters.setWeightsTol(0.0)
-        parameters.setRelativeCostTol(0.0)
-        parameters.setKnownInliers(self.sure)
-        optimizer = gtsam.GncLMOptimizer(self.graph, self.values, parameters)
-        optimizer.setInlierCostThresholds(0.5 * inlier_chi2)
-        optimizer.optimize()
-        return np.asarray(optimizer.getWeights(), dtype=np.float64).reshape(-1)
+    def judged(self, doubted: Sequence[int], limit_chi2: float) -> tuple[NDArray[np.float64], Any]:
+        """Return the weights (K,), 0..1, that graduated non-convexity gives to the factors at these places, and values.
+
+        The library has this, too (`GncLMOptimizer`), and goes from the start values in each round. From where the last
+        one ended one step of Gauss and Newton is enough, instead of two of Levenberg and Marquardt.
+        """
+        factors: list[Any] = [self.graph.at(place) for place in doubted]
+        roots = [factor.noiseModel().R() for factor in factors]
+        ordering = self._gtsam.Ordering.ColamdNonlinearFactorGraph(self.graph)
+        weighted, values = self._gtsam.NonlinearFactorGraph(self.graph), self.values
+        weights = np.ones(len(factors))
+        sharpness = 0.0
+        for _ in range(_MOST_ROUNDS):
+            chi2 = np.array([2.0 * factor.error(values) for factor in factors])
+            sharpness = sharper(sharpness) if sharpness else smoothest(chi2, limit_chi2)
+            weights = weights_of(chi2, limit_chi2, sharpness)
+            if np.isin(weights, (0.0, 1.0)).all():
+                break
+            for place, factor, root, weight in zip(doubted, factors, roots, np.sqrt(weights), strict=True):
+                model = self._gtsam.noiseModel.Gaussian.SqrtInformation(weight * root)
+                weighted.replace(place, factor.cloneWithNewNoiseModel(model))
+            values = values.retract(weighted.linearize(values).optimize(ordering))
+        return weights, values
 
     def chi2(self, place: int, values: Any) -> float:
         """Return the squared residual of a factor, by its covariance."""
@@ -103,23 +109,24 @@ class Factors:
         self.graph.add(factor)
         return int(self.graph.size()) - 1
 
-    def _add_sure(self, factor: Any) -> None:
-        self.sure.append(self._add(factor))
 
-
-def _parameters(most_steps: int = 100) -> Any:
+def _parameters() -> Any:
     import gtsam
 
     parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(most_steps)
     parameters.setOrderingType("COLAMD")
     parameters.setLinearSolverType("MULTIFRONTAL_CHOLESKY")
     return parameters
 
 
+def poses_of(values: Any, nodes: Iterable[int]) -> NDArray[np.float64]:
+    """Return the poses (N, 4, 4) of nodes, to the last bit."""
+    return np.array([values.atPose3(node).matrix() for node in nodes])
+
+
 def settled(values: Any, nodes: Iterable[int]) -> NDArray[np.float64]:
     """Return the poses (N, 4, 4) of nodes, rounded to a micrometre, and rotations to about a ten-millionth."""
-    poses = np.array([values.atPose3(node).matrix() for node in nodes])
+    poses = poses_of(values, nodes)
     poses[:, :3, :3] = portable.nearest_orthogonal(np.round(poses[:, :3, :3], _DIGITS_ROTATION))
     poses[:, :3, 3] = np.round(poses[:, :3, 3], _DIGITS_M)
     return poses

@@ -22,7 +22,7 @@ from hickory_stream.graph.chain import Chain
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import adjoint, symmetric
 from hickory_stream.graph.gate import surprise_of
-from hickory_stream.graph.library import Factors, settled
+from hickory_stream.graph.library import Factors, poses_of, settled
 from hickory_stream.graph.solution import NoSolution, RejectedLoop, Solution
 
 if TYPE_CHECKING:
@@ -51,8 +51,8 @@ def solve(
     chain = Chain(graph)
     possible, reasons = _possible(graph, chain, config)
     try:
-        weights = _judged(chain, possible, config)
-        return _placed(graph, chain, possible, weights, reasons, config, frozenset(accepted_before))
+        weights, start = _judged(chain, possible, config)
+        return _placed(graph, start, possible, weights, reasons, config, frozenset(accepted_before))
     except RuntimeError as error:
         # GTSAM's exceptions, e.g. of a system without a unique solution, are RuntimeErrors in Python.
         return NoSolution(reason=f"the pose graph could not be solved: {str(error).strip().splitlines()[0]}")
@@ -97,23 +97,24 @@ def _possible(graph: PoseGraph, chain: Chain, config: GraphConfig) -> tuple[list
     return possible, reasons
 
 
-def _judged(chain: Chain, loops: Sequence[LoopEdge], config: GraphConfig) -> list[float]:
-    """Return the weight, 0..1, of each loop."""
+def _judged(chain: Chain, loops: Sequence[LoopEdge], config: GraphConfig) -> tuple[list[float], NDArray[np.float64]]:
+    """Return the weight, 0..1, of each loop, and about where (N, 4, 4) all nodes lie by them."""
     if not loops:
-        return []
+        return [], chain.world_from_node
     edges = chain.skeleton({node for loop in loops for node in (loop.earlier, loop.later)})
     factors = Factors()
-    factors.add_nodes((0, *(edge.after for edge in edges)), chain.world_from_node)
+    nodes = (0, *(edge.after for edge in edges))
+    factors.add_nodes(nodes, chain.world_from_node)
     for edge in edges:
         factors.add_odometry(edge)
     places = [factors.add_loop(loop) for loop in loops]
-    weights = factors.weights(config.inlier_chi2)
-    return [float(weights[place]) for place in places]
+    weights, values = factors.judged(places, config.inlier_chi2)
+    return weights.tolist(), chain.carried(dict(zip(nodes, poses_of(values, nodes), strict=True)))
 
 
 def _placed(
     graph: PoseGraph,
-    chain: Chain,
+    start: NDArray[np.float64],
     possible: Sequence[LoopEdge],
     weights: Sequence[float],
     reasons: Mapping[int, str],
@@ -126,7 +127,7 @@ def _placed(
     """
     believed = [loop for loop, weight in zip(possible, weights, strict=True) if weight > _BELIEVED]
     while True:
-        factors, places = _whole(graph, believed, chain.world_from_node)
+        factors, places = _whole(graph, believed, start)
         values = factors.optimized() if believed else factors.values
         residuals = [factors.chi2(place, values) for place in places]
         if max(residuals, default=0.0) <= config.inlier_chi2:

@@ -25,6 +25,35 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = GraphConfig()
 
 
+def libraries_weights(factors: Factors, loops: list[int]) -> np.ndarray:
+    """What GTSAM's own graduated non-convexity says of loops."""
+    import gtsam
+
+    base = gtsam.LevenbergMarquardtParams()
+    base.setMaxIterations(2)
+    parameters = gtsam.GncLMParams(base)
+    parameters.setLossType(gtsam.GncLossType.TLS)
+    parameters.setScheduler(gtsam.GncScheduler.Linear)
+    parameters.setWeightsTol(0.0)
+    parameters.setRelativeCostTol(0.0)
+    parameters.setKnownInliers(sorted(set(range(factors.graph.size())) - set(loops)))
+    optimizer = gtsam.GncLMOptimizer(factors.graph, factors.values, parameters)
+    optimizer.setInlierCostThresholds(0.5 * CONFIG.inlier_chi2)
+    optimizer.optimize()
+    return np.asarray(optimizer.getWeights()).reshape(-1)[loops]
+
+
+def test_loops_have_the_weights_that_the_library_gives_them(walk: SimulatedGraph) -> None:
+    factors = Factors()
+    factors.add_nodes(range(walk.graph.num_nodes), walk.graph.world_from_node)
+    for edge in walk.graph.odometry:
+        factors.add_odometry(edge)
+    loops = [factors.add_loop(loop) for loop in walk.graph.loops]
+    weights, _ = factors.judged(loops, CONFIG.inlier_chi2)
+    assert set(weights) == {0.0, 1.0}
+    assert np.array_equal(weights, libraries_weights(factors, loops))
+
+
 def ate_m(poses: np.ndarray, true: np.ndarray) -> float:
     return float(np.sqrt(np.square(poses[:, :3, 3] - true[:, :3, 3]).sum(axis=1).mean()))
 
