@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-Kind = Literal["kernels", "shapes", "recordings", "true-shapes"]
+Kind = Literal["kernels", "shapes", "recordings", "true-shapes", "image-features"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 _DEFAULT_CAP_MB = 4000.0
 # So that not every call has something to remove.
@@ -162,7 +162,13 @@ def _by_stem(folder: Path) -> Iterator[tuple[Path, ...]]:
     yield from (tuple(paths) for paths in groups.values())
 
 
-_GROUPS = {"kernels": _two_levels, "shapes": _two_levels, "recordings": _by_stem, "true-shapes": _by_stem}
+_GROUPS = {
+    "kernels": _two_levels,
+    "shapes": _two_levels,
+    "recordings": _by_stem,
+    "true-shapes": _by_stem,
+    "image-features": _two_levels,
+}
 
 
 # ---- where ----------------------------------------------------------------------------------------------------------

@@ -665,6 +665,14 @@ class ModelsFolder(TypedDict):
     folder: str
 
 
+class ModelFile(TypedDict):
+    """A further file of a network, and what it is for."""
+
+    role: str
+    file: str
+    sha256: str
+
+
 class Model(TypedDict):
     """One network; `state` is "ok", or what is wrong with it. `input_px` is 0 for any."""
 
@@ -676,6 +684,7 @@ class Model(TypedDict):
     licence: str
     input_px: list[int]
     labels: list[str]
+    companions: list[ModelFile]
     state: str
 
 
@@ -708,6 +717,7 @@ class ModelChecked(TypedDict):
     patches: NotRequired[list[int]]
     dim: NotRequired[int]
     classes: NotRequired[dict[str, float]]
+    similarity: NotRequired[dict[str, float]]
     picture: NotRequired[str]
 
 

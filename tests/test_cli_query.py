@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import pytest
 
+from hickory_stream import caches
 from hickory_stream.cli import main
+from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.map_folder import create_map_folder
-from tests.engine.snapshot_fixtures import make_snapshot
+from tests.engine.snapshot_fixtures import make_crop, make_snapshot
 from tests.navigation.rooms import table, tracked
+from tests.perception.small_pairs import write_pair
 from tests.test_cli_navigation import CRATE, saved
 
 if TYPE_CHECKING:
@@ -71,3 +75,54 @@ def test_plan_leads_to_a_place_beside_an_object(tmp_path: Path, capsys: pytest.C
     for goal, complaint in (("object:9", "has no object 9"), ("object:x", "expected X,Y in metres, or object:ID")):
         assert main([*command, "--goal", goal]) == 2
         assert complaint in capsys.readouterr().err
+
+
+def test_an_image_text_network_tells_what_words_look_like(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HICKORY_MODELS", str(tmp_path / "models"))
+    monkeypatch.setattr(caches, "cache_root", lambda: tmp_path / "cache")
+    made = create_map_folder(tmp_path / "map", config={}, source={}, overwrite=False)
+    snapshot = make_snapshot(made)
+    # The view of the table is red and that of the box is blue, whatever their points are.
+    for item, color in zip(snapshot.objects, ((220, 20, 20), (20, 20, 220)), strict=False):
+        picture = np.full((12, 16, 3), color, np.uint8)
+        write_crop(made.views, item.best_view.name, replace(make_crop(), rgb=picture))
+    made.save(snapshot)
+    made.finish(finished_cleanly=True)
+    query = ["query", str(made.path), "--json"]
+    assert main([*query, "a mug"]) == 2
+    assert "models add FOLDER --kind image-text" in capsys.readouterr().err
+
+    pair = write_pair(tmp_path / "colours")
+    assert main(["models", "add", str(pair), "--kind", "image-text", "--licence", "CC0-1.0", "--json"]) == 0
+    assert main(["models", "list"]) == 0
+    assert "colours  image-text  8 x 8  CC0-1.0" in capsys.readouterr().out
+    assert main(["models", "check", "colours", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["dim"] == 3
+    for question, expected in (("a mug", [1]), ("a window", [4]), ("a blue window", [4]), ("a thing on a mug", [4])):
+        assert main([*query, question]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert [answer["object"] for answer in told["answers"]] == expected, question
+    assert main([*query, "a blue mug"]) == 3
+    assert len(list((tmp_path / "cache" / "image-features").rglob("*.f32"))) == 2
+
+    # A feature that was cut off in the cache is made anew.
+    for path in (tmp_path / "cache" / "image-features").rglob("*.f32"):
+        path.write_bytes(path.read_bytes()[:5])
+    capsys.readouterr()
+    assert main(["query", str(made.path), "a mug"]) == 0
+    told, progress = capsys.readouterr()
+    assert 'looks like "mug" 1.00' in told
+    assert "views looked at by colours: 2 of 2" in progress
+
+    assert main(["models", "add", str(pair), "--kind", "image-text", "--name", "other"]) == 0
+    assert main([*query, "a mug"]) == 2
+    assert "several image-text networks are there (colours, other)" in capsys.readouterr().err
+    assert main([*query, "a mug", "--model", "other"]) == 0
+    (tmp_path / "models" / "other.tokenizer.json").unlink()
+    assert main([*query, "a mug", "--model", "other"]) == 2
+    assert "other.tokenizer.json is missing" in capsys.readouterr().err
+    (pair / "tokenizer.json").unlink()
+    assert main(["models", "add", str(pair), "--kind", "image-text"]) == 2
+    assert "no tokenizer.json" in capsys.readouterr().err

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from hickory_stream.perception.models.network import Network
     from hickory_stream.perception.perceive import PerceptionConfig
 
-_KINDS = ("fastsam", "dinov2", "oneformer", "semantic")
+# What `check` asks an image-text network of the built-in picture.
+_TEXTS = ("a photo of a cup of coffee.", "a photo of a dog.")
+_KINDS = ("fastsam", "dinov2", "oneformer", "semantic", "image-text")
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
@@ -35,7 +37,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     listing.set_defaults(run=_list)
     adding = actions.add_parser("add", parents=[common], help="copy an ONNX file there, with an entry in the manifest")
     adding.set_defaults(run=_add)
-    adding.add_argument("file", type=Path, metavar="ONNX")
+    adding.add_argument("file", type=Path, metavar="ONNX", help="the network; of an image-text pair, its folder")
     adding.add_argument("--kind", required=True, choices=_KINDS)
     adding.add_argument("--name", help="what the configuration calls it; default: the stem of the file")
     adding.add_argument("--source", default="added by hand", help="where the weights come from")
@@ -85,6 +87,8 @@ def _add(options: argparse.Namespace) -> int:
     from hickory_stream.perception.models.library import ModelEntry, add_model, models_folder, sha256_of
     from hickory_stream.perception.models.network import Network, NetworkConfig
 
+    if options.kind == "image-text":
+        return _add_image_text(options)
     labels = _read_labels(options.labels) if options.labels is not None else ()
     # A file that cannot be opened is refused now, not in the first run.
     network = Network(options.file, NetworkConfig(provider="cpu", warm_up=False))
@@ -106,8 +110,56 @@ def _add(options: argparse.Namespace) -> int:
     if options.kind in ("oneformer", "semantic") and not labels:
         raise ConfigError(f"a model of kind {options.kind} needs the names of its classes: --labels FILE")
     add_model(models_folder(), options.file, entry)
-    told = {"name": name, "file": str(models_folder() / entry.file), "sha256": entry.sha256}
-    print(output("models-add", told) if options.json else f"{told['file']} is the model {name}, sha256 {entry.sha256}")
+    return _tell_added(entry, options.json)
+
+
+def _add_image_text(options: argparse.Namespace) -> int:
+    from hickory_stream.perception.models.image_text import ImageTextNetwork, published_files
+    from hickory_stream.perception.models.library import Companion, ModelEntry, add_model, models_folder, sha256_of
+    from hickory_stream.perception.models.network import Network, NetworkConfig
+
+    if options.labels is not None:
+        raise ConfigError("found --labels, which an image-text network has no use for: it is asked in words")
+    files = published_files(options.file)
+    config = NetworkConfig(provider="cpu", warm_up=False)
+    vision = Network(files["vision"], config)
+    # A pair that cannot be opened is refused now, not with the first question.
+    ImageTextNetwork(
+        vision,
+        Network(files["text"], config),
+        tokenizer=files["tokenizer"],
+        preprocessor=files["preprocessor"],
+        tokenizer_config=files.get("tokenizer-config"),
+    )
+    height, width = vision.require_image_input("image-text")
+    name = options.name or options.file.resolve().name
+    try:
+        entry = ModelEntry(
+            name=name,
+            kind="image-text",
+            file=f"{name}.onnx",
+            sha256=sha256_of(files["vision"]),
+            source=options.source,
+            licence=options.licence,
+            input_px=(width or 0, height or 0),
+            companions=tuple(
+                Companion(role=role, file=f"{name}.{role}{path.suffix}", sha256=sha256_of(path))
+                for role, path in files.items()
+                if role != "vision"
+            ),
+        )
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    add_model(models_folder(), files["vision"], entry, files)
+    return _tell_added(entry, options.json)
+
+
+def _tell_added(entry: ModelEntry, as_json: bool) -> int:
+    from hickory_stream.perception.models.library import models_folder
+
+    told = {"name": entry.name, "file": str(models_folder() / entry.file), "sha256": entry.sha256}
+    text = f"{told['file']} is the model {entry.name}, sha256 {entry.sha256}"
+    print(output("models-add", told) if as_json else text)
     return 0
 
 
@@ -151,6 +203,7 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
     from hickory_stream.evaluation.show_perception import classes_picture, features_picture, masks_picture
     from hickory_stream.perception.models.dinov2 import DinoExtractor
     from hickory_stream.perception.models.fastsam import FastSam
+    from hickory_stream.perception.models.image_text import open_image_text
     from hickory_stream.perception.models.picture import built_in_picture
     from hickory_stream.perception.models.semantic_graph import GraphSemantics
 
@@ -179,6 +232,13 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
                 for i, a in sorted(zip(ids.tolist(), areas.tolist(), strict=True), key=lambda pair: -pair[1])
             }
             return {"classes": shares}, classes_picture(rgb, semantics)
+        case "image-text":
+            pair = open_image_text(entry, network, config.network)
+            if warm_up:
+                pair.warm_up(rgb)
+            feature = pair.of_image(rgb)
+            scores = {text: round(float(feature @ pair.of_text(text)), 4) for text in _TEXTS}
+            return {"dim": len(feature), "similarity": scores}, rgb
         case _:
             assert_never(entry.kind)
 

@@ -18,6 +18,7 @@ from hickory_stream.query.question import (
     HasColor,
     HasMeasure,
     HasShape,
+    LooksLike,
     Most,
     Not,
     ObjectOfId,
@@ -41,10 +42,14 @@ from hickory_stream.query.shape_scores import SHAPE_WORDS
 from hickory_stream.query.top_map import LEVEL_M, NUM_LEVELS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from hickory_stream.query.map_index import MapIndex
     from hickory_stream.query.question import Condition
+
+    Looks = Callable[[str], NDArray[np.float64]]
 
 ENOUGH = 0.5
 # The share of an object's points that has a colour.
@@ -74,19 +79,32 @@ class Answers:
     nearly: tuple[Answer, ...]
 
 
-def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None) -> Answers:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Asked:
+    """Of what, from where, and who can tell what a thing looks like."""
+
+    index: MapIndex
+    viewer: tuple[float, float] | None
+    looks: Looks | None
+
+
+def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None, looks: Looks | None = None) -> Answers:
     """Return what answers a question in the grammar of `grammar.py`.
 
     Args:
         index: of the map.
         text: the question, e.g. "a red box on a table".
         viewer: from where "in front of" is meant, metres in the map; None: from where the landmark was seen best.
+        looks: gives how far each object of the index looks like a text (`ObjectLooks`), (N,) in 0..1; None: words that
+            only a network knows are refused.
 
     Raises:
-        InputError: a word is not known, a landmark is no object of the map, or a relation to it has no meaning.
+        InputError: a word is not known (`grammar.UnknownWord`), a landmark is no object of the map, or a relation to it
+            has no meaning.
     """
-    question = question_of(text)
-    parts = _parts(index, question.thing, viewer)
+    question = question_of(text, with_looks=looks is not None)
+    asked = _Asked(index=index, viewer=viewer, looks=looks)
+    parts = _parts(asked, question.thing)
     scores, products = _together(parts, len(index))
     order = np.lexsort((index.ids, -products, -scores))
     ranked = [
@@ -106,17 +124,15 @@ def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None) -
     )
 
 
-def _parts(
-    index: MapIndex, thing: Thing, viewer: tuple[float, float] | None
-) -> list[tuple[Condition, NDArray[np.float64]]]:
+def _parts(asked: _Asked, thing: Thing) -> list[tuple[Condition, NDArray[np.float64]]]:
     """Return each condition with (N,) degrees; superlatives come last: they are among what fulfils the others."""
     plain = [condition for condition in thing.conditions if not isinstance(condition, Most)]
     parts: list[tuple[Condition, NDArray[np.float64]]]
-    parts = [(condition, _degrees(index, condition, viewer)) for condition in plain]
+    parts = [(condition, _degrees(asked, condition)) for condition in plain]
     for condition in thing.conditions:
         if isinstance(condition, Most):
-            scores, _ = _together(parts, len(index))
-            parts.append((condition, _foremost(index, condition, scores >= ENOUGH, viewer)))
+            scores, _ = _together(parts, len(asked.index))
+            parts.append((condition, _foremost(asked, condition, scores >= ENOUGH)))
     return parts
 
 
@@ -127,7 +143,8 @@ def _together(
     return degrees.min(axis=0), degrees.prod(axis=0)
 
 
-def _degrees(index: MapIndex, condition: Condition, viewer: tuple[float, float] | None) -> NDArray[np.float64]:
+def _degrees(asked: _Asked, condition: Condition) -> NDArray[np.float64]:
+    index = asked.index
     if isinstance(condition, HasColor):
         return ramp(index.colors[:, COLOR_NAMES.index(condition.name)], *_COLOR_SHARE)
     if isinstance(condition, HasShape):
@@ -137,11 +154,14 @@ def _degrees(index: MapIndex, condition: Condition, viewer: tuple[float, float] 
     if isinstance(condition, Serves):
         return _serves(index, condition.use)
     if isinstance(condition, Related):
-        return _related(index, condition, viewer)
+        return _related(asked, condition)
     if isinstance(condition, Not):
-        return 1.0 - _together(_parts(index, condition.thing, viewer), len(index))[0]
+        return 1.0 - _together(_parts(asked, condition.thing), len(index))[0]
     if isinstance(condition, Most):
-        return _foremost(index, condition, np.ones(len(index), bool), viewer)
+        return _foremost(asked, condition, np.ones(len(index), bool))
+    if isinstance(condition, LooksLike):
+        assert asked.looks is not None, "the grammar lets looks pass only where they can be told"
+        return asked.looks(condition.text)
     assert_never(condition)
 
 
@@ -168,12 +188,13 @@ def _serves(index: MapIndex, use: Use) -> NDArray[np.float64]:
     return np.minimum(ramp(top_m2, *_SEAT_M2), ramp(top_m2 / footprint_m2, *_TOP_SHARE))
 
 
-def _related(index: MapIndex, condition: Related, viewer: tuple[float, float] | None) -> NDArray[np.float64]:
+def _related(asked: _Asked, condition: Related) -> NDArray[np.float64]:
+    index = asked.index
     relation, to = condition.relation, condition.to
     if isinstance(to, Thing | ObjectOfId):
-        landmarks = _landmarks(index, to, viewer)
+        landmarks = _landmarks(asked, to)
         pairs = index.pairs
-        degrees = np.minimum(related(index, pairs, relation, viewer), landmarks[pairs.j])
+        degrees = np.minimum(related(index, pairs, relation, asked.viewer), landmarks[pairs.j])
         best = np.zeros(len(index))
         np.maximum.at(best, pairs.i, degrees)
         return best
@@ -185,34 +206,32 @@ def _related(index: MapIndex, condition: Related, viewer: tuple[float, float] | 
     return found
 
 
-def _foremost(
-    index: MapIndex, condition: Most, is_among: NDArray[np.bool_], viewer: tuple[float, float] | None
-) -> NDArray[np.float64]:
+def _foremost(asked: _Asked, condition: Most, is_among: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return 1 for the foremost of those that are among them, and less for others, by how far they are behind it."""
     if condition.quantity is not None:
-        values = np.maximum(_quantity_m(index, condition.quantity), 1e-3)
+        values = np.maximum(_quantity_m(asked.index, condition.quantity), 1e-3)
     else:
-        values = np.maximum(_distances_m(index, condition, viewer), 1e-3)
+        values = np.maximum(_distances_m(asked, condition), 1e-3)
     if not is_among.any():
-        return np.zeros(len(index))
+        return np.zeros(len(asked.index))
     if condition.is_least or condition.quantity is None:
         return np.asarray(np.where(is_among, values[is_among].min() / values, 0.0))
     return np.asarray(np.where(is_among, values / values[is_among].max(), 0.0))
 
 
-def _distances_m(index: MapIndex, condition: Most, viewer: tuple[float, float] | None) -> NDArray[np.float64]:
+def _distances_m(asked: _Asked, condition: Most) -> NDArray[np.float64]:
     to = condition.nearest_to
     if isinstance(to, Place):
-        return distances_to_place(index, to.x, to.y)
+        return distances_to_place(asked.index, to.x, to.y)
     assert to is not None
-    return distances_to(index, np.flatnonzero(_landmarks(index, to, viewer) >= ENOUGH))
+    return distances_to(asked.index, np.flatnonzero(_landmarks(asked, to) >= ENOUGH))
 
 
-def _landmarks(index: MapIndex, to: Thing | ObjectOfId, viewer: tuple[float, float] | None) -> NDArray[np.float64]:
+def _landmarks(asked: _Asked, to: Thing | ObjectOfId) -> NDArray[np.float64]:
     """Return (N,) how far each object is the landmark."""
     if isinstance(to, Thing):
-        return _together(_parts(index, to, viewer), len(index))[0]
-    is_it = index.ids == to.id
+        return _together(_parts(asked, to), len(asked.index))[0]
+    is_it = asked.index.ids == to.id
     if not is_it.any():
         raise InputError(f"found object {to.id}, which the map does not have; `hickory-stream inspect` lists them")
     return is_it.astype(np.float64)

@@ -10,7 +10,9 @@ landmark  = thing | object ID | #ID | X,Y | the floor | a wall
 
 A clause belongs to the thing just before it: "a ball on a box near 1,2" is a ball on a box that is near there. After
 "and" it belongs to the thing that was asked for first: "a ball on a box and near 1,2". A word that is in none of the
-tables of `vocabulary.py` is refused, and named: an answer that ignored it would be another one's.
+tables of `vocabulary.py` is refused, and named: an answer that ignored it would be another one's. With an image-text
+network it is not: words that are in none of the tables say together what a thing looks like ("coffee mug"), and a noun
+that follows them says its own besides: an "office chair" is a chair, too.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from hickory_stream.errors import InputError
 from hickory_stream.query import vocabulary as words
 from hickory_stream.query.question import (
     HasMeasure,
+    LooksLike,
     Most,
     Not,
     ObjectOfId,
@@ -43,22 +46,31 @@ _LENGTH_SLACK = 0.05
 _MOST_CHARACTERS = 500
 
 
-def question_of(text: str) -> Question:
+def question_of(text: str, *, with_looks: bool = False) -> Question:
     """Return what a text asks for.
 
+    Args:
+        text: the question.
+        with_looks: words that are not known are a thing's looks.
+
     Raises:
-        InputError: a word is not known, or the text ends where something is missing.
+        InputError: a word is not known (`UnknownWord`), or the text ends where something is missing.
     """
     if len(text) > _MOST_CHARACTERS:
         raise InputError(f"found a question of {len(text)} characters, expected at most {_MOST_CHARACTERS}")
-    return _Reader(text).question()
+    return _Reader(text, with_looks).question()
+
+
+class UnknownWord(InputError):
+    """A word is in none of the tables: only a network could tell what looks like it."""
 
 
 class _Reader:
     """The tokens of a text, and how far they have been read."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, with_looks: bool) -> None:
         self._text = text
+        self._with_looks = with_looks
         self._tokens = [token for token in _TOKEN.findall(text.lower()) if token not in "?.!;:'\""]
         self._at = 0
         self._is_of_first = False
@@ -104,10 +116,21 @@ class _Reader:
             return (Most(name=word, quantity=quantity, is_least=is_least),)
         if word in words.NEAREST:
             return (self._nearest(depth),)
-        for noun in (word, word.removesuffix("s"), word.removesuffix("es")):
-            if noun in words.NOUNS:
-                return words.NOUNS[noun]
-        raise InputError(_unknown(word))
+        if (said := _noun(word)) is not None:
+            return said
+        if self._with_looks and word.isalpha():
+            return self._looks(word)
+        raise UnknownWord(_unknown(word))
+
+    def _looks(self, word: str) -> tuple[Condition, ...]:
+        """Return what a word that is not known says, with those of its kind after it, and with their noun."""
+        said = [word]
+        while self._at < len(self._tokens) and self._peek().isalpha() and not _is_known(self._peek()):
+            said.append(self._next())
+        noun = _noun(self._peek()) if self._at < len(self._tokens) else None
+        if noun:
+            said.append(self._next())
+        return (LooksLike(text=" ".join(said)), *(noun or ()))
 
     def _nearest(self, depth: int) -> Most:
         """Return the condition that "nearest" says: the landmark comes after "to", wherever that is."""
@@ -181,6 +204,18 @@ class _Reader:
             raise InputError(f'found "{self._text}", which ends too early; expected {expected}')
         self._at += 1
         return self._tokens[self._at - 1]
+
+
+def _noun(word: str) -> tuple[Condition, ...] | None:
+    """Return what a noun says, in the singular or the plural; None: it is not known."""
+    forms = (word, word.removesuffix("s"), word.removesuffix("es"))
+    return next((words.NOUNS[form] for form in forms if form in words.NOUNS), None)
+
+
+def _is_known(word: str) -> bool:
+    begins = {phrase[0] for phrase in (*words.RELATIONS, *words.USES)}
+    tables = (words.ADJECTIVES, words.COMPARISONS, words.SUPERLATIVES, words.NEAREST, words.FILLERS, words.ROOM_WORDS)
+    return word in begins or any(word in table for table in tables) or word == "not" or _noun(word) is not None
 
 
 def _unknown(word: str) -> str:

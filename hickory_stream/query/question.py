@@ -119,7 +119,14 @@ class Not:
     thing: Thing
 
 
-Condition = HasColor | HasShape | HasMeasure | Serves | Related | Most | Not
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LooksLike:
+    """The object looks like what a text says; only an image-text network can tell."""
+
+    text: str
+
+
+Condition = HasColor | HasShape | HasMeasure | Serves | Related | Most | Not | LooksLike
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -151,6 +158,8 @@ def told(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
             return str(part.use)
         case Related():
             return f"{part.relation} {told(part.to)}"
+        case LooksLike():
+            return f'looks like "{part.text}"'
         case Not():
             return f"not {told(part.thing)}"
         case Thing():

@@ -14,12 +14,15 @@ from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.query.answers import Answers, ask
 from hickory_stream.query.colors import COLOR_NAMES, name_shares
+from hickory_stream.query.grammar import UnknownWord
 from hickory_stream.query.map_index import MapIndex, index_of
 from hickory_stream.query.top_map import hollow_score, top_map
 from tests.engine.snapshot_fixtures import box_mesh, make_object, make_view, placed
 from tests.navigation.rooms import snapshot
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from hickory_stream.records import MapSnapshot, TrackedObject
 
 # A bench and a low table are alike by their geometry.
@@ -135,6 +138,21 @@ def test_a_landmark_that_is_not_there_and_a_relation_without_a_meaning_are_refus
         ask(index, "on object 77")
     with pytest.raises(InputError, match="expected near or beside 1,2"):
         ask(index, "under 1,2")
+
+
+def test_looks_and_geometry_are_asked_together(index: MapIndex) -> None:
+    degrees = {TABLE: 0.9, CRATE: 0.8, BALL: 0.7}
+
+    def looks(text: str) -> NDArray[np.float64]:
+        assert text in ("wooden", "wooden box", "wooden table")
+        return np.array([degrees.get(i, 0.1) for i in index.ids.tolist()])
+
+    with pytest.raises(UnknownWord, match='"wooden"'):
+        ask(index, "a wooden box")
+    assert [answer.id for answer in ask(index, "something wooden", looks=looks).found] == [TABLE, CRATE, BALL]
+    (crate,) = ask(index, "a wooden box on a table", looks=looks).found
+    assert (crate.id, dict(crate.why)['looks like "wooden box"']) == (CRATE, 0.8)
+    assert [answer.id for answer in ask(index, "box on a wooden table", looks=looks).found] == [CRATE]
 
 
 def test_an_empty_map_has_no_answers_and_counts_none() -> None:

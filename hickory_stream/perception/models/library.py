@@ -15,14 +15,17 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from platformdirs import user_data_path
 
 from hickory_stream.errors import ModelError
 from hickory_stream.json_text import dumps_exactly
 
-Kind = Literal["fastsam", "dinov2", "oneformer", "semantic"]
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Kind = Literal["fastsam", "dinov2", "oneformer", "semantic", "image-text"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 MANIFEST = "manifest.json"
@@ -35,7 +38,20 @@ _ORIGINS: dict[Kind, str] = {
     "oneformer": "weights shi-labs/oneformer_ade20k_swin_tiny from "
     "https://huggingface.co/shi-labs/oneformer_ade20k_swin_tiny",
     "semantic": "any graph that gives class scores per pixel (1, K, h, w), or class ids (1, h, w)",
+    "image-text": "any folder with a pair of graphs as CLIP has them, their tokenizer and their pre-processing",
 }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Companion:
+    """A further file that a network needs: what it is for (`role`), its name in the folder, its hash."""
+
+    role: str
+    file: str
+    sha256: str
+
+    def __post_init__(self) -> None:
+        _require_file(self.file, self.sha256)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,6 +66,7 @@ class ModelEntry:
         source, licence: origin of the weights, and their licence.
         input_px: width and height of the graph's input, 0 for any.
         labels: names of its classes in the order of their ids; empty if it has none.
+        companions: further files that it needs, e.g. the tokenizer of an image-text network.
     """
 
     name: str
@@ -60,18 +77,35 @@ class ModelEntry:
     licence: str
     input_px: tuple[int, int] = (0, 0)
     labels: tuple[str, ...] = ()
+    companions: tuple[Companion, ...] = ()
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"the name {self.name!r} is not made of letters, digits, points, hyphens and underscores")
         if self.kind not in KINDS:
             raise ValueError(f"found kind {self.kind!r}, expected one of {', '.join(KINDS)}")
-        if Path(self.file).name != self.file or not self.file:
-            raise ValueError(f"found file {self.file!r}, expected a file's name without a folder")
-        if not re.fullmatch(r"[0-9a-f]{64}", self.sha256):
-            raise ValueError(f"found sha256 {self.sha256!r}, expected 64 hexadecimal digits")
+        _require_file(self.file, self.sha256)
         if len(self.input_px) != 2 or not all(isinstance(n, int) and n >= 0 for n in self.input_px):
             raise ValueError(f"found input_px {self.input_px!r}, expected width and height in pixels, 0 for any")
+
+    @property
+    def files(self) -> dict[str, str]:
+        """All its files in the folder, each with its sha256."""
+        return {self.file: self.sha256, **{one.file: one.sha256 for one in self.companions}}
+
+    def companion(self, role: str) -> str:
+        """Return the name of the file that has a role; raises `ModelError` where there is none."""
+        found = next((one.file for one in self.companions if one.role == role), None)
+        if found is None:
+            raise ModelError(f"the model {self.name} has no {role} in {MANIFEST}; {how_to_get(self.name, self.kind)}")
+        return found
+
+
+def _require_file(file: str, sha256: str) -> None:
+    if not isinstance(file, str) or not file or Path(file).name != file:
+        raise ValueError(f"found file {file!r}, expected a file's name without a folder")
+    if not isinstance(sha256, str) or not re.fullmatch(r"[0-9a-f]{64}", sha256):
+        raise ValueError(f"found sha256 {sha256!r}, expected 64 hexadecimal digits")
 
 
 def models_folder() -> Path:
@@ -100,27 +134,42 @@ def read_manifest(folder: Path) -> dict[str, ModelEntry]:
     return {name: _entry(path, name, fields) for name, fields in sorted(data["models"].items())}
 
 
-def add_model(folder: Path, file: Path, entry: ModelEntry) -> None:
+def add_model(folder: Path, file: Path, entry: ModelEntry, companions: Mapping[str, Path] | None = None) -> None:
     """Copy a network into a folder and write its entry; one of the same name is replaced.
 
+    Args:
+        folder: the folder of networks.
+        file: the network.
+        entry: its entry.
+        companions: where the files of `entry.companions` are now, by their roles.
+
     Raises:
-        ModelError: the file's hash is not the entry's, or the folder cannot be written.
+        ModelError: a file's hash is not the entry's, or the folder cannot be written.
     """
     entries = read_manifest(folder)
-    target = folder / entry.file
-    taken = next((e.name for e in entries.values() if e.file == entry.file and e.name != entry.name), None)
-    if taken is not None:
-        raise ModelError(f"{target} belongs to the model {taken} already; give the new file another name")
+    given = {entry.file: file}
+    if companions:
+        given |= {one.file: companions[one.role] for one in entry.companions}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if not (target.exists() and target.samefile(file)):
-            _replace(target, lambda temporary: shutil.copyfile(file, temporary))
-        if (found := sha256_of(target)) != entry.sha256:
-            raise ModelError(f"{file} has sha256 {found}, its entry says {entry.sha256}; it was changed in between")
+        for name, source in given.items():
+            _add_file(folder / name, source, entry, entries)
         entries[entry.name] = entry
         _write_manifest(folder, entries)
     except OSError as error:
         raise ModelError(f"cannot write the model {entry.name} into {folder}: {error.strerror}") from error
+
+
+def _add_file(target: Path, source: Path, entry: ModelEntry, entries: Mapping[str, ModelEntry]) -> None:
+    taken = next((e.name for e in entries.values() if target.name in e.files and e.name != entry.name), None)
+    if taken is not None:
+        raise ModelError(f"{target} belongs to the model {taken} already; give the new file another name")
+    if not (target.exists() and target.samefile(source)):
+        _replace(target, lambda temporary: shutil.copyfile(source, temporary))
+    if (found := sha256_of(target)) != entry.files[target.name]:
+        raise ModelError(
+            f"{source} has sha256 {found}, its entry says {entry.files[target.name]}; it was changed in between"
+        )
 
 
 def find_model(name: str, kind: Kind, *, folder: Path | None = None) -> tuple[ModelEntry, Path]:
@@ -142,24 +191,33 @@ def find_model(name: str, kind: Kind, *, folder: Path | None = None) -> tuple[Mo
         raise ModelError(f"no model {name} in {folder} ({there}); {how_to_get(name, kind)}")
     if entry.kind != kind:
         raise ModelError(f"the model {name} in {folder} is of kind {entry.kind}, expected {kind}")
-    path = folder / entry.file
+    for file, sha256 in entry.files.items():
+        _require_intact(folder / file, sha256, entry)
+    return entry, folder / entry.file
+
+
+def _require_intact(path: Path, sha256: str, entry: ModelEntry) -> None:
     if not path.is_file():
-        raise ModelError(f"{path} is missing, though {MANIFEST} names it; {how_to_get(name, kind)}")
+        raise ModelError(f"{path} is missing, though {MANIFEST} names it; {how_to_get(entry.name, entry.kind)}")
     try:
         found = sha256_of(path)
     except OSError as error:
         raise ModelError(f"cannot read {path}: {error.strerror}") from error
-    if found != entry.sha256:
-        raise ModelError(
-            f"{path} has sha256 {found}, {MANIFEST} says {entry.sha256}: the file is damaged or another one; "
-            f"export it again, or accept it with `hickory-stream models add {path} --kind {kind} --name {name}`"
-        )
-    return entry, path
+    if found == sha256:
+        return
+    is_alone = not entry.companions
+    accepts = f"`hickory-stream models add {path} --kind {entry.kind} --name {entry.name}`"
+    raise ModelError(
+        f"{path} has sha256 {found}, {MANIFEST} says {sha256}: the file is damaged or another one; "
+        + (f"export it again, or accept it with {accepts}" if is_alone else how_to_get(entry.name, entry.kind))
+    )
 
 
 def how_to_get(name: str, kind: Kind) -> str:
     """Return what to do to have a model of this name and kind."""
     adds = f"`hickory-stream models add {name}.onnx --kind {kind}`"
+    if kind == "image-text":
+        return f"add {_ORIGINS[kind]}, with `hickory-stream models add FOLDER --kind {kind} --name {name}`"
     if kind == "semantic":
         return f"add {_ORIGINS[kind]}, with {adds}"
     return f"export it to ONNX (hickory_stream/perception/models/README.md; {_ORIGINS[kind]}), then add it with {adds}"
@@ -177,6 +235,7 @@ def _entry(path: Path, name: str, fields: Any) -> ModelEntry:
         raise ModelError(f"{path}: the model {name} has other fields than {', '.join(sorted(expected))}")
     given: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}
     try:
+        given["companions"] = tuple(Companion(**one) for one in given.get("companions", ()))
         return ModelEntry(name=name, **given)
     except (TypeError, ValueError) as error:
         raise ModelError(f"{path}: the model {name}: {error}") from error

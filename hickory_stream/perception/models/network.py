@@ -116,13 +116,19 @@ class Network:
             ModelError: the graph fails on it.
         """
         given = image.astype(np.float16) if self.inputs[0].dtype == "float16" else image
+        return self.run_named({self.inputs[0].name: given}, f"an image of {image.shape[3]} x {image.shape[2]}")
+
+    def run_named(self, given: dict[str, NDArray[Any]], what: str) -> list[NDArray[Any]]:
+        """Return the outputs, in the graph's order, for inputs by name; `what` they are is for the message.
+
+        Raises:
+            ModelError: the graph fails on them.
+        """
         started = time.perf_counter()
         try:
-            outputs: Sequence[Any] = self._session.run(None, {self.inputs[0].name: given})
+            outputs: Sequence[Any] = self._session.run(None, given)
         except Exception as error:  # its exceptions have no common base
-            raise ModelError(
-                f"{self.path} fails on an image of {image.shape[3]} x {image.shape[2]}: {error}"
-            ) from error
+            raise ModelError(f"{self.path} fails on {what}: {error}") from error
         self.last_s = time.perf_counter() - started
         self.total_s += self.last_s
         self.num_runs += 1
