@@ -3,7 +3,8 @@
 A record is a map of its fields under a tag with its name; only records of our own packages are ever made from it, by
 their constructors, and only where every field holds what it is declared to hold (`field_types`): who wrote the bytes is
 not known. Arrays are stored so that they compress: keys of voxels as blocks of bits or as differences, colours as
-differences from those before them and from their green, other numbers byte by byte.
+differences from those before them and from their green, points at multiples of a step as differences, other numbers
+byte by byte.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import cbor2
 import numpy as np
 
 from hickory_stream.engine.field_types import checked_record, field_checks
+from hickory_stream.geometry.lattice import points_of, steps_of
 from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of
 from hickory_stream.geometry.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
 
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 # Of the range that is free for everybody's use ("first come, first served", RFC 8949, 9.2).
 _RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
 _PART_BYTES = 1024
-_PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS = range(6)
+_PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS = range(7)
 _SMALL_BYTES = 64
 _BLOCK_BYTES = 16
 _MOST_DIMENSIONS = 8
@@ -159,6 +161,8 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
         method, data = _COLORS, color_planes(little)
     elif little.dtype.itemsize == 1:
         data = little.tobytes()
+    elif little.dtype == np.float32 and little.ndim == 2 and (steps := steps_of(little)) is not None:
+        method, data = _STEPS, planes_of(np.diff(steps, axis=0, prepend=np.zeros((1, steps.shape[1]), np.int32)))
     elif little.dtype == np.int64 and little.ndim == 1 and is_denser(little):
         heads, words = blocks_of(little)
         method, data = _BLOCKS, planes_of(np.diff(heads, prepend=np.int64(0))) + planes_of(words)
@@ -243,6 +247,8 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
         array = _keys(data, count).astype(dtype)
     elif method == _COLORS and dtype == np.uint8 and tuple(shape[1:]) == (3,):
         array = colors_of(data, shape[0])
+    elif method == _STEPS and dtype == np.float32 and len(shape) == 2:
+        array = points_of(np.cumsum(array_of(data, np.dtype("<i4"), tuple(shape)), axis=0, dtype=np.int32))
     elif method == _BITS:
         array = np.unpackbits(np.frombuffer(data, np.uint8), count=count).astype(bool)
     elif method == _PLAIN:

@@ -13,6 +13,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.bounds import extent_of
+from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import coarse_keys, contains, first_not_below, keys_of_points, places, sorted_unique
 from hickory_stream.mapping.cold_clouds import count_of, unpacked
@@ -27,6 +28,8 @@ _MOST_TAIL, _MUCH_SMALLER = 0.35, 0.4
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class Cloud:
     """Sorted voxel `keys` (N,), mean `points` and `colors` (N, 3) as float32, and `hits` (N,): frames per voxel.
+
+    Points are at multiples of the step of `geometry.lattice` where those that they are the means of are.
 
     Of a cloud that nobody looks at the arrays may be kept compressed (`cold_clouds`), until one is read again.
     """
@@ -55,7 +58,7 @@ def cloud_of(points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: fl
     counts = np.diff(np.append(starts, len(keys)))[:, None]
     return Cloud(
         keys=unique,
-        points=(np.add.reduceat(points[order].astype(np.float64), starts) / counts).astype(np.float32),
+        points=on_steps((np.add.reduceat(points[order].astype(np.float64), starts) / counts).astype(np.float32)),
         colors=(np.add.reduceat(colors[order].astype(np.float64), starts) / counts).astype(np.float32),
         hits=np.ones(len(unique), dtype=np.int32),
     )
@@ -69,7 +72,7 @@ def fuse(a: Cloud, b: Cloud) -> Cloud:
 
 def moved_cloud(cloud: Cloud, new_from_old: NDArray[np.float64], voxel_m: float) -> Cloud:
     """Return the cloud in another frame, on the lattice there: points that fall into one voxel become one mean."""
-    points = apply(new_from_old, cloud.points)
+    points = on_steps(apply(new_from_old, cloud.points))
     keys = keys_of_points(points, voxel_m)
     order = np.argsort(keys, kind="stable")
     unique, starts = np.unique(keys[order], return_index=True)
@@ -77,7 +80,7 @@ def moved_cloud(cloud: Cloud, new_from_old: NDArray[np.float64], voxel_m: float)
     totals = np.add.reduceat(weights, starts)
     return Cloud(
         keys=unique,
-        points=(np.add.reduceat(points[order] * weights, starts) / totals).astype(np.float32),
+        points=on_steps((np.add.reduceat(points[order] * weights, starts) / totals).astype(np.float32)),
         colors=(np.add.reduceat(cloud.colors[order] * weights, starts) / totals).astype(np.float32),
         hits=np.maximum.reduceat(cloud.hits[order], starts),
     )
@@ -95,6 +98,7 @@ def grown_since(now: Cloud, then: Cloud, voxel_m: float) -> Cloud:
     gained = now.hits - before
     is_new = gained > 0
     values = (sums[is_new] / gained[is_new][:, None]).astype(np.float32)
+    values[:, :3] = on_steps(values[:, :3])
     keys = now.keys[is_new]
     # A mean that rounding, or a cloud that was trimmed in between, has taken out of its voxel is none.
     is_off = keys_of_points(np.ascontiguousarray(values[:, :3]), voxel_m) != keys
@@ -166,7 +170,8 @@ def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hit
             for k in range(3):
                 point = np.float64(a_points[i, k]) * a_hits[i] + np.float64(b_points[j, k]) * b_hits[j]
                 color = np.float64(a_colors[i, k]) * a_hits[i] + np.float64(b_colors[j, k]) * b_hits[j]
-                points[n, k], colors[n, k] = point / total, color / total
+                points[n, k] = (np.rint(point / total * STEPS_PER_M) + 0.0) / STEPS_PER_M
+                colors[n, k] = color / total
             keys[n], hits[n] = a_keys[i], a_hits[i] + b_hits[j]
         elif takes_a:
             keys[n], hits[n] = a_keys[i], a_hits[i]

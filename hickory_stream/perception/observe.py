@@ -13,6 +13,7 @@ from hickory_stream.compiled import numba
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.depth_sensor import sigma_at
+from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points
 from hickory_stream.ranges import Ranged, check_order, check_ranges, number
@@ -128,7 +129,7 @@ def _lift(
         return "no reliable depth in the mask"
     if len(points) < config.min_returns:
         return f"{len(points)} sure returns, fewer than {config.min_returns}"
-    points, colors, _ = voxel_means(apply(frame.world_from_camera, points), colors, voxel_m)
+    points, colors, _ = voxel_means(on_steps(apply(frame.world_from_camera, points)), colors, voxel_m)
     if len(points) < config.min_points:
         return f"{len(points)} points, fewer than {config.min_points}"
     company = points[in_company(points)]
@@ -165,7 +166,10 @@ def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):  # type: ignore[
 def voxel_means(
     points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.int64]]:
-    """Return the mean point and colour of every occupied voxel, in the order of the keys, and the points in each."""
+    """Return the mean point and colour of every occupied voxel, in the order of the keys, and the points in each.
+
+    Means are at multiples of the step of points (`geometry.lattice`).
+    """
     groups, keys = groups_of(keys_of_points(points, voxel_m))
     means: tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.int64]]
     means = _means_of_groups(groups, np.argsort(keys, kind="stable"), points, colors)
@@ -187,7 +191,8 @@ def _means_of_groups(groups, order, points, colors):  # type: ignore[no-untyped-
         group = order[run]
         count = counts[group]
         for axis in range(3):
-            means[run, axis] = sums[group, axis] / count
+            # Between points at multiples of the step in one voxel there is a mean at one, in the same voxel.
+            means[run, axis] = (np.rint(sums[group, axis] / count * STEPS_PER_M) + 0.0) / STEPS_PER_M
             shades[run, axis] = np.uint8(np.rint(sums[group, 3 + axis] / count))
     return means, shades, counts[order]
 

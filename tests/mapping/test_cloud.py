@@ -1,5 +1,6 @@
 """Layer-1 clouds: fusing is a weighted union whatever the order, and nearness is that of the 27 cells."""
 
+import math
 from dataclasses import replace
 from functools import reduce
 
@@ -8,17 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps, points_of, steps_of
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells, keys_of_points
 from hickory_stream.mapping.cloud import Cloud, cloud_of, fuse, is_near, share_near, solid_part, without
 from tests.strategies import frame_clouds, integer_cells, seeds
 
 VOXEL_M = 0.01
+STEP_M = 1 / STEPS_PER_M
+"""A fused mean is off by half of it at most."""
 
 
 def assert_same(a: Cloud, b: Cloud) -> None:
     assert np.array_equal(a.keys, b.keys)
     assert np.array_equal(a.hits, b.hits)
-    assert np.allclose(a.points, b.points, atol=1e-6)
+    assert np.allclose(a.points, b.points, atol=2 * STEP_M + 1e-6)
     assert np.allclose(a.colors, b.colors, atol=1e-3)
 
 
@@ -56,8 +60,20 @@ def test_a_voxels_point_and_colour_are_the_means_over_its_frames(seed: int, num_
     colors = [rng.integers(0, 256, (1, 3), dtype=np.uint8) for _ in range(num_frames)]
     fused = reduce(fuse, [cloud_of(p, c, VOXEL_M) for p, c in zip(frames, colors, strict=True)])
     assert fused.hits.tolist() == [num_frames]
-    assert np.allclose(fused.points[0], np.mean(frames, axis=(0, 1)), atol=1e-6)
+    assert np.allclose(fused.points[0], np.mean(frames, axis=(0, 1)), atol=0.5 * num_frames * STEP_M + 1e-6)
     assert np.allclose(fused.colors[0], np.mean(colors, axis=(0, 1)), atol=1e-3)
+
+
+@given(seeds, st.integers(1, 6), st.integers(-20_000, 20_000))
+def test_means_of_points_at_steps_are_at_steps_in_the_same_voxel(seed: int, num_frames: int, cell: int) -> None:
+    rng = np.random.default_rng(seed)
+    steps = range(math.ceil(cell * VOXEL_M * STEPS_PER_M) + 1, math.floor((cell + 1) * VOXEL_M * STEPS_PER_M))
+    frames = [points_of(rng.integers(steps.start, steps.stop, (1, 3)).astype(np.int32)) for _ in range(num_frames)]
+    gray = np.zeros((1, 3), dtype=np.uint8)
+    fused = reduce(fuse, [cloud_of(points, gray, VOXEL_M) for points in frames])
+    assert steps_of(fused.points) is not None
+    assert np.array_equal(keys_of_points(fused.points, VOXEL_M), fused.keys)
+    assert len(fused.keys) == 1
 
 
 @given(seeds)
@@ -72,7 +88,7 @@ def test_one_frame_hits_a_voxel_once_however_many_points_it_has_there(seed: int)
 def test_the_same_frame_again_adds_hits_and_no_voxel(cloud: Cloud, times: int) -> None:
     again = reduce(fuse, [cloud] * times)
     assert np.array_equal(again.keys, cloud.keys)
-    assert np.allclose(again.points, cloud.points, atol=1e-6)
+    assert np.allclose(again.points, cloud.points, atol=STEP_M + 1e-6)
     assert (again.hits == times * cloud.hits).all()
 
 
@@ -172,7 +188,8 @@ def test_a_tail_that_one_frame_put_far_beyond_what_is_seldom_hit_twice_is_no_par
 def test_points_that_are_one_per_voxel_already_are_the_cloud(seed: int) -> None:
     rng = np.random.default_rng(seed)
     keys = np.unique(keys_of_cells(rng.integers(-5, 5, (60, 3))))
-    points = ((cells_of_keys(keys) + rng.uniform(0.1, 0.9, (len(keys), 3))) * VOXEL_M).astype(np.float32)
+    points = (cells_of_keys(keys) + rng.uniform(0.1, 0.9, (len(keys), 3))) * VOXEL_M
+    points = on_steps(points.astype(np.float32))
     colors = rng.integers(0, 256, (len(keys), 3)).astype(np.uint8)
     order = rng.permutation(len(keys))
     for cloud in (cloud_of(points, colors, VOXEL_M), cloud_of(points[order], colors[order], VOXEL_M)):

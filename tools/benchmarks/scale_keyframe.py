@@ -61,8 +61,8 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.records import MapSnapshot, ObjectShape
 
-_PITCH_M = 12.8
-"""From room to room: a multiple of both lattices, so that a room further on is the same room."""
+_PITCH_M = 12.75
+"""From room to room: a multiple of both lattices and of the step of points: a room further on is the same room."""
 _ROOMS_WIDE = 8
 _EVERY = 2
 # Objects in the smaller map, and the keyframes of a room that count.
