@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.sinks.rerun_viewer import parse_viewer
 
     settings = read_settings(options)
-    saved = open_map_at(options.map, warns=False)
+    saved = open_map_at(options.map, warns=False, is_whole=True)
     sinks = []
     if options.rrd is not None:
         sinks.append(RerunSink(settings.rerun, options.map, options.rrd, parse_viewer("none")))

@@ -40,10 +40,11 @@ def parse_workers(text: str) -> dict[str, Any]:
     return {"workers": int(text), "cluster": ""}
 
 
-def open_map_at(path: Path, at: str | None = None, *, warns: bool = True) -> SavedMap:
-    """Return the map in a folder, as it was known at a time (`--at`) where one is given; `warns` as in `open_map`.
+def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_whole: bool = False) -> SavedMap:
+    """Return the map in a folder, as it was known at a time (`--at`) where one is given.
 
-    Of a run that did not end it is said on standard error how to go on with it.
+    `warns` and `is_whole` are those of `open_map`. Of a run that did not end it is said on standard error
+    how to go on with it.
 
     Raises:
         MapFolderError: there is no map, or it keeps no history.
@@ -55,7 +56,7 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True) -> Sav
     from hickory_stream.engine.history.time_travel import stamp_of
     from hickory_stream.engine.saved_map import open_map
 
-    saved = open_map(path, warns=warns)
+    saved = open_map(path, warns=warns, is_whole=is_whole)
     note = unfinished_note(saved)
     if note is not None:
         sys.stderr.write(f"note: {note}\n")

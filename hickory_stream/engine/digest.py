@@ -33,6 +33,14 @@ def map_digest(snapshot: MapSnapshot) -> str:
     return digest.hexdigest()
 
 
+def seal_of(digest: str, document: bytes) -> str:
+    """Return what ties a digest to the document of a map (`map_codec`), which names every other file by its content.
+
+    Who reads it knows, without those files, that the document is that of the map with this digest.
+    """
+    return hashlib.sha256(digest.encode() + b"\n" + hashlib.sha256(document).digest()).hexdigest()
+
+
 def _object_values(tracked: TrackedObject) -> tuple[Any, ...]:
     return (
         tracked.id,

@@ -29,7 +29,7 @@ _ENTRIES: dict[str, Any] = {
     "digest": (str, type(None)),
 }
 # Not in maps from before them.
-_LATER_ENTRIES: dict[str, Any] = {"run": dict, "is_reproducible": bool, "extractor": str, "processor": str}
+_LATER_ENTRIES: dict[str, Any] = {"run": dict, "is_reproducible": bool, "extractor": str, "processor": str, "seal": str}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,7 +39,7 @@ class Manifest:
     `run` says how the run was asked for: `mode` ("playback" or "live"), `loops`, and under `source` whatever its caller
     needs to open the source again. `is_reproducible`: nothing but log and configuration decided anything; on
     which kind of processor says `processor`, "" on every one. `extractor` names what made the features, "" where that
-    is not known.
+    is not known. `seal` ties the digest to `objects.json` (`digest.seal_of`), "" where there is no digest.
     """
 
     config: Mapping[str, Any]
@@ -51,6 +51,7 @@ class Manifest:
     digest: str | None = None
     extractor: str = ""
     processor: str = ""
+    seal: str = ""
 
 
 def manifest_json(manifest: Manifest) -> bytes:
@@ -64,6 +65,7 @@ def manifest_json(manifest: Manifest) -> bytes:
             "is_reproducible": manifest.is_reproducible,
             "processor": manifest.processor,
             "digest": manifest.digest,
+            "seal": manifest.seal,
             "extractor": manifest.extractor,
             "run": manifest.run,
             "source": manifest.source,
@@ -112,8 +114,17 @@ def read_json(folder: Path, name: str) -> dict[str, Any]:
     Raises:
         MapFolderError: the file is missing or holds something else.
     """
+    return json_of(folder, name, read_file(folder, name))
+
+
+def json_of(folder: Path, name: str, content: bytes) -> dict[str, Any]:
+    """Return the JSON object that is the content of a file of a map folder.
+
+    Raises:
+        MapFolderError: it is something else.
+    """
     try:
-        entry = json.loads(read_file(folder, name))
+        entry = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise MapFolderError(f"{folder / name} is damaged: {error}; play the log again") from error
     if not isinstance(entry, dict):

@@ -12,6 +12,8 @@ import hashlib
 import itertools
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from hickory_stream.confined import plain_name, whole_number
 from hickory_stream.engine.array_files import keys_array, keys_bytes, points_arrays, points_bytes
 from hickory_stream.engine.json_values import (
@@ -28,7 +30,9 @@ from hickory_stream.engine.json_values import (
     stamp,
     to_array,
 )
+from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.made_arrays import GivesUpArrays, read_later
 from hickory_stream.geometry.superquadric import Superquadrics, check_bodies
 from hickory_stream.records import (
     EDGE_KINDS,
@@ -47,15 +51,22 @@ from hickory_stream.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    Arrays = Mapping[str, NDArray[Any]]
 
 
 T = TypeVar("T", bound=str)
+R = TypeVar("R", bound=GivesUpArrays)
 
 POINTS, SPACE = "points", "space"
 Json = dict[str, Any]
 
 _MOST_PIXELS = 1 << 20
+_NO_KEYS = np.empty(0, np.int64)
+_NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
 
 
 def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
@@ -72,8 +83,11 @@ def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
     return document, files
 
 
-def decode_snapshot(document: Json, read: Callable[[str], bytes]) -> MapSnapshot:
+def decode_snapshot(document: Json, read: Callable[[str], bytes], *, is_whole: bool = True) -> MapSnapshot:
     """Return the snapshot of a document; `read` gives the content of a file by its path in the map folder.
+
+    Unless `is_whole`, points and voxels are read when somebody asks for them, and MapFolderError is raised there if
+    their file is damaged.
 
     Raises:
         KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError: the document or a file is damaged.
@@ -81,8 +95,8 @@ def decode_snapshot(document: Json, read: Callable[[str], bytes]) -> MapSnapshot
     snapshot = MapSnapshot(
         revision=whole_number(document["revision"], "revision"),
         stamp_ns=stamp(document["stamp_ns"]),
-        submaps=tuple(_decode_submap(entry, read) for entry in document["submaps"]),
-        objects=tuple(_decode_object(entry, read) for entry in document["objects"]),
+        submaps=tuple(_decode_submap(entry, read, is_whole=is_whole) for entry in document["submaps"]),
+        objects=tuple(_decode_object(entry, read, is_whole=is_whole) for entry in document["objects"]),
         # Maps without a search for loops, and those from before there was one, have none.
         graph=None if document.get("graph") is None else _decode_graph(document["graph"]),
     )
@@ -118,13 +132,21 @@ def encode_submap(submap: Submap, files: dict[str, bytes]) -> Json:
     }
 
 
-def _decode_submap(entry: Json, read: Callable[[str], bytes]) -> Submap:
+def _decode_submap(entry: Json, read: Callable[[str], bytes], *, is_whole: bool) -> Submap:
+    free, structure = (_file_of(entry[name], SPACE, "") for name in ("free", "structure"))
+
+    def arrays() -> Arrays:
+        return {"free": keys_array(read(free)), "structure": keys_array(read(structure))}
+
+    now = arrays() if is_whole else {"free": _NO_KEYS, "structure": _NO_KEYS}
     space = ObservedSpace(
         voxel_m=finite(entry["voxel_m"]),
-        free=keys_array(read(_file_of(entry["free"], SPACE, ""))),
-        structure=keys_array(read(_file_of(entry["structure"], SPACE, ""))),
+        free=now["free"],
+        structure=now["structure"],
         floor_z_m=None if entry["floor_z_m"] is None else finite(entry["floor_z_m"]),
     )
+    if not is_whole:
+        _read_later(space, f"{free} or {structure}", arrays, "free", "structure")
     if not space.voxel_m > 0:
         raise ValueError(f"voxels of {space.voxel_m} m")
     return Submap(id=entry["id"], world_from_submap=rigid_pose(entry["world_from_submap"]), observed_space=space)
@@ -156,8 +178,20 @@ def encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
     }
 
 
-def _decode_object(entry: Json, read: Callable[[str], bytes]) -> TrackedObject:
-    points_world, colors = points_arrays(read(_file_of(entry["points"], POINTS, "")))
+def _decode_object(entry: Json, read: Callable[[str], bytes], *, is_whole: bool) -> TrackedObject:
+    name = _file_of(entry["points"], POINTS, "")
+
+    def arrays() -> Arrays:
+        points_world, colors = points_arrays(read(name))
+        return {"points_world": points_world, "colors": colors}
+
+    if is_whole:
+        return _object_with(entry, arrays())
+    tracked = _object_with(entry, {"points_world": _NO_POINTS, "colors": _NO_COLORS})
+    return _read_later(tracked, name, arrays, "points_world", "colors")
+
+
+def _object_with(entry: Json, arrays: Arrays) -> TrackedObject:
     views = tuple(_decode_view(view) for view in entry["views"])
     return TrackedObject(
         id=entry["id"],
@@ -166,8 +200,8 @@ def _decode_object(entry: Json, read: Callable[[str], bytes]) -> TrackedObject:
         sightings=whole_number(entry["sightings"], "sightings"),
         first_seen_ns=stamp(entry["first_seen_ns"]),
         last_seen_ns=stamp(entry["last_seen_ns"]),
-        points_world=points_world,
-        colors=colors,
+        points_world=arrays["points_world"],
+        colors=arrays["colors"],
         box=OrientedBox(
             world_from_box=rigid_pose(entry["box"]["world_from_box"]),
             half_extents_m=finite_array(entry["box"]["half_extents_m"]),
@@ -369,6 +403,19 @@ def _superquadrics(entry: Json) -> Superquadrics:
 
 
 # ---- files ----------------------------------------------------------------------------------------------------------
+
+
+def _read_later(record: R, name: str, arrays: Callable[[], Arrays], *fields: str) -> R:
+    """Have the fields of a record read from its file when somebody asks for them; return the record."""
+
+    def read() -> Arrays:
+        try:
+            return arrays()
+        except ValueError as error:
+            raise MapFolderError(f"{name} is damaged: {error}; play the log again") from error
+
+    read_later(record, read, *fields)
+    return record
 
 
 def _file_of(name: Any, folder: str, suffix: str) -> str:

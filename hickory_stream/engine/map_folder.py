@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync, write_atomically
 from hickory_stream.engine.crops import crop_files
-from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.digest import map_digest, seal_of
 from hickory_stream.engine.folder_layout import (
     EMPTY,
     FOLDERS,
@@ -108,7 +108,7 @@ def reopen_map_folder(path: Path) -> MapFolder:
                 (path / name).mkdir(exist_ok=True)
             for partial in path.rglob(f".*{PARTIAL_SUFFIX}"):
                 partial.unlink()
-            saved = open_map(path)
+            saved = open_map(path, is_whole=True)
         except BaseException:
             lock.release()
             raise
@@ -161,7 +161,7 @@ class MapFolder:
             encoded = encoder.encoded(snapshot)
             if self.manifest.digest is not None:
                 # That of the run that is continued: killed from here on, the folder has another map.
-                self.manifest = replace(self.manifest, digest=None, finished_cleanly=False)
+                self.manifest = replace(self.manifest, digest=None, seal="", finished_cleanly=False)
                 write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
             self._write_missing(encoded.new)
             self._sync_referenced(snapshot)
@@ -202,12 +202,6 @@ class MapFolder:
         Raises:
             MapFolderError: the disk refused; the map opens as not finished.
         """
-        self.manifest = replace(
-            self.manifest,
-            finished_cleanly=finished_cleanly,
-            is_reproducible=is_reproducible,
-            digest=map_digest(self._last),
-        )
         with self._lock, disk_errors(self.path):
             self._referenced.follow(self._last)
             if finished_cleanly:
@@ -217,6 +211,14 @@ class MapFolder:
             if not (self.path / OBJECTS).exists():
                 document, _ = encode_snapshot(self._last)
                 write_atomically(self.path / OBJECTS, dumps_exactly(document).encode())
+            digest = map_digest(self._last)
+            self.manifest = replace(
+                self.manifest,
+                finished_cleanly=finished_cleanly,
+                is_reproducible=is_reproducible,
+                digest=digest,
+                seal=seal_of(digest, (self.path / OBJECTS).read_bytes()),
+            )
             write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
             sync(self.path)
         return self.manifest

@@ -1,5 +1,8 @@
 """A map folder that is read: the map as of its last complete save, and what was known at earlier moments.
 
+Of a finished map, to which nobody writes, points and space are read when somebody looks at them: its document carries
+a seal, and names every other file by the hash of its content.
+
 Looking back needs the core, which is imported only when it is asked for, so that a map opens in half of the time.
 """
 
@@ -7,12 +10,13 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.confined import read_within
-from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.digest import map_digest, seal_of
 from hickory_stream.engine.folder_layout import EMPTY, LEDGER, OBJECTS, SHAPES, TIMINGS, VIEWS, check_links
-from hickory_stream.engine.manifest import Manifest, read_file, read_json, read_manifest
+from hickory_stream.engine.manifest import Manifest, json_of, read_file, read_json, read_manifest
 from hickory_stream.engine.map_codec import decode_snapshot, has_named_content
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.mesh import sha256_of
@@ -29,16 +33,22 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SavedMap:
-    """A map folder as it was opened; `digest` is that of the objects in the folder, whatever the manifest says."""
+    """A map folder as it was opened; `is_sealed`: its document is that of the map with the manifest's digest."""
 
     folder: Path
     manifest: Manifest
     snapshot: MapSnapshot
     ledger: Mapping[str, Any]
     timings: Mapping[str, float]
-    digest: str
+    is_sealed: bool
+
+    @cached_property
+    def digest(self) -> str:
+        """The digest of the objects in the folder, whatever the manifest says."""
+        sealed = self.manifest.digest if self.is_sealed else None
+        return map_digest(self.snapshot) if sealed is None else sealed
 
     @property
     def is_altered(self) -> bool:
@@ -113,27 +123,30 @@ class SavedMap:
         return mesh
 
 
-def open_map(path: Path, *, warns: bool = True) -> SavedMap:
+def open_map(path: Path, *, warns: bool = True, is_whole: bool = False) -> SavedMap:
     """Return the map in a folder as of its last complete save; a run that saved nothing yet is an empty map.
 
-    A map that was altered since is opened all the same, with a warning unless `warns` is False: `is_altered`.
+    A map that was altered since is opened all the same, with a warning unless `warns` is False: `is_altered`. A file of
+    a finished map is found damaged when somebody looks at what it holds, `is_whole`: now, and its seal counts for
+    nothing.
 
     Raises:
         MapFolderError: no map is there, its format is another, or a file is missing or damaged.
     """
     manifest = read_manifest(path)
     check_links(path)
+    snapshot, is_sealed = EMPTY, False
     if (path / OBJECTS).exists() or manifest.finished_cleanly:
-        snapshot = _read_snapshot(path)
-    else:
-        snapshot = EMPTY
+        content = read_file(path, OBJECTS)
+        is_sealed = not is_whole and manifest.digest is not None and manifest.seal == seal_of(manifest.digest, content)
+        snapshot = _snapshot_of(path, content, is_whole=not is_sealed)
     saved = SavedMap(
         folder=path,
         manifest=manifest,
         snapshot=snapshot,
         ledger=read_json(path, LEDGER) if (path / LEDGER).exists() else {},
         timings=_read_timings(path) if (path / TIMINGS).exists() else {},
-        digest=map_digest(snapshot),
+        is_sealed=is_sealed,
     )
     if saved.is_altered and warns:
         logger.warning("%s; `hickory-stream verify` says what of it holds", saved.doubt)
@@ -158,8 +171,8 @@ def _read_timings(path: Path) -> dict[str, float]:
     return timings
 
 
-def _read_snapshot(path: Path) -> MapSnapshot:
-    document = read_json(path, OBJECTS)
+def _snapshot_of(path: Path, content: bytes, *, is_whole: bool) -> MapSnapshot:
+    document = json_of(path, OBJECTS, content)
 
     def read(name: str) -> bytes:
         data = read_file(path, name)
@@ -168,7 +181,7 @@ def _read_snapshot(path: Path) -> MapSnapshot:
         return data
 
     try:
-        snapshot = decode_snapshot(document, read)
+        snapshot = decode_snapshot(document, read, is_whole=is_whole)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise MapFolderError(f"{path / OBJECTS} is damaged: {error!r}; play the log again") from error
     for tracked in snapshot.objects:

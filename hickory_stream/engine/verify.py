@@ -87,7 +87,7 @@ def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verd
     Raises:
         MapFolderError: there is no map, or it cannot be read.
     """
-    saved = open_map(path, warns=False)
+    saved = open_map(path, warns=False, is_whole=True)
     progress("journal")
     points: dict[int, NDArray[np.float32]] = {}
     journal = _journal(saved, points)

@@ -1,4 +1,4 @@
-"""Arrays that a record need not hold: given up, they are made again whenever somebody reads them.
+"""Arrays that a record need not hold: given up, or never read, they are made whenever somebody asks for them.
 
 A map of a building has hundreds of records that nobody looks at. What is made is the same to the byte, and nobody can
 tell but by the time it takes.
@@ -17,19 +17,23 @@ import zstandard
 from hickory_stream.geometry.packing import array_of, planes_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
     Make = Callable[[str], NDArray[Any]]
+    MakeAll = Callable[[], Mapping[str, NDArray[Any]]]
     Compressed = tuple[str, tuple[int, ...], bytes]
 
 
 @dataclass(frozen=True, slots=True)
 class _Maker:
-    """What makes the arrays `names` of a record again; `keeps`: one that was read stays, until it is given up again."""
+    """What makes the arrays `names` of a record, the one that is asked for among those that it gives.
 
-    make: Make
+    `keeps`: what was made stays, until it is given up again.
+    """
+
+    make: Callable[[str], Mapping[str, NDArray[Any]]]
     names: tuple[str, ...]
     keeps: bool
 
@@ -48,16 +52,26 @@ class GivesUpArrays:
         maker = None if name.startswith("__") else _makers.get(self)
         if maker is None or name not in maker.names:
             raise AttributeError(name)
-        array = maker.make(name)
-        array.flags.writeable = False
-        if maker.keeps:
-            object.__setattr__(self, name, array)
-        return array
+        made = maker.make(name)
+        for each, array in made.items():
+            array.flags.writeable = False
+            if maker.keeps:
+                object.__setattr__(self, each, array)
+        return made[name]
 
 
 def give_up(record: GivesUpArrays, make: Make, *names: str) -> None:
     """Let go of arrays of a record; `make` gives each by its name, as it is, and must not hold the record."""
-    _let_go(record, _Maker(make, names, keeps=False))
+    _let_go(record, _Maker(lambda name: {name: make(name)}, names, keeps=False))
+
+
+def read_later(record: GivesUpArrays, read: MakeAll, *names: str) -> None:
+    """Have arrays of a record, which has others in their place, read when one of them is asked for; then they stay.
+
+    `read` gives all of them by their names, checked, or raises what whoever asks is to see; it must not hold the
+    record.
+    """
+    _let_go(record, _Maker(lambda _: read(), names, keeps=True))
 
 
 def compress(record: GivesUpArrays, *names: str) -> None:
@@ -66,7 +80,7 @@ def compress(record: GivesUpArrays, *names: str) -> None:
         if record in _makers:
             return _let_go(record, _makers[record])
         packed = {name: compressed(getattr(record, name)) for name in names}
-        return _let_go(record, _Maker(lambda name: restored(packed[name]), names, keeps=True))
+        return _let_go(record, _Maker(lambda name: {name: restored(packed[name])}, names, keeps=True))
 
 
 def has_given_up(record: GivesUpArrays) -> bool:

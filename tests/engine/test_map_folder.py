@@ -19,6 +19,7 @@ from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.map_folder import MapFolder, create_map_folder
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError, MapFolderError
+from hickory_stream.geometry.made_arrays import has_given_up
 from hickory_stream.geometry.mesh import read_glb
 from tests.engine.snapshot_fixtures import make_snapshot
 
@@ -347,5 +348,44 @@ def test_a_missing_or_damaged_file_is_named(tmp_path: Path, victim: str, damage:
     with pytest.raises(MapFolderError, match=path.name):
         saved = open_map(tmp_path / "m")
         for tracked in saved.snapshot.objects:
+            assert len(tracked.points_world)
             if tracked.shape:
                 saved.mesh(tracked.shape)
+        assert all(len(submap.observed_space.free) for submap in saved.snapshot.submaps)
+    if victim in ("points", "space"):
+        with pytest.raises(MapFolderError, match=path.name):
+            open_map(tmp_path / "m", is_whole=True)
+
+
+def test_points_of_a_finished_map_are_read_when_somebody_looks_at_them(tmp_path: Path) -> None:
+    folder = create(tmp_path / "m")
+    saved = make_snapshot(folder)
+    folder.save(saved)
+    # Another process may go on writing: what is not read now may be gone by then.
+    assert not any(has_given_up(tracked) for tracked in open_map(tmp_path / "m").snapshot.objects)
+    folder.finish(finished_cleanly=True)
+    opened = open_map(tmp_path / "m")
+    assert opened.digest == map_digest(saved)
+    assert all(has_given_up(tracked) for tracked in opened.snapshot.objects)
+    assert map_digest(opened.snapshot) == map_digest(saved)
+    with pytest.raises(ValueError, match="read-only"):
+        opened.snapshot.objects[0].points_world[0] = 0
+
+
+@pytest.mark.parametrize("change", ["digest", "objects.json", "no seal"])
+def test_a_map_whose_seal_does_not_fit_is_read_as_a_whole(tmp_path: Path, change: str) -> None:
+    folder = create(tmp_path / "m")
+    folder.save(make_snapshot(folder))
+    manifest = folder.finish(finished_cleanly=True)
+    if change == "objects.json":
+        document = json.loads((tmp_path / "m/objects.json").read_text())
+        document["objects"][0]["sightings"] += 1
+        (tmp_path / "m/objects.json").write_text(json.dumps(document))
+    else:
+        altered = {"digest": "0" * 64} if change == "digest" else {"seal": ""}
+        entries = json.loads((tmp_path / "m/manifest.json").read_text())
+        (tmp_path / "m/manifest.json").write_text(json.dumps({**entries, **altered}))
+    opened = open_map(tmp_path / "m", warns=False)
+    assert not opened.is_sealed
+    assert opened.is_altered == (change != "no seal")
+    assert (opened.digest == manifest.digest) == (change != "objects.json")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hickory_stream.geometry.made_arrays import compress, compressed, give_up, has_given_up, restored
+from hickory_stream.geometry.made_arrays import compress, compressed, give_up, has_given_up, read_later, restored
 from hickory_stream.records import ObservedSpace
 
 FREE, STRUCTURE = np.arange(5, 500, 3), np.arange(7)
@@ -56,6 +56,35 @@ def test_a_compressed_array_stays_once_it_is_read_until_it_is_compressed_again()
     assert record.free is first
     compress(record, "free", "structure")
     assert record.free is not first
+    assert np.array_equal(record.free, FREE)
+
+
+def test_arrays_that_are_read_later_are_read_once_and_stay() -> None:
+    record, num_read = space(), []
+
+    def read() -> dict[str, np.ndarray]:
+        num_read.append(1)
+        return {"free": FREE[1:].copy(), "structure": STRUCTURE[1:].copy()}
+
+    read_later(record, read, "free", "structure")
+    assert has_given_up(record)
+    assert np.array_equal(record.free, FREE[1:])
+    assert np.array_equal(record.structure, STRUCTURE[1:])
+    assert record.free is record.free
+    assert len(num_read) == 1
+
+
+def test_what_reading_an_array_later_raises_is_told_and_it_may_be_read_again() -> None:
+    record, failures = space(), [OSError("gone")]
+
+    def read() -> dict[str, np.ndarray]:
+        if failures:
+            raise failures.pop()
+        return {"free": FREE.copy(), "structure": STRUCTURE.copy()}
+
+    read_later(record, read, "free", "structure")
+    with pytest.raises(OSError, match="gone"):
+        assert len(record.free)
     assert np.array_equal(record.free, FREE)
 
 
