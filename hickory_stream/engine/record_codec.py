@@ -21,7 +21,7 @@ import cbor2
 import numpy as np
 
 from hickory_stream.engine.field_types import checked_record, field_checks
-from hickory_stream.geometry.lattice import points_of, steps_of
+from hickory_stream.geometry.lattice import packed_steps, points_of, steps_of, unpacked_steps
 from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of
 from hickory_stream.geometry.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
 
@@ -161,8 +161,8 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
         method, data = _COLORS, color_planes(little)
     elif little.dtype.itemsize == 1:
         data = little.tobytes()
-    elif little.dtype == np.float32 and little.ndim == 2 and (steps := steps_of(little)) is not None:
-        method, data = _STEPS, planes_of(np.diff(steps, axis=0, prepend=np.zeros((1, steps.shape[1]), np.int32)))
+    elif little.dtype == np.float32 and little.shape[1:] == (3,) and (steps := steps_of(little)) is not None:
+        method, data = _STEPS, packed_steps(steps)
     elif little.dtype == np.int64 and little.ndim == 1 and is_denser(little):
         heads, words = blocks_of(little)
         method, data = _BLOCKS, planes_of(np.diff(heads, prepend=np.int64(0))) + planes_of(words)
@@ -247,8 +247,8 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
         array = _keys(data, count).astype(dtype)
     elif method == _COLORS and dtype == np.uint8 and tuple(shape[1:]) == (3,):
         array = colors_of(data, shape[0])
-    elif method == _STEPS and dtype == np.float32 and len(shape) == 2:
-        array = points_of(np.cumsum(array_of(data, np.dtype("<i4"), tuple(shape)), axis=0, dtype=np.int32))
+    elif method == _STEPS and dtype == np.float32 and tuple(shape[1:]) == (3,):
+        array = points_of(unpacked_steps(data, shape[0]))
     elif method == _BITS:
         array = np.unpackbits(np.frombuffer(data, np.uint8), count=count).astype(bool)
     elif method == _PLAIN:

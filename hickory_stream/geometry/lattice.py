@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.geometry.packing import array_of, planes_of, signed, unsigned
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -16,26 +17,40 @@ STEPS_PER_M = 32768.0
 """Points lie at whole multiples of 2^-15 m, 31 um, along each axis: finer than any depth, and exact in float32 as far
 as 512 m. So a point takes four bytes instead of twelve, and nothing is lost by storing it."""
 
+MESH_STEPS_PER_M = 8192.0
+"""Vertices of meshes lie at multiples of 2^-13 m, 122 um: a hundredth of the cells that most of them are made in."""
 
-def on_steps(points: NDArray[np.float32]) -> NDArray[np.float32]:
+
+def on_steps(points: NDArray[Any], steps_per_m: float = STEPS_PER_M) -> NDArray[np.float32]:
     """Return (N, 3) points at the nearest multiples of the step."""
-    step = np.float32(STEPS_PER_M)
-    # With 0.0 added there is no negative zero.
-    return ((np.rint(points * step) + np.float32(0.0)) / step).astype(np.float32)
+    step = np.float32(steps_per_m)
+    with np.errstate(invalid="ignore", over="ignore"):
+        # With 0.0 added there is no negative zero.
+        return ((np.rint(points.astype(np.float32, copy=False) * step) + np.float32(0.0)) / step).astype(np.float32)
 
 
-def steps_of(points: NDArray[Any]) -> NDArray[np.int32] | None:
+def steps_of(points: NDArray[Any], steps_per_m: float = STEPS_PER_M) -> NDArray[np.int32] | None:
     """Return (N, 3) points in steps, None where one does not lie at a multiple of them, or too far away."""
     with np.errstate(invalid="ignore", over="ignore"):
-        steps = points * np.float32(STEPS_PER_M)
+        steps = points * np.float32(steps_per_m)
         if not ((steps == np.rint(steps)) & (np.abs(steps) < _MOST_STEPS)).all() or np.signbit(steps[steps == 0]).any():
             return None
     return steps.astype(np.int32)
 
 
-def points_of(steps: NDArray[np.int32]) -> NDArray[np.float32]:
+def points_of(steps: NDArray[np.int32], steps_per_m: float = STEPS_PER_M) -> NDArray[np.float32]:
     """Return the points (N, 3) of which `steps_of` gave the steps."""
-    return steps.astype(np.float32) / np.float32(STEPS_PER_M)
+    return steps.astype(np.float32) / np.float32(steps_per_m)
+
+
+def packed_steps(steps: NDArray[np.int32]) -> bytes:
+    """Return the bytes (12 N) of (N, 3) steps as they compress: how far each is from the one before it."""
+    return planes_of(unsigned(np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32))))
+
+
+def unpacked_steps(data: bytes, count: int) -> NDArray[np.int32]:
+    """Return the (N, 3) steps of `packed_steps`; raises ValueError where there are not as many."""
+    return np.cumsum(signed(array_of(data, np.dtype("<u4"), (count, 3))), axis=0, dtype=np.int32)
 
 
 # Beyond it float32 does not tell one step from the next.

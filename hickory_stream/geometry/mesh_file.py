@@ -1,9 +1,11 @@
-"""The file of a mesh in a map folder: its arrays as they compress, exact, and a third of a GLB of the same mesh.
+"""The file of a mesh in a map folder: its arrays as they compress, exact, and a fifth of a GLB of the same mesh.
 
-It begins with `HSM1`, the numbers of vertices and of faces (little-endian, 4 bytes each), and goes on with a frame of
-zstd: vertices (V, 3) float32 and colours as `packing` has them, the indices of the faces, and a bit for each vertex
-that was seen. Of each index there is how far it is below the next vertex that no face before it has named (int32,
-`packing`): meshes name their vertices in order, so that most of these numbers are small. Maps of format 1 have GLB.
+It begins with `HSM2`, the numbers of vertices and of faces (little-endian, 4 bytes each), and goes on with a frame of
+zstd: vertices (V, 3) in steps, each as how far it is from the one before it (`lattice`), colours as `packing` has them,
+the indices of the faces, and a bit for each vertex that was seen. Of each index there is how far it is below the next
+vertex that no face before it has named (`packing.unsigned`): meshes name their vertices in order, so that most of these
+numbers are small. Where a vertex lies at no step it begins with `HSM1`, and vertices are float32 (`packing`). Maps of
+format 1 have GLB.
 """
 
 from __future__ import annotations
@@ -14,28 +16,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 import zstandard
 
+from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, packed_steps, points_of, steps_of, unpacked_steps
 from hickory_stream.geometry.mesh import Mesh, mesh_of_glb
-from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of
+from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of, signed, unsigned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SUFFIX = ".mesh"
 
-_MAGIC = b"HSM1"
+_AT_STEPS, _ANYWHERE = b"HSM2", b"HSM1"
 _HEADER = struct.Struct("<4sII")
-_FLOAT, _INDEX = np.dtype("<f4"), np.dtype("<i4")
+_FLOAT, _SIGNED, _UNSIGNED = np.dtype("<f4"), np.dtype("<i4"), np.dtype("<u4")
 
 
 def mesh_file_bytes(mesh: Mesh) -> bytes:
     """Return the file of a mesh; equal meshes give equal bytes."""
+    steps, below = steps_of(mesh.vertices, MESH_STEPS_PER_M), _below_next(mesh.faces.reshape(-1))
     body = (
-        planes_of(mesh.vertices.astype(_FLOAT, copy=False)),
+        planes_of(mesh.vertices.astype(_FLOAT, copy=False)) if steps is None else packed_steps(steps),
         color_planes(mesh.colors),
-        planes_of(_below_next(mesh.faces.reshape(-1)).astype(_INDEX, copy=False)),
+        planes_of(below.astype(_SIGNED, copy=False) if steps is None else unsigned(below)),
         np.packbits(mesh.is_seen).tobytes(),
     )
-    header = _HEADER.pack(_MAGIC, len(mesh.vertices), len(mesh.faces))
+    header = _HEADER.pack(_ANYWHERE if steps is None else _AT_STEPS, len(mesh.vertices), len(mesh.faces))
     return header + zstandard.compress(b"".join(body), 3)
 
 
@@ -45,11 +49,11 @@ def mesh_of_file(data: bytes) -> Mesh:
     Raises:
         ValueError: it is neither, or damaged.
     """
-    if not data.startswith(_MAGIC):
+    if not data.startswith((_AT_STEPS, _ANYWHERE)):
         return mesh_of_glb(data)
     if len(data) < _HEADER.size:
         raise ValueError("a mesh of which only the beginning is there")
-    _, count, num_faces = _HEADER.unpack_from(data)
+    magic, count, num_faces = _HEADER.unpack_from(data)
     ends = np.cumsum([count * 12, count * 3, num_faces * 12, -(-count // 8)]).tolist()
     # What the header claims must be there: memory is taken for it.
     try:
@@ -59,8 +63,12 @@ def mesh_of_file(data: bytes) -> Mesh:
         body = zstandard.decompress(data[_HEADER.size :])
     except zstandard.ZstdError as error:
         raise ValueError(f"a mesh that is damaged: {error}") from error
-    vertices = array_of(body[: ends[0]], _FLOAT, (count, 3))
-    faces = _indices(array_of(body[ends[1] : ends[2]], _INDEX, (3 * num_faces,)))
+    if magic == _AT_STEPS:
+        vertices = points_of(unpacked_steps(body[: ends[0]], count), MESH_STEPS_PER_M)
+        faces = _indices(signed(array_of(body[ends[1] : ends[2]], _UNSIGNED, (3 * num_faces,))))
+    else:
+        vertices = array_of(body[: ends[0]], _FLOAT, (count, 3))
+        faces = _indices(array_of(body[ends[1] : ends[2]], _SIGNED, (3 * num_faces,)))
     if not np.isfinite(vertices).all() or (num_faces and not 0 <= faces.min() <= faces.max() < count):
         raise ValueError(f"a vertex is not finite, or a face names another one than the {count} that there are")
     return Mesh(

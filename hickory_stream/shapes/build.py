@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.errors import ConfigError
+from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.geometry.superquadric_surface import surface_points
@@ -110,10 +111,14 @@ def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: Shape
 
 
 def _usable(reconstruction: Reconstruction) -> Reconstruction:
-    """Return the reconstruction with its mesh cleaned up (`usable`); raise ValueError if the mesh is unusable."""
+    """Return the reconstruction with its mesh cleaned up (`usable`); raise ValueError if the mesh is unusable.
+
+    Its vertices are at steps then: what comes after, the certificate above all, is of the mesh that is stored.
+    """
     if not np.isfinite(reconstruction.world_from_object).all():
         raise ValueError("a mesh whose place is not finite")
-    return replace(reconstruction, mesh=usable(reconstruction.mesh))
+    mesh = replace(reconstruction.mesh, vertices=on_steps(reconstruction.mesh.vertices, MESH_STEPS_PER_M))
+    return replace(reconstruction, mesh=usable(mesh))
 
 
 def seen_shares(primitives: Superquadrics, reconstruction: Reconstruction) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ import pytest
 from shape_fixtures import occupancy_iou, shape_inputs, test_mesh
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, steps_of
 from hickory_stream.geometry.mesh import is_closed, sha256_of, volume_m3
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
@@ -126,3 +127,5 @@ def test_a_build_has_all_layers_and_contains_the_object(reconstructor: str) -> N
     assert ((built.seen_share >= 0) & (built.seen_share <= 1)).all()
     assert built.containment.num_outside <= 0.001 * built.containment.num_checked
     assert set(built.timings_s) == {"reconstruct", "fit", "inflate"}
+    # What was certified is what is stored, in half of the bytes.
+    assert steps_of(built.reconstruction.mesh.vertices, MESH_STEPS_PER_M) is not None

@@ -72,6 +72,7 @@ def test_the_surface_that_was_seen_is_that_of_the_keyframes_until_then(tmp_path:
     assert snapshot.revision == first.revision
     (submap,) = snapshot.submaps
     points = np.concatenate([tracked.points_world for tracked in snapshot.objects])
-    keys = keys_of_points(points, submap.observed_space.voxel_m)
-    assert np.isin(seen.keys(), keys).mean() > 0.8
+    # Faces of the scene lie on the border of two cells: a point of layer 1, which is rounded, may be in either.
+    either = np.concatenate([points + np.float32(away_m) for away_m in (-1e-3, 1e-3)])
+    assert np.isin(seen.keys(), keys_of_points(either, submap.observed_space.voxel_m)).mean() > 0.9
     assert live_map(run.folder.path, first.stamp_ns - 1) is None
