@@ -251,11 +251,12 @@ class Exported(TypedDict):
 
 
 class Difference(TypedDict):
-    """One change between two moments."""
+    """One change between two moments; "new", "gone" and what moved while nobody looked have a probability."""
 
-    kind: Literal["appeared", "merged", "dropped", "moved", "better view", "shape changed"]
+    kind: Literal["appeared", "new", "merged", "dropped", "gone", "moved", "better view", "shape changed"]
     object_id: int
     text: str
+    probability: float | None
 
 
 class Differences(TypedDict):

@@ -16,7 +16,7 @@ from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.worlds.fleet import make_fleet
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.recording_config import RecordingConfig
 from tests.conftest import COARSE_SHAPES
 from tests.test_cli import EAGER, Ended, look
 

@@ -79,7 +79,8 @@ def _make_room(folder: Path, *, is_overwritten: bool) -> None:
 
 def _record(options: argparse.Namespace, folder: Path) -> None:
     """Make the recording, in a log and beside it the truth."""
-    from hickory_stream.worlds.recording import RecordingConfig, make_recording
+    from hickory_stream.worlds.recording import make_recording
+    from hickory_stream.worlds.recording_config import RecordingConfig
 
     def progress(done: int, total: int) -> None:
         if options.json or not (done % _EVERY == 0 or done == total):

@@ -47,6 +47,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
+    from hickory_stream.changes.within_run import changes_within_run
     from hickory_stream.cli.values import open_map_at
     from hickory_stream.engine.history.time_travel import stamp_of
 
@@ -59,13 +60,15 @@ def run(options: argparse.Namespace) -> int:
     saved = open_map_at(options.map)
     if options.other is not None:
         return _compare(options, saved, open_map_at(options.other))
-    changes = saved.diff(stamp_of(options.map, options.first), stamp_of(options.map, options.second))
+    before, after = (saved.as_known_at(stamp_of(options.map, text)) for text in (options.first, options.second))
+    changes = changes_within_run(before, after)
     if options.json:
         print(output("diff", {"changes": [dataclasses.asdict(change) for change in changes]}, indent=1))
     else:
         width = max((len(change.kind) for change in changes), default=0)
         for change in changes:
-            print(f"#{change.object_id:<5} {change.kind:<{width}}  {change.text}")
+            sure = "" if change.probability is None else f"; probability {change.probability:.2f}"
+            print(f"#{change.object_id:<5} {change.kind:<{width}}  {change.text}{sure}")
         if not changes:
             print("nothing has changed")
     return 0

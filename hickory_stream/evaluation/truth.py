@@ -61,9 +61,22 @@ class TruthFrame:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TruthChange:
+    """What changed in the middle of a log: from `stamp_ns` on the truth's objects are there.
+
+    `before` are those that were elsewhere until then, as they were, and those that are gone; both sorted by id. Their
+    `seen_fraction` is of the frames before the change.
+    """
+
+    stamp_ns: int
+    before: tuple[TruthObject, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Truth:
     """A truth folder: objects sorted by id, frames by index; `structure` are paths of meshes in the folder's world.
 
+    `change`: of a world that changed during the log, whose objects are those at its end; None: it stayed as it was.
     `world_from_folder` (4, 4) is the transform from that world to the one of the poses, None if they are the same.
     """
 
@@ -72,6 +85,7 @@ class Truth:
     objects: tuple[TruthObject, ...]
     structure: tuple[str, ...]
     frames: tuple[TruthFrame, ...]
+    change: TruthChange | None = None
     world_from_folder: NDArray[np.float64] | None = None
 
 
@@ -124,9 +138,14 @@ def structure_meshes(truth: Truth) -> tuple[Mesh, ...]:
 def moved_truth(truth: Truth, a_from_world: NDArray[np.float64]) -> Truth:
     """Return the truth in another world: objects, cameras and structure."""
     before = np.eye(4) if truth.world_from_folder is None else truth.world_from_folder
+
+    def moved(objects: tuple[TruthObject, ...]) -> tuple[TruthObject, ...]:
+        return tuple(replace(o, world_from_object=a_from_world @ o.world_from_object) for o in objects)
+
     return replace(
         truth,
-        objects=tuple(replace(o, world_from_object=a_from_world @ o.world_from_object) for o in truth.objects),
+        objects=moved(truth.objects),
+        change=None if truth.change is None else replace(truth.change, before=moved(truth.change.before)),
         frames=tuple(replace(f, world_from_camera=a_from_world @ f.world_from_camera) for f in truth.frames),
         world_from_folder=a_from_world @ before,
     )
@@ -164,17 +183,7 @@ def truth_record(truth: Truth) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "camera": {"width": camera.width, "height": camera.height, "K": camera.K.tolist()},
-        "objects": [
-            {
-                "id": item.id,
-                "kind": item.kind,
-                "mesh": item.mesh,
-                "world_from_object": item.world_from_object.tolist(),
-                "seen_fraction": item.seen_fraction,
-                "frames": list(item.frames),
-            }
-            for item in truth.objects
-        ],
+        "objects": [_object_record(item) for item in truth.objects],
         "structure": list(truth.structure),
         "frames": [
             {
@@ -185,6 +194,22 @@ def truth_record(truth: Truth) -> dict[str, Any]:
             }
             for frame in truth.frames
         ],
+        **({} if truth.change is None else {"change": _change_record(truth.change)}),
+    }
+
+
+def _change_record(change: TruthChange) -> dict[str, Any]:
+    return {"stamp_ns": change.stamp_ns, "before": [_object_record(item) for item in change.before]}
+
+
+def _object_record(item: TruthObject) -> dict[str, Any]:
+    return {
+        "id": item.id,
+        "kind": item.kind,
+        "mesh": item.mesh,
+        "world_from_object": item.world_from_object.tolist(),
+        "seen_fraction": item.seen_fraction,
+        "frames": list(item.frames),
     }
 
 
@@ -192,17 +217,6 @@ def _truth_of(folder: Path, record: dict[str, Any]) -> Truth:
     camera, K = record["camera"], np.array(record["camera"]["K"], dtype=np.float64)
     if K.shape != (3, 3):
         raise ValueError(f"K has shape {K.shape}; expected (3, 3)")
-    objects = tuple(
-        TruthObject(
-            id=int(item["id"]),
-            kind=str(item["kind"]),
-            mesh=str(item["mesh"]),
-            world_from_object=_pose(item["world_from_object"]),
-            seen_fraction=float(item["seen_fraction"]),
-            frames=tuple(int(index) for index in item["frames"]),
-        )
-        for item in record["objects"]
-    )
     frames = tuple(
         TruthFrame(
             index=int(frame["index"]),
@@ -217,10 +231,30 @@ def _truth_of(folder: Path, record: dict[str, Any]) -> Truth:
         camera=Camera(
             width=int(camera["width"]), height=int(camera["height"]), fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2]
         ),
-        objects=tuple(sorted(objects, key=lambda item: item.id)),
+        objects=_objects_of(record["objects"]),
         structure=tuple(str(path) for path in record["structure"]),
         frames=tuple(sorted(frames, key=lambda frame: frame.index)),
+        change=_change_of(record["change"]) if "change" in record else None,
     )
+
+
+def _change_of(record: dict[str, Any]) -> TruthChange:
+    return TruthChange(stamp_ns=int(record["stamp_ns"]), before=_objects_of(record["before"]))
+
+
+def _objects_of(records: list[dict[str, Any]]) -> tuple[TruthObject, ...]:
+    objects = (
+        TruthObject(
+            id=int(item["id"]),
+            kind=str(item["kind"]),
+            mesh=str(item["mesh"]),
+            world_from_object=_pose(item["world_from_object"]),
+            seen_fraction=float(item["seen_fraction"]),
+            frames=tuple(int(index) for index in item["frames"]),
+        )
+        for item in records
+    )
+    return tuple(sorted(objects, key=lambda item: item.id))
 
 
 def _pose(rows: Any) -> NDArray[np.float64]:

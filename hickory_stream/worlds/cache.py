@@ -11,7 +11,8 @@ from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
 from hickory_stream.json_text import dumps
 from hickory_stream.worlds.drift import DriftConfig
 from hickory_stream.worlds.layouts import layout_files
-from hickory_stream.worlds.recording import RecordingConfig, make_recording
+from hickory_stream.worlds.recording import make_recording
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.scenes import CLUTTER
 from hickory_stream.worlds.walk_config import WalkConfig
 
@@ -27,7 +28,7 @@ CLUTTER_VERSION = 2
 
 # Fields that were added to configs later: their defaults are left out of a name, so that older recordings stay valid.
 _LATER = {
-    "": (RecordingConfig(), ("layout", "family", "color", "camera_offset", "robots", "building", "day")),
+    "": (RecordingConfig(), ("layout", "family", "color", "camera_offset", "robots", "building", "day", "change_at_s")),
     "walk": (WalkConfig(), ("pitch_deg",)),
     "drift": (DriftConfig(), ("jitter_m", "jitter_deg")),
 }

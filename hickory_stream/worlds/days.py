@@ -59,6 +59,12 @@ def world_of_day(world: World, seed: int, day: int, is_walkable: Callable[[World
     return world
 
 
+def elsewhere_before(before: World, after: World) -> tuple[WorldObject, ...]:
+    """Return the objects of a world that are not in a later one as they were: moved, removed or exchanged."""
+    places = {item.id: item.world_from_object.tolist() for item in after.objects}
+    return tuple(item for item in before.objects if places.get(item.id) != item.world_from_object.tolist())
+
+
 def _changed(world: World, rng: np.random.Generator, first_id: int) -> World:
     objects = list(world.objects)
     touched: set[int] = set()

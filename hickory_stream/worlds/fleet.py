@@ -19,15 +19,17 @@ from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import TRUTH_FILE, truth_record
 from hickory_stream.json_text import dumps_exactly, toml_string
 from hickory_stream.worlds.layouts import layout_files
-from hickory_stream.worlds.recording import MAX_ROBOTS, make_recording, walkable_world
+from hickory_stream.worlds.recording import make_recording
+from hickory_stream.worlds.recording_config import MAX_ROBOTS
 from hickory_stream.worlds.visibility import SeenSurface
+from hickory_stream.worlds.walkable import walkable_world
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hickory_stream.evaluation.ray_caster import CasterName
     from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.worlds.recording import RecordingConfig
+    from hickory_stream.worlds.recording_config import RecordingConfig
 
 
 def robot_name(name: str, robot: int) -> str:

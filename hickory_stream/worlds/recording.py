@@ -8,142 +8,50 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.errors import ConfigError
-from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, moved_mesh, truth_record
-from hickory_stream.geometry.camera import Camera
+from hickory_stream.evaluation.truth import (
+    TRUTH_FILE,
+    Truth,
+    TruthChange,
+    TruthFrame,
+    TruthObject,
+    moved_mesh,
+    truth_record,
+)
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from hickory_stream.json_text import dumps_exactly
-from hickory_stream.worlds.building.building import BuildingSize, building
-from hickory_stream.worlds.building.walk import building_walk
-from hickory_stream.worlds.clutter.families import recipes_of
-from hickory_stream.worlds.clutter.room import clutter_room
-from hickory_stream.worlds.clutter.walk import wander
-from hickory_stream.worlds.days import world_of_day
-from hickory_stream.worlds.depth_camera import DepthCameraConfig
-from hickory_stream.worlds.drift import DriftConfig, drifted
-from hickory_stream.worlds.layouts import LAYOUTS, drawn_mounting, layout_camera, layout_files, open_layout
+from hickory_stream.worlds.days import elsewhere_before
+from hickory_stream.worlds.drift import drifted
+from hickory_stream.worlds.layouts import drawn_mounting, layout_files, open_layout
 from hickory_stream.worlds.object_models import model_mesh
-from hickory_stream.worlds.orbit import orbit
-from hickory_stream.worlds.outdoor.street import street
-from hickory_stream.worlds.outdoor.walk import stroll
-from hickory_stream.worlds.person import PERSON_ID, Person
-from hickory_stream.worlds.scenes import BUILDING, CLUTTER, OUTDOOR, SCENES, make_world
-from hickory_stream.worlds.shots import Filming, Sensors, shots_of
-from hickory_stream.worlds.tour import tour
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, walk_round
+from hickory_stream.worlds.person import PERSON_ID
+from hickory_stream.worlds.scenes import BUILDING
+from hickory_stream.worlds.shots import Filming, Sensors, WorldChange, shots_of
+from hickory_stream.worlds.trajectory import STEP_S, Trajectory
 from hickory_stream.worlds.visibility import SeenSurface
-from hickory_stream.worlds.walk_config import WalkConfig
+from hickory_stream.worlds.walkable import change_on_the_way, person_of, walkable_world
 from hickory_stream.worlds.zed_log import encode_png
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.ray_caster import CasterName
-    from hickory_stream.worlds.color_camera import ColorCameraConfig
-    from hickory_stream.worlds.scene import World
+    from hickory_stream.worlds.recording_config import RecordingConfig
+    from hickory_stream.worlds.scene import World, WorldObject
 
 _START_NS = 1_752_400_000_000_000_000
 _ODOMETRY_HZ = 30
-_WORLDS = 20
-MAX_ROBOTS = 16
 # Where robots of a fleet start by their own reckoning, and by how much their clocks differ.
 _FRAME_REACH_M, _CLOCK_REACH_NS = 8.0, 3_600_000_000_000
-_LEAST_CLUTTER = 6
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RecordingConfig:
-    """The config of a recording; the same config gives the same bytes."""
-
-    scene: str = "room"
-    """One of `worlds.scenes.SCENES`."""
-    family: str = "training"
-    """The family of recipes of a random room (scene `clutter`): one of `worlds.clutter.families.FAMILIES`."""
-    seed: int = 7
-    walk_index: int = 0
-    """Which of the walks through the scene; a room has one for each seed."""
-    seconds: float | None = 20.0
-    """None: as long as the walk through the scene takes, a minute or more."""
-    rate_hz: float = 6.0
-    width: int = 640
-    height: int = 360
-    horizontal_fov_deg: float = 80.0
-    color_noise: float = 1.0
-    """Standard deviation of the colour noise, in grey levels."""
-    jpeg_quality: int = 80
-    layout: str = "zed"
-    """One of `worlds.layouts.LAYOUTS`: the container, the topics, the frames and the quirks of a data set."""
-    robots: int = 0
-    """Of how many robots of a fleet this is one, the one on walk `walk_index`; 0: it is alone.
-
-    A robot of a fleet has a frame and a clock of its own, and its truth is in its frame (`worlds.fleet`).
-    """
-    camera_offset: bool = False
-    """Whether the seed draws the camera's pose on the body of a NUS-CLB robot, 0.4 m and 10 degrees off."""
-    drift: DriftConfig | None = None
-    """The drift of odometry; None: exact poses."""
-    building: BuildingSize | None = None
-    """How large a building is; None: two floors and twelve rooms."""
-    day: int = 0
-    """How many days the things in the world have been moved, removed and added since it was made (`worlds.days`)."""
-    person: bool = False
-    """Whether a person walks through the scene."""
-    color: ColorCameraConfig | None = None
-    """The defects of the colour camera in addition to `color_noise`; None: no others."""
-    walk: WalkConfig = field(default_factory=WalkConfig)
-    depth: DepthCameraConfig = field(default_factory=DepthCameraConfig)
-
-    def __post_init__(self) -> None:
-        seconds = 60.0 if self.seconds is None else self.seconds
-        if not (seconds > 0 and 0 < self.rate_hz <= 120 and seconds * self.rate_hz >= 1):
-            raise ConfigError(
-                f"{self.seconds} s at {self.rate_hz} Hz; expected a positive time and a rate of up to 120 Hz "
-                "that give at least one frame"
-            )
-        if not (32 <= self.width <= 4096 and 32 <= self.height <= 4096):
-            raise ConfigError(f"images of {self.width}x{self.height}; expected 32 to 4096 pixels a side")
-        if self.seed < 0 or self.walk_index < 0:
-            raise ConfigError(f"seed {self.seed}, walk {self.walk_index}; expected 0 or more")
-        if self.day < 0 or (self.day and self.scene in (BUILDING, CLUTTER, OUTDOOR)):
-            raise ConfigError(f"day {self.day} in the scene {self.scene}; expected 0 or more, above 0 in rooms only")
-        if self.scene not in SCENES:
-            raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
-        if self.robots and (not self.walk_index < self.robots <= MAX_ROBOTS or self.scene == CLUTTER):
-            raise ConfigError(
-                f"robot {self.walk_index} of {self.robots} in the scene {self.scene}; expected up to {MAX_ROBOTS} "
-                f"robots, of which it is one, in any scene but {CLUTTER}"
-            )
-        recipes_of(self.family)
-        if self.layout not in LAYOUTS:
-            raise ConfigError(f"layout {self.layout!r}; expected one of {', '.join(LAYOUTS)}")
-
-    @property
-    def is_by_frame(self) -> bool:
-        """Whether each frame draws its noise for itself, so that frames can be made in any order."""
-        return self.scene == BUILDING
-
-    @property
-    def camera(self) -> Camera:
-        """The pinhole camera of both images."""
-        focal_px = self.width / 2 / np.tan(np.radians(self.horizontal_fov_deg) / 2)
-        camera = Camera(
-            width=self.width,
-            height=self.height,
-            fx=float(focal_px),
-            fy=float(focal_px),
-            cx=(self.width - 1) / 2,
-            cy=(self.height - 1) / 2,
-        )
-        return layout_camera(self.layout, camera)
 
 
 def make_recording(
@@ -175,7 +83,10 @@ def make_recording(
             "can be made side by side"
         )
     world, trajectory = walkable_world(config)
-    return film_world(world, trajectory, config, folder, name, progress, caster=caster, seen=seen, processes=processes)
+    return film_world(
+        world, trajectory, config, folder, name, progress, caster=caster, seen=seen, processes=processes,
+        change=change_on_the_way(world, trajectory, config),
+    )  # fmt: skip
 
 
 def film_world(
@@ -189,8 +100,11 @@ def film_world(
     caster: CasterName | None = "open3d",
     seen: SeenSurface | None = None,
     processes: int = 1,
+    change: WorldChange | None = None,
 ) -> Truth:
     """Write a recording of any world, as `make_recording` does of one from a seed; `config.scene` is not looked at.
+
+    `change` is what the world becomes on the way.
 
     Raises:
         ConfigError: NAME.truth exists and is no truth folder.
@@ -201,8 +115,9 @@ def film_world(
         raise ConfigError(f"{truth_folder} is there and has no {TRUTH_FILE}; choose another --name or --out")
     folder.mkdir(parents=True, exist_ok=True)
     filming = Filming(
-        sensors=sensors_of(config), world=world, trajectory=trajectory, caster=caster, person=_person(world, config)
-    )
+        sensors=sensors_of(config), world=world, trajectory=trajectory, caster=caster, person=person_of(world, config),
+        change=change,
+    )  # fmt: skip
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
         truth = _make(config, filming, Path(unfinished), name, progress, seen, processes)
         if truth_folder.exists():
@@ -224,72 +139,43 @@ def _make(
     seen_by_all: SeenSurface | None,
     processes: int,
 ) -> Truth:
-    world = filming.world
+    world = filming.world if filming.change is None else filming.change.world
+    elsewhere = () if filming.change is None else elsewhere_before(filming.world, world)
     truth_folder = folder / f"{name}.truth"
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)
     robot_from_world = drawn_frame(config)
-    structure = _write_meshes(world, truth_folder, robot_from_world)
-    frames, seen, shown = _record(config, filming, (folder, name, truth_folder), progress, processes)
+    structure = _write_meshes(world, elsewhere, truth_folder, robot_from_world)
+    recorded = _record(config, filming, world, elsewhere, (folder, name, truth_folder), progress, processes)
     if seen_by_all is not None:
-        seen_by_all.include(seen)
-    truth = Truth(
-        folder=truth_folder,
-        camera=config.camera,
-        objects=tuple(
+        seen_by_all.include(recorded.seen)
+
+    def true_objects(objects: Sequence[WorldObject], seen: SeenSurface) -> tuple[TruthObject, ...]:
+        return tuple(
             TruthObject(
                 id=item.id,
                 kind=item.model.kind,
                 mesh=f"meshes/{item.id}.glb",
                 world_from_object=_in_frame(robot_from_world, item.world_from_object),
                 seen_fraction=round(seen.fraction(item.id), 4),
-                frames=tuple(shown[item.id]),
+                frames=tuple(recorded.shown[item.id]),
             )
-            for item in world.objects
-        ),
+            for item in objects
+        )
+
+    change = None
+    if filming.change is not None:
+        change = TruthChange(stamp_ns=recorded.change_ns, before=true_objects(elsewhere, recorded.seen_before))
+    truth = Truth(
+        folder=truth_folder,
+        camera=config.camera,
+        objects=true_objects(world.objects, recorded.seen),
         structure=structure,
-        frames=tuple(frames),
+        frames=tuple(recorded.frames),
+        change=change,
     )
     (truth_folder / TRUTH_FILE).write_text(dumps_exactly(truth_record(truth), indent=1) + "\n", encoding="utf-8")
     return truth
-
-
-def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's worlds that one can walk through, and the walk.
-
-    Both of the first two walks, and those of all robots of a fleet, must be possible, so that they share one world.
-
-    Raises:
-        ConfigError: none of the seed's worlds can be walked.
-    """
-    if config.scene == CLUTTER:
-        return _walkable_clutter(config)
-    if config.scene == OUTDOOR:
-        return _walkable_street(config)
-    if config.scene == BUILDING:
-        return _walkable_building(config)
-    for attempt in range(_WORLDS):
-        world = make_world(config.scene, config.seed, attempt)
-        trajectory = _walk(world, config, config.walk_index)
-        others = set(range(config.robots)) | ({0, 1} if config.scene == "apartment" else set())
-        others -= {config.walk_index}
-        if not isinstance(trajectory, NoWalk) and not any(isinstance(_walk(world, config, i), NoWalk) for i in others):
-            return _on_its_day(world, trajectory, config)
-    raise _not_walkable(config)
-
-
-def _on_its_day(world: World, trajectory: Trajectory, config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the world and the walk through it on the day of a recording; on day 0 as they are."""
-    if not config.day:
-        return world, trajectory
-
-    def walk(changed: World) -> Trajectory | NoWalk:
-        return _walk(changed, config, config.walk_index)
-
-    today = world_of_day(world, config.seed, config.day, lambda changed: not isinstance(walk(changed), NoWalk))
-    found = walk(today)
-    assert not isinstance(found, NoWalk)
-    return today, found
 
 
 def drawn_frame(config: RecordingConfig) -> NDArray[np.float64] | None:
@@ -306,77 +192,14 @@ def _in_frame(robot_from_world: NDArray[np.float64] | None, world_from_a: NDArra
     return world_from_a if robot_from_world is None else robot_from_world @ world_from_a
 
 
-def _not_walkable(config: RecordingConfig) -> ConfigError:
-    return ConfigError(
-        f"seed {config.seed}: none of {_WORLDS} worlds leaves {config.walk.clearance_m} m to walk; "
-        "choose another --seed"
-    )
-
-
-def _walkable_clutter(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's random rooms that has objects and a walk, and the walk."""
-    for attempt in range(_WORLDS):
-        room = clutter_room(config.seed, config.family, attempt)
-        if len(room.world.objects) >= _LEAST_CLUTTER:
-            rng = np.random.default_rng([config.seed, 2, config.walk_index])
-            trajectory = wander(room, 60.0 if config.seconds is None else config.seconds, config.walk, rng)
-            if not isinstance(trajectory, NoWalk):
-                return room.world, trajectory
-    raise _not_walkable(config)
-
-
-def _walkable_street(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's streets with a closed route for all robots of a fleet, and the walk."""
-    for attempt in range(_WORLDS):
-        found = street(config.seed, attempt)
-        walks = {i: stroll(found, config.seconds, config.walk, i) for i in {*range(config.robots), config.walk_index}}
-        trajectory = walks[config.walk_index]
-        if not isinstance(trajectory, NoWalk) and not any(isinstance(walk, NoWalk) for walk in walks.values()):
-            return found.world, trajectory
-    raise _not_walkable(config)
-
-
-def _walkable_building(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's buildings that one can walk through, and the walk; all walks visit all rooms."""
-    for attempt in range(_WORLDS):
-        house = building(config.seed, config.building or BuildingSize(), attempt)
-        rng = np.random.default_rng([config.seed, 2, config.walk_index])
-        trajectory = building_walk(house, config.seconds, config.walk, config.walk_index, rng)
-        if not isinstance(trajectory, NoWalk):
-            return house.world, trajectory
-    raise _not_walkable(config)
-
-
-def _walk(world: World, config: RecordingConfig, walk_index: int) -> Trajectory | NoWalk:
-    rng = np.random.default_rng([config.seed, 2, walk_index] if walk_index else [config.seed, 2])
-    if config.scene == "apartment":
-        return tour(world, config.seconds, config.walk, walk_index)
-    if config.scene == "tabletop":
-        return orbit(world, config.seconds, walk_index, rng)
-    return walk_round(world, 60.0 if config.seconds is None else config.seconds, config.walk, rng)
-
-
-def _person(world: World, config: RecordingConfig) -> Person | None:
-    """Return the person of a config: on another walk through the same world, faster than the camera.
-
-    Random rooms, streets and buildings have no person.
-    """
-    if not config.person or config.scene in (CLUTTER, OUTDOOR, BUILDING):
-        return None
-    faster = replace(config.walk, speed_mps=2 * config.walk.speed_mps)
-    if config.scene == "tabletop":
-        track: Trajectory | NoWalk = orbit(world, config.seconds, config.walk_index + 1, np.random.default_rng(0))
-    elif config.scene == "apartment":
-        track = tour(world, config.seconds, faster, config.walk_index + 1)
-    else:
-        seconds = 60.0 if config.seconds is None else config.seconds
-        track = walk_round(world, seconds, faster, np.random.default_rng([config.seed, 5]))
-    return None if isinstance(track, NoWalk) else Person(track=track, ahead_s=3.0)
-
-
-def _write_meshes(world: World, truth_folder: Path, robot_from_world: NDArray[np.float64] | None) -> tuple[str, ...]:
+def _write_meshes(
+    world: World,
+    elsewhere: Sequence[WorldObject],
+    truth_folder: Path,
+    robot_from_world: NDArray[np.float64] | None,
+) -> tuple[str, ...]:
     """Write every mesh and return the paths of the structure's, which are in the frame of the poses."""
-    for item in world.objects:
+    for item in (*elsewhere, *world.objects):
         write_glb(model_mesh(item.model), truth_folder / f"meshes/{item.id}.glb")
     paths = [f"meshes/structure_{i}_{model.kind}.glb" for i, model in enumerate(world.structure)]
     for path, model in zip(paths, world.structure, strict=True):
@@ -397,27 +220,46 @@ def sensors_of(config: RecordingConfig) -> Sensors:
     )
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Recorded:
+    """The true frames, what they show of the objects, where each object shows, and the first stamp after the change.
+
+    `seen_before` is of what stood elsewhere before the change, or is gone.
+    """
+
+    frames: list[TruthFrame]
+    seen: SeenSurface
+    seen_before: SeenSurface
+    shown: dict[int, list[int]]
+    change_ns: int
+
+
 def _record(
     config: RecordingConfig,
     filming: Filming,
+    world: World,
+    elsewhere: Sequence[WorldObject],
     targets: tuple[Path, str, Path],
     progress: Callable[[int, int], None],
     processes: int,
-) -> tuple[list[TruthFrame], SeenSurface, dict[int, list[int]]]:
-    """Render and write frame by frame; return the true frames, what was seen, and where each object shows."""
+) -> _Recorded:
+    """Render and write frame by frame; `world` is that at the end, `elsewhere` what is not there as it was before."""
     folder, name, truth_folder = targets
-    world, trajectory = filming.world, filming.trajectory
+    trajectory = filming.trajectory
     camera = config.camera
-    seen = SeenSurface(
-        world, config.depth.min_depth_m, config.depth.max_depth_m, np.random.default_rng([config.seed, 4])
-    )
-    shown: dict[int, list[int]] = {item.id: [] for item in world.objects}
+    reach_m = (config.depth.min_depth_m, config.depth.max_depth_m)
+    seen = SeenSurface(world, *reach_m, np.random.default_rng([config.seed, 4]))
+    past = replace(world, objects=tuple(elsewhere))
+    seen_before = SeenSurface(past, *reach_m, np.random.default_rng([config.seed, 4, 1]))
+    shown: dict[int, list[int]] = {item.id: [] for item in (*elsewhere, *world.objects)}
     frames: list[TruthFrame] = []
     stamps_ns, every = _stamps_ns(config, float(trajectory.times_s[-1]))
     odometry = trajectory
     if config.drift is not None:
         odometry = drifted(trajectory, config.drift, np.random.default_rng([config.seed, 6, config.walk_index]))
     times_s = [(stamp_ns - stamps_ns[0]) / 1e9 for stamp_ns in stamps_ns]
+    changes_at_s = np.inf if filming.change is None else filming.change.at_s
+    change_ns = next((stamp for stamp, time_s in zip(stamps_ns, times_s, strict=True) if time_s >= changes_at_s), 0)
     robot_from_world = drawn_frame(config)
     mounting = drawn_mounting(config.seed) if config.camera_offset else None
     with open_layout(config.layout, folder, name, camera, config.jpeg_quality, stamps_ns[-1], mounting) as log:
@@ -431,6 +273,8 @@ def _record(
             index = i // every
             shot, world_from_camera = next(shots), trajectory.pose_at(time_s)
             seen.add(shot.exact_depth_m, shot.instances, camera, world_from_camera)
+            if time_s < changes_at_s:
+                seen_before.add(shot.exact_depth_m, shot.instances, camera, world_from_camera)
             for item_id in np.setdiff1d(shot.instances, (0, PERSON_ID)):
                 shown[int(item_id)].append(index)
             log.write_images(stamp_ns, shot.rgb, shot.depth_m)
@@ -443,7 +287,7 @@ def _record(
             (truth_folder / frame.instances).write_bytes(encode_png(shot.instances))
             frames.append(frame)
             progress(index + 1, len(times_s[::every]))
-    return frames, seen, shown
+    return _Recorded(frames=frames, seen=seen, seen_before=seen_before, shown=shown, change_ns=change_ns)
 
 
 def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:

@@ -55,14 +55,26 @@ class Sensors:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class WorldChange:
+    """The world as it is from second `at_s` of a log on; its structure is that of the world before."""
+
+    at_s: float
+    world: World
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Filming:
-    """What frames are made of; `view` is a separate depth camera, None where depth is registered to colour."""
+    """What frames are made of; `view` is a separate depth camera, None where depth is registered to colour.
+
+    `change`: what the world becomes while it is filmed, None: it stays as it is.
+    """
 
     sensors: Sensors
     world: World
     trajectory: Trajectory
     caster: CasterName | None
     person: Person | None = None
+    change: WorldChange | None = None
     view: DepthView | None = None
 
 
@@ -121,10 +133,12 @@ def _shooter(filming: Filming) -> Callable[[int, float], Shot]:
     sensors = filming.sensors
     camera = sensors.camera
     renderer = Renderer(filming.world, filming.caster)
+    later = renderer if filming.change is None else Renderer(filming.change.world, filming.caster)
+    changes_at_s = np.inf if filming.change is None else filming.change.at_s
     in_order = np.random.default_rng(sensors.seeds)
 
     def rendered_at(camera: Camera, pose: NDArray[np.float64], time_s: float) -> Rendered:
-        rendered = renderer.render(camera, pose)
+        rendered = (renderer if time_s < changes_at_s else later).render(camera, pose)
         if filming.person is None:
             return rendered
         return with_person(rendered, camera, pose, filming.person, time_s, filming.caster)

@@ -30,7 +30,8 @@ class SeenSurface:
 
     def __init__(self, world: World, min_depth_m: float, max_depth_m: float, rng: np.random.Generator) -> None:
         self._range_m = (min_depth_m, max_depth_m)
-        points, normals, ids = [], [], []
+        points, normals = [np.empty((0, 3))], [np.empty((0, 3))]
+        ids = [np.empty(0, np.int64)]
         for item in world.objects:
             samples, outward = exposed_samples(model_mesh(item.model), _SAMPLES, rng)
             points.append(apply(item.world_from_object, samples.astype(np.float64)))

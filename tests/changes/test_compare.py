@@ -10,6 +10,7 @@ import pytest
 
 from hickory_stream.changes.compare import compare_maps, probability_changed
 from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, Verdict
+from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from hickory_stream.mapping.moved import moved_object
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
@@ -109,3 +110,23 @@ def test_the_probability_of_a_change_follows_bayes_rule() -> None:
     # One look that is right in nine of ten cases: 0.2 * 0.9 / (0.2 * 0.9 + 0.8 * 0.1).
     assert probability_changed(seen(1.0, 0.0), config) == pytest.approx(0.18 / 0.26)
     assert probability_changed(seen(0.0, 1.0), config) == pytest.approx(0.02 / 0.74)
+
+
+def test_within_a_run_what_is_seen_through_is_gone_and_what_came_is_new_or_moved() -> None:
+    tall = crate(8, 4.6, 2.9, (0.3, 0.3, 1.2), (240, 240, 240))
+    before = snapshot(STAYS, LEAVES, OTHER)
+    # The core gives what stands elsewhere a new id.
+    after = snapshot(STAYS, crate(9, 3.0, 3.2), tall)
+    found = {(one.object_id, one.kind): one for one in changes_within_run(before, after)}
+    assert set(found) == {(9, "moved"), (3, "gone"), (8, "new")}
+    assert "it was #2" in found[9, "moved"].text
+    assert all(one.probability is not None and one.probability > 0.7 for one in found.values())
+    assert changes_within_run(before, before) == ()
+
+
+def test_within_a_run_what_nobody_looked_at_again_only_dropped_or_appeared() -> None:
+    dark = seen_room(dark_m=(0.5, 2.5))
+    (dropped,) = changes_within_run(snapshot(LEAVES), snapshot(space=dark))
+    assert (dropped.kind, dropped.probability) == ("dropped", None)
+    (appeared,) = changes_within_run(snapshot(space=dark), snapshot(LEAVES))
+    assert (appeared.kind, appeared.probability) == ("appeared", None)

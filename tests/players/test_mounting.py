@@ -11,7 +11,8 @@ import pytest
 from hickory_stream.cli import main
 from hickory_stream.poses.hand_eye import HandEye
 from hickory_stream.worlds.layouts import drawn_mounting
-from hickory_stream.worlds.recording import RecordingConfig, make_recording
+from hickory_stream.worlds.recording import make_recording
+from hickory_stream.worlds.recording_config import RecordingConfig
 from players import SourceOptions, open_source
 from players.doctor import examine
 from players.log_source import LogSource

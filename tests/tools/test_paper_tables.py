@@ -15,7 +15,8 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth, mesh_of
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.worlds.clearance import clearance_of_surfaces
-from hickory_stream.worlds.recording import RecordingConfig, drawn_frame, make_recording
+from hickory_stream.worlds.recording import drawn_frame, make_recording
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.scenes import make_world
 from tools.paper_tables import hope
 from tools.paper_tables.chart import chart

@@ -13,11 +13,13 @@ from hickory_stream.worlds.building.building import Building, BuildingSize, buil
 from hickory_stream.worlds.building.route import route_through
 from hickory_stream.worlds.building.stairwell import STOREY_M
 from hickory_stream.worlds.building.walk import building_walk
-from hickory_stream.worlds.recording import RecordingConfig, make_recording, sensors_of, walkable_world
+from hickory_stream.worlds.recording import make_recording, sensors_of
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.shots import Filming, shots_of
 from hickory_stream.worlds.trajectory import Trajectory
 from hickory_stream.worlds.walk_config import WalkConfig
+from hickory_stream.worlds.walkable import walkable_world
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -33,7 +33,7 @@ from hickory_stream.worlds.color_camera import ColorCameraConfig, photographed
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.worlds.drift import DriftConfig, drifted
 from hickory_stream.worlds.object_models import model_triangles
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.scene import part_boxes
 from hickory_stream.worlds.trajectory import Trajectory
 

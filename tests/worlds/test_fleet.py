@@ -15,7 +15,8 @@ from hickory_stream.fleet.robots import read_fleet
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.worlds.fleet import make_fleet
-from hickory_stream.worlds.recording import RecordingConfig, drawn_frame, make_recording
+from hickory_stream.worlds.recording import drawn_frame, make_recording
+from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 
 pytestmark = pytest.mark.timeout(150)

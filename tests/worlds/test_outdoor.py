@@ -15,10 +15,11 @@ from hickory_stream.worlds.outdoor import street_things
 from hickory_stream.worlds.outdoor.recordings import outdoors
 from hickory_stream.worlds.outdoor.street import Street, street
 from hickory_stream.worlds.outdoor.walk import stroll
-from hickory_stream.worlds.recording import RecordingConfig, walkable_world
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.trajectory import NoWalk
 from hickory_stream.worlds.walk_config import WalkConfig
+from hickory_stream.worlds.walkable import walkable_world
 
 SEEDS = (2, 77)
 RECIPES = [

@@ -18,7 +18,8 @@ from hickory_stream.geometry.camera import backproject, project
 from hickory_stream.geometry.mesh import sample_surface
 from hickory_stream.geometry.rigid import apply, invert, rotation_from_quaternion
 from hickory_stream.worlds import zed_log
-from hickory_stream.worlds.recording import RecordingConfig, make_recording
+from hickory_stream.worlds.recording import make_recording
+from hickory_stream.worlds.recording_config import RecordingConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = RecordingConfig(seed=3, seconds=1.5, rate_hz=4.0, width=160, height=90)

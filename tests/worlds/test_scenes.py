@@ -17,10 +17,11 @@ from hickory_stream.worlds.clearance import clearance_of, joins_rooms
 from hickory_stream.worlds.drift import DriftConfig, drifted
 from hickory_stream.worlds.orbit import orbit
 from hickory_stream.worlds.person import PERSON_ID, figure
-from hickory_stream.worlds.recording import RecordingConfig, walkable_world
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.scene import part_boxes, shared_volume_m3
 from hickory_stream.worlds.scenes import make_world
 from hickory_stream.worlds.trajectory import Trajectory
+from hickory_stream.worlds.walkable import walkable_world
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -16,7 +16,7 @@ from hickory_stream.evaluation.maps.variants import random_frame
 from hickory_stream.settings import Settings
 from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording, recording_name
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from tools.benchmarks.processes import ROOT
 from tools.benchmarks.repetitions import hash_of_files

@@ -30,7 +30,7 @@ from hickory_stream.query.map_index import MapIndex, index_of, neighbours
 from hickory_stream.settings import Settings
 from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.intervals import wilson

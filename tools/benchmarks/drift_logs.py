@@ -20,7 +20,8 @@ from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.drift import DriftConfig, drifted
-from hickory_stream.worlds.recording import RecordingConfig, walkable_world
+from hickory_stream.worlds.recording_config import RecordingConfig
+from hickory_stream.worlds.walkable import walkable_world
 from players import open_source
 from tools.benchmarks.foreign_logs import PROGRAM, WorldLog, foreign_log, worlds_folder
 

@@ -30,7 +30,8 @@ from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
 from hickory_stream.settings import Settings
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording import RecordingConfig, drawn_frame
+from hickory_stream.worlds.recording import drawn_frame
+from hickory_stream.worlds.recording_config import RecordingConfig
 from players import SourceOptions, open_source
 from tools.benchmarks.coarse_runs import COARSE
 from tools.benchmarks.figures import Figure, Options

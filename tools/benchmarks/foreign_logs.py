@@ -20,7 +20,7 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE
 from hickory_stream.worlds.cache import cache_folder, cached_recording
 from hickory_stream.worlds.outdoor.recordings import outdoors
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.benchmarks.processes import ROOT
 
 PROGRAM = "make_world_log.py"

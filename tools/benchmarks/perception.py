@@ -20,7 +20,7 @@ from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
 from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.first_layer import PlayedKeyframe, play_first_layer
 from tools.benchmarks.keyframe_memory import WARM_KEYFRAMES, keyframe_memory

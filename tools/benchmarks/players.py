@@ -14,7 +14,8 @@ import numpy as np
 
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
 from hickory_stream.worlds.layouts import layout_files
-from hickory_stream.worlds.recording import RecordingConfig, make_recording
+from hickory_stream.worlds.recording import make_recording
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.ros_messages import RosMessages
 from players import open_source
 from tools.benchmarks import damage

@@ -25,7 +25,8 @@ from hickory_stream.records import Scan
 from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.corridor import CorridorConfig, corridor_scans
 from hickory_stream.worlds.layouts import drawn_mounting
-from hickory_stream.worlds.recording import RecordingConfig, make_recording
+from hickory_stream.worlds.recording import make_recording
+from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from players.log_source import LogSource
 from players.mounting import estimated_mounting

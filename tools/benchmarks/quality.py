@@ -25,7 +25,7 @@ from hickory_stream.html_page import page
 from hickory_stream.settings import Settings
 from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT, play

@@ -26,7 +26,7 @@ from hickory_stream.config import MapperConfig, read_config
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from hickory_stream.worlds.building.building import BuildingSize
 from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.recording_config import RecordingConfig
 from players import SourceOptions
 from tools.benchmarks.coarse_runs import COARSE, play_coarsely
 from tools.benchmarks.figures import Figure

@@ -11,7 +11,8 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
 from hickory_stream.worlds.clearance import clearance_of_surfaces
 from hickory_stream.worlds.clutter.walk import wander_through
-from hickory_stream.worlds.recording import RecordingConfig, film_world
+from hickory_stream.worlds.recording import film_world
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.trajectory import NoWalk
 from tools.paper_tables import hope, replica_cad
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD

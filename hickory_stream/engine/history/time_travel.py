@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import TrackedObject
 
-ChangeKind = Literal["appeared", "merged", "dropped", "moved", "better view", "shape changed"]
+ChangeKind = Literal["appeared", "new", "merged", "dropped", "gone", "moved", "better view", "shape changed"]
 
 _MOVED_M = 0.05
 _NS = "ns"
@@ -33,11 +33,16 @@ _NS = "ns"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
-    """A change of one object between two moments; `text` gives the numbers."""
+    """A change of one object between two moments; `text` gives the numbers.
+
+    What appeared may have been there all the time, and what was dropped may still be there, as a part of another object
+    or of the room; "new" and "gone" are told by `changes.within_run`, with their probability.
+    """
 
     kind: ChangeKind
     object_id: int
     text: str
+    probability: float | None = None
 
 
 def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:

@@ -8,7 +8,7 @@ from hickory_stream.worlds.clutter.draws import chance, log_uniform, uniform
 from hickory_stream.worlds.clutter.families import FAMILIES, recipes_of
 from hickory_stream.worlds.clutter.sensors import random_camera, random_color_camera, random_depth_camera
 from hickory_stream.worlds.drift import DriftConfig
-from hickory_stream.worlds.recording import RecordingConfig
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.scenes import CLUTTER
 from hickory_stream.worlds.walk_config import WalkConfig
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hickory_stream.worlds.depth_camera import D455
 
 if TYPE_CHECKING:
-    from hickory_stream.worlds.recording import RecordingConfig
+    from hickory_stream.worlds.recording_config import RecordingConfig
 
 
 def outdoors(config: RecordingConfig) -> RecordingConfig:
