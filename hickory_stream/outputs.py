@@ -257,6 +257,7 @@ class Difference(TypedDict):
     object_id: int
     text: str
     probability: float | None
+    was: int | None
 
 
 class Differences(TypedDict):

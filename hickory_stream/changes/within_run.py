@@ -46,7 +46,8 @@ def changes_within_run(
         free = f"{one.evidence.free:.0%} of its place"
         if one.verdict is Verdict.MOVED and id_a is not None and id_b is not None and one.shift_m is not None:
             text = f"by {float(np.linalg.norm(one.shift_m)):.2f} m: it was #{id_a}, and {free} there is free by now"
-            said |= {id_a: None, id_b: Change(kind="moved", object_id=id_b, text=text, probability=one.probability)}
+            moved = Change(kind="moved", object_id=id_b, text=text, probability=one.probability, was=id_a)
+            said |= {id_a: None, id_b: moved}
         elif one.verdict is Verdict.GONE and id_a is not None:
             text = f"{free} is free by now"
             said[id_a] = Change(kind="gone", object_id=id_a, text=text, probability=one.probability)

@@ -113,7 +113,7 @@ class TrueSurfaces:
         if not any(item.seen_fraction >= MIN_SEEN for item in truth.objects):
             raise RecordingError(f"{truth.folder} has no object of which {MIN_SEEN:.0%} was seen; record a longer log")
         self._objects = truth.objects
-        surfaces = {item.id: _true_surface(truth, item) for item in truth.objects}
+        surfaces = {item.id: surface_of(truth, item) for item in truth.objects}
         self._boxes = {i: gravity_aligned_box(surface.vertices, _MIN_HALF_EXTENT_M) for i, surface in surfaces.items()}
         self._scene = Scene(list(surfaces.values()))
 
@@ -177,8 +177,8 @@ def best_box(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> OrientedBox:
     return gravity_aligned_box(vertices, _MIN_HALF_EXTENT_M)
 
 
-def _true_surface(truth: Truth, item: TruthObject) -> Surface:
-    """Return the mesh of a true object in the world."""
+def surface_of(truth: Truth, item: TruthObject) -> Surface:
+    """Return the mesh of a true object in the world; raises `RecordingError` where it cannot be read."""
     mesh = mesh_of(truth, item)
     vertices = apply(item.world_from_object, mesh.vertices)
     return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=item.id)

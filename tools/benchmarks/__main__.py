@@ -22,6 +22,9 @@ _HELPERS = {
     "align_unknown",
     "apartment_maps",
     "baseline",
+    "change_counts",
+    "changed_maps",
+    "changed_runs",
     "coarse_runs",
     "documents",
     "drift_figures",
@@ -52,6 +55,7 @@ _HELPERS = {
     "map_damage",
     "mask_scores",
     "oracle",
+    "passers_by",
     "perception_models",
     "pose_graph_figures",
     "pose_graphs",
@@ -122,7 +126,8 @@ def main() -> int:
         default=[],
         metavar="PART",
         help="engine: digests, kills, stops, live, soak; foreign: WORLD[:WALK][:CAMERA][:RUNG], kitchen, clouds, own;"
-        " rules: rules, mapping, perception; poses: drift, fleet, graph, loops, walks",
+        " rules: rules, mapping, perception; poses: drift, fleet, graph, loops, walks; changes: days, run, person,"
+        " questions",
     )
     parser.add_argument("--minutes", type=float, default=math.inf, help="what goes on later: begin nothing after this")
     parser.add_argument("--fresh", action="store_true", help="what goes on later: forget what is kept")

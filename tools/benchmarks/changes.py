@@ -1,4 +1,4 @@
-"""What `diff` says of two maps of one world on two days, against the truth of both; what `query` takes.
+"""What `diff` says of two maps of one world on two days, and of a run in which things change; passers-by; questions.
 
 Rooms (quick: one, two days) and apartments (three days each) of `worlds.days`. A true object is in a map if its match
 at box IoU 0.25 is; a change counts as held by the maps if the objects that it concerns are in those that can show them.
@@ -7,7 +7,6 @@ at box IoU 0.25 is; a change counts as held by the maps if the objects that it c
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,23 +16,20 @@ from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.changes.compare import compare_maps
 from hickory_stream.changes.records import Verdict
-from hickory_stream.config import MapperConfig, read_config
+from hickory_stream.config import MapperConfig
 from hickory_stream.engine.folder_layout import EMPTY
-from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.play import play
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.true_changes import true_changes
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.query.answers import ask
 from hickory_stream.query.map_index import MapIndex, index_of, neighbours
-from hickory_stream.settings import Settings
-from hickory_stream.sinks.disk_sink import DiskSink
-from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.recording_config import RecordingConfig
-from players import open_source
+from tools.benchmarks.change_counts import PairCounts, count_figures, share, sum_of
+from tools.benchmarks.changed_maps import mapped
+from tools.benchmarks.changed_runs import run_counts
 from tools.benchmarks.figures import Figure
-from tools.benchmarks.intervals import wilson
+from tools.benchmarks.passers_by import passer_by
 from tools.benchmarks.true_questions import true_questions
 
 if TYPE_CHECKING:
@@ -43,10 +39,10 @@ if TYPE_CHECKING:
     from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.truth import Truth
     from tools.benchmarks.figures import Options
+    from tools.benchmarks.passers_by import PasserBy
 
 # Nothing was tuned on these seeds, nor on any others.
 _FIRST_SEED = 4_100
-_NO_SHAPES = ("mapping.requests.max_failures=0",)
 _CHANGED = (Verdict.MOVED, Verdict.GONE, Verdict.NEW, Verdict.EXCHANGED)
 _UNSEEN = 0.02
 _QUESTIONS = (
@@ -58,41 +54,38 @@ _QUESTIONS = (
 )
 _MANY = 1000
 _NUM_QUESTIONS = 300
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PairCounts:
-    """What came of one pair of days; changes are those of objects of which enough was seen."""
-
-    changes: int = 0
-    found: int = 0
-    held: int = 0
-    held_found: int = 0
-    moved_held: int = 0
-    moved_as_moved: int = 0
-    objects: int = 0
-    false_changes: int = 0
-    gone: int = 0
-    gone_but_unseen: int = 0
-    aligned: int = 0
+_RUNS = 3
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return how many changes were found, and how long a question takes."""
-    pairs: list[PairCounts] = []
+    """Return how many changes were found, and how long a question takes.
+
+    `--only days`, `run`, `person` or `questions` measures a part; a quick run leaves out changes within a run and the
+    person.
+    """
+    parts = options.only or (("days", "questions") if options.quick else ("days", "run", "person", "questions"))
+    first = _FIRST_SEED + 10 * options.seed
+    state = options.state / "changes"
+    figures: list[Figure] = []
     made: list[tuple[Truth, SavedMap]] = []
     if options.scenes:
         made = [(load_truth(folder), open_map(folder.with_suffix(".map"))) for folder in options.scenes]
-        pairs = _of_days(made)
-    else:
+        figures += _day_figures(_of_days(made))
+    elif "days" in parts or "questions" in parts:
         scene, seeds, days = ("room", 1, 2) if options.quick else ("apartment", 4, 3)
-        for seed in range(_FIRST_SEED + 10 * options.seed, _FIRST_SEED + 10 * options.seed + seeds):
-            state = options.state / "changes"
+        pairs: list[PairCounts] = []
+        for seed in range(first, first + seeds):
             world = [_day(state, scene, seed, day, quick=options.quick) for day in range(days)]
             pairs += _of_days(world)
             made += world
-    total = _sum(pairs)
-    return [*_figures(total, len(pairs)), *query_figures(made, _NUM_QUESTIONS), query_ms()]
+        figures += _day_figures(pairs) if "days" in parts else []
+    if "run" in parts:
+        figures += count_figures(sum_of([run_counts(state, seed) for seed in range(first, first + _RUNS)]), "run_")
+    if "person" in parts:
+        figures += _person_figures([passer_by(state, "room", seed, 30.0) for seed in range(first, first + _RUNS)])
+    if "questions" in parts:
+        figures += [*query_figures(made, _NUM_QUESTIONS), query_ms()]
+    return figures
 
 
 def _of_days(made: Sequence[tuple[Truth, SavedMap]]) -> list[PairCounts]:
@@ -163,8 +156,8 @@ def query_figures(made: Sequence[tuple[Truth, SavedMap]], count: int) -> list[Fi
             num, right = num + 1, right + is_right
             held, right_held = held + is_held, right_held + (is_right and is_held)
     shares = (
-        _share("query_precision_at_1", right_held, held, "questions that the map has an object for, or that have none"),
-        _share("query_precision_at_1_of_all", right, num, "questions, whatever the map lacks"),
+        share("query_precision_at_1", right_held, held, "questions that the map has an object for, or that have none"),
+        share("query_precision_at_1_of_all", right, num, "questions, whatever the map lacks"),
     )
     return [figure for figure in shares if figure is not None]
 
@@ -205,49 +198,42 @@ def many_objects(count: int) -> MapIndex:
 
 def _day(state: Path, scene: str, seed: int, day: int, *, quick: bool) -> tuple[Truth, SavedMap]:
     """Return the truth and the map of a world on a day, each on a walk of its own, without shapes."""
-    size = {"width": 480, "height": 270, "rate_hz": 4.0, "seconds": 16.0} if quick else {"seconds": None}
-    config = RecordingConfig(scene=scene, seed=seed, walk_index=day % 2, day=day, **size)  # type: ignore[arg-type]
-    log, truth = cached_recording(config)
-    folder = state / f"{scene}-{seed}-{day}{'-quick' if quick else ''}.map"
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    source = open_source(str(log))
-    try:
-        mapper = Mapper(read_config(MapperConfig, None, _NO_SHAPES), out=folder, overwrite=True)
-        play(
-            mapper,
-            source,
-            sinks=lambda made: [(DiskSink(made, Settings().disk), True)],
-            rate=None,
-            loops=1,
-            progress=lambda _: None,
-        )
-    finally:
-        source.close()
-    return truth, open_map(folder)
+    size: dict[str, Any] = (
+        {"width": 480, "height": 270, "rate_hz": 4.0, "seconds": 16.0} if quick else {"seconds": None}
+    )
+    config = RecordingConfig(scene=scene, seed=seed, walk_index=day % 2, day=day, **size)
+    return mapped(config, state / f"{scene}-{seed}-{day}{'-quick' if quick else ''}.map")
 
 
-def _sum(pairs: Sequence[PairCounts]) -> PairCounts:
-    return PairCounts(**{field.name: sum(getattr(one, field.name) for one in pairs) for field in fields(PairCounts)})
-
-
-def _figures(total: PairCounts, num_pairs: int) -> list[Figure]:
-    found = [
-        _share("changes_found_fraction", total.held_found, total.held, "changes among objects that the maps hold"),
-        _share("changes_found_of_all", total.found, total.changes, "changes, whether the maps hold the object or not"),
-        _share("changes_false_per_object", total.false_changes, total.objects, "objects that stayed", better="lower"),
-        _share("moved_as_moved_fraction", total.moved_as_moved, total.moved_held, "moved objects that both maps hold"),
-        _share("days_aligned_fraction", total.aligned, num_pairs, "pairs of days"),
-    ]
+def _day_figures(pairs: Sequence[PairCounts]) -> list[Figure]:
+    total = sum_of(pairs)
+    aligned = share("days_aligned_fraction", total.aligned, len(pairs), "pairs of days")
     unseen = Figure(
         name="gone_but_unseen", value=float(total.gone_but_unseen), unit="", better="lower", of=f"{total.gone} gone"
     )
-    return [*(figure for figure in found if figure is not None), unseen]
+    return [*count_figures(total), *([aligned] if aligned is not None else []), unseen]
 
 
-def _share(name: str, part: int, whole: int, of: str, better: str = "higher") -> Figure | None:
-    if not whole:
-        return None
-    return Figure(
-        name=name, value=part / whole, unit="", better="lower" if better == "lower" else "higher",
-        of=f"{whole} {of}", interval=wilson(part, whole), interval_by="Wilson",
+def _person_figures(rooms: Sequence[PasserBy]) -> list[Figure]:
+    objects, held, structure = (sum(getattr(one, name) for one in rooms) for name in ("objects", "held", "structure"))
+    made = Figure(
+        name="person_objects", value=float(sum(one.person_objects for one in rooms)), unit="", better="lower",
+        of=f"{objects} objects of the maps of {len(rooms)} rooms in which a person walks",
     )  # fmt: skip
+    lost = (
+        share(
+            "person_objects_lost",
+            sum(one.lost for one in rooms),
+            held,
+            "true objects found without the person",
+            "lower",
+        ),
+        share(
+            "person_structure_lost",
+            sum(one.structure_lost for one in rooms),
+            structure,
+            "voxels of structure without the person",
+            "lower",
+        ),
+    )
+    return [made, *(figure for figure in lost if figure is not None)]

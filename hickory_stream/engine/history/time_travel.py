@@ -36,13 +36,15 @@ class Change:
     """A change of one object between two moments; `text` gives the numbers.
 
     What appeared may have been there all the time, and what was dropped may still be there, as a part of another object
-    or of the room; "new" and "gone" are told by `changes.within_run`, with their probability.
+    or of the room; "new" and "gone" are told by `changes.within_run`, with their probability. `was` is the
+    object of the earlier map that moved to where this one is.
     """
 
     kind: ChangeKind
     object_id: int
     text: str
     probability: float | None = None
+    was: int | None = None
 
 
 def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:

@@ -1,0 +1,71 @@
+"""How changes within a run are counted against truth, and what of a map is made of a person who walked by."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hickory_stream.evaluation.raycast import Scene, Surface
+from hickory_stream.evaluation.truth import Truth, TruthChange, TruthFrame, TruthObject
+from hickory_stream.geometry.camera import Camera
+from tests.engine.snapshot_fixtures import box_mesh
+from tools.benchmarks.change_counts import PairCounts, count_figures, sum_of
+from tools.benchmarks.changed_runs import counted
+from tools.benchmarks.passers_by import is_of_person
+
+CHANGE_NS = 500
+
+
+def item(object_id: int, *frames: int) -> TruthObject:
+    return TruthObject(
+        id=object_id, kind="box", mesh="", world_from_object=np.eye(4), seen_fraction=0.9, frames=frames or (0, 9)
+    )
+
+
+TRUTH = Truth(
+    folder=Path(),
+    camera=Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0),
+    # 1 stays, 2 moves, 3 is gone, 4 is new.
+    objects=(item(1), item(2), item(4, 9)),
+    structure=(),
+    frames=tuple(TruthFrame(index=i, stamp_ns=100 * i, world_from_camera=np.eye(4), instances="") for i in range(10)),
+    change=TruthChange(stamp_ns=CHANGE_NS, before=(item(2), item(3, 0))),
+)
+HELD = ({1: 11, 2: 12, 3: 13}, {1: 11, 2: 22, 4: 24})
+
+
+@pytest.mark.parametrize(
+    ("gone", "moved", "new", "expected"),
+    [
+        ({13}, {12: 22}, {24}, {"held_found": 3, "moved_as_moved": 1, "false_changes": 0}),
+        ({12, 13}, {}, {22, 24}, {"held_found": 3, "moved_as_moved": 0, "false_changes": 0}),
+        ({11}, {}, set(), {"held_found": 0, "moved_as_moved": 0, "false_changes": 1}),
+        ({13}, {11: 22}, set(), {"held_found": 1, "moved_as_moved": 0, "false_changes": 1}),
+    ],
+)
+def test_what_is_said_is_held_against_what_changed(
+    gone: set[int], moved: dict[int, int], new: set[int], expected: dict[str, int]
+) -> None:
+    counts = counted(TRUTH, HELD, gone, moved, new)
+    assert (counts.changes, counts.held, counts.moved_held, counts.objects) == (3, 3, 1, 1)
+    assert {name: getattr(counts, name) for name in expected} == expected
+
+
+def test_what_the_map_does_not_hold_is_printed_beside_what_it_does() -> None:
+    counts = counted(TRUTH, ({1: 11, 2: 12, 3: None}, {1: 11, 2: None, 4: None}), set(), {}, set())
+    assert (counts.changes, counts.held, counts.found, counts.moved_as_moved) == (3, 0, 0, 0)
+    both = sum_of([counts, PairCounts(held=4, held_found=3, changes=5, found=3)])
+    figures = {figure.name: figure for figure in count_figures(both, "run_")}
+    assert figures["run_changes_found_fraction"].value == 0.75
+    assert figures["run_changes_found_of_all"].of.startswith("8 changes")
+
+
+def test_an_object_of_the_person_is_off_all_surfaces_where_the_person_was() -> None:
+    mesh = box_mesh((1.0, 1.0, 1.0), (9, 9, 9))
+    scene = Scene([Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=1)])
+    figure = np.random.default_rng(0).normal([3.0, 0.0, 1.0], [0.1, 0.1, 0.4], (500, 3)).astype(np.float32)
+    assert is_of_person(figure, scene, np.array([[0.0, 5.0], [3.1, 0.0]]))
+    assert not is_of_person(figure, scene, np.array([[0.0, 5.0]]))
+    assert not is_of_person(mesh.vertices, scene, np.array([[0.0, 0.0]]))
