@@ -59,7 +59,7 @@ class KeyframePlaces:
         odometry_from_camera = frame.world_from_camera
         spread_per_m = frame.sensor.spread_per_m
         image = self._image(coarse_depth(frame.depth_m), frame.camera, spread_per_m)
-        found = self._registration.place(image, odometry_from_camera)
+        found = self._registration.place(image, odometry_from_camera, frame.degenerate)
         if isinstance(found, KeptOut):
             return KeyframeKeptOut(frame_index=frame.index, stamp_ns=frame.stamp_ns, reason=found.reason)
         is_moved = not np.array_equal(found.map_from_camera, odometry_from_camera)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.directions import turned_directions
+from hickory_stream.geometry.directions import no_directions, turned_directions
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad, rotation_vector
 from hickory_stream.poses.degeneracy import Surfels, degenerate_directions
 from hickory_stream.poses.surface_alignment import (
@@ -50,7 +50,7 @@ _MOST_WIDENED = 8.0
 _TESTED_EVERY = 4
 _STRONG_COSINE, _LEAST_STRONG = 0.6, 30.0
 """Of every sixteenth cell, at least so many must face a direction: a hundredth of a wall that fills the image."""
-_EVERY_DIRECTION = np.eye(6)
+_EVERY_DIRECTION, _NO_DIRECTION = np.eye(6), no_directions()
 
 Placing = Literal["first", "fits", "new ground", "begun anew"]
 """How the pose of a keyframe was found: it fits the surface; or there is none to compare it with."""
@@ -134,11 +134,19 @@ class KeyframeRegistration:
             self._belief = _fresh(self._belief.odometry_from_camera)
             self._has_jumped = True
 
-    def place(self, image: SurfaceImage, odometry_from_camera: NDArray[np.float64]) -> Placed | KeptOut:
-        """Return where a keyframe belongs that the odometry has at `odometry_from_camera` (4, 4), or why nowhere."""
+    def place(
+        self,
+        image: SurfaceImage,
+        odometry_from_camera: NDArray[np.float64],
+        unseen: NDArray[np.float64] = _NO_DIRECTION,
+    ) -> Placed | KeptOut:
+        """Return where a keyframe belongs that the odometry has at `odometry_from_camera` (4, 4), or why nowhere.
+
+        The odometry's own scans said nothing along the directions `unseen` (K, 6) of the camera (`Frame.degenerate`).
+        """
         if self._belief is None:
             return self._accepted("first", image, _fresh(odometry_from_camera), None)
-        prior = self._prior(odometry_from_camera)
+        prior = self._prior(odometry_from_camera, unseen)
         found = align(image, self._patches(image, prior.map_from_camera), prior, self._config)
         expected = self._expected(prior, odometry_from_camera)
         fit = found.fit(self._config.least_points)
@@ -147,7 +155,8 @@ class KeyframeRegistration:
             return self._accepted("new ground", image, expected, None)
         if reason is None:
             unknown = _degenerate_in_map(image, prior.map_from_camera)
-            return self._accepted("fits", image, self._registered(found, prior, expected, unknown), fit, unknown)
+            registered = self._registered(found, prior, expected, unknown, is_guess=len(unseen) > 0)
+            return self._accepted("fits", image, registered, fit, unknown)
         self._num_kept_out += 1
         if not self._has_jumped and self._num_kept_out < self._config.lost_keyframes:
             self._widened = min(2.0 * self._widened, _MOST_WIDENED)
@@ -169,8 +178,11 @@ class KeyframeRegistration:
 
     # ---- what is expected --------------------------------------------------------------------------------------------
 
-    def _prior(self, odometry_from_camera: NDArray[np.float64]) -> PosePrior:
-        """Return the pose that the odometry has, with its covariance since the last keyframe that was mapped."""
+    def _prior(self, odometry_from_camera: NDArray[np.float64], unseen: NDArray[np.float64]) -> PosePrior:
+        """Return the pose that the odometry has, with its covariance since the last keyframe that was mapped.
+
+        Along what its scans did not see it is a guess, and errs by a share of all of the way.
+        """
         config, belief = self._config, self._belief
         assert belief is not None
         before, now = belief.odometry_from_camera, odometry_from_camera
@@ -184,6 +196,10 @@ class KeyframeRegistration:
         map_from_camera = compose(belief.map_from_odometry, now)
         lever = portable.matmul(belief.map_from_odometry[:3, :3], now[:3, 3] - before[:3, 3])
         covariance = _carried(belief.covariance, lever) + np.diag(spread * spread)
+        if len(unseen):
+            guessed = config.unseen_share * np.array([turned, turned, turned, way_m, way_m, way_m])
+            guesses = turned_directions(map_from_camera, unseen) * guessed
+            covariance = covariance + portable.matmul(guesses.T, guesses)
         tilt_rad = np.radians(config.tilt_deg)
         return PosePrior(
             map_from_camera=map_from_camera,
@@ -241,7 +257,9 @@ class KeyframeRegistration:
         limits = np.array([*3 * [np.radians(self._config.found_deg)], *3 * [self._config.found_m]])
         return bool((variances <= limits * limits).all())
 
-    def _registered(self, found: Aligned, prior: PosePrior, expected: Belief, unknown: NDArray[np.float64]) -> Belief:
+    def _registered(
+        self, found: Aligned, prior: PosePrior, expected: Belief, unknown: NDArray[np.float64], *, is_guess: bool
+    ) -> Belief:
         """Return what is believed after a keyframe that fits; its surface says nothing along `unknown` (K, 6)."""
         config, belief = self._config, self._belief
         assert belief is not None
@@ -250,8 +268,8 @@ class KeyframeRegistration:
         num_against = 0
         if not belief.corrects and _sigmas(off, information) > config.contradiction_sigmas:
             num_against = belief.num_against + 1
-        # After a jump, or what did not fit, one word of the surface is enough.
-        is_enough = num_against >= config.contradictions or self._has_jumped or self._num_kept_out > 0
+        # After a jump, or what did not fit, or against a guess, one word of the surface is enough.
+        is_enough = num_against >= config.contradictions or self._has_jumped or self._num_kept_out > 0 or is_guess
         corrects = belief.corrects or (num_against > 0 and is_enough)
         if not corrects:
             return replace(expected, covariance=covariance, num_against=num_against)

@@ -18,6 +18,7 @@ class RegistrationConfig(Ranged):
         turn_share: the same of its rotation, as a share of what was turned ...
         turn_of_metre_deg: ... for every metre of the way ...
         turn_deg: ... and for every keyframe.
+        unseen_share: the same of the way, and of the turn, along what the odometry's own scans did not see.
         tilt_deg: how far the odometry's vertical may be off, ever.
         jump_m, jump_deg: how far the odometry may be off after it, or the stamps, jumped.
         contradiction_sigmas: the odometry is believed as it is until the surface disagrees with it by so much ...
@@ -46,6 +47,7 @@ class RegistrationConfig(Ranged):
     turn_share: float = number(0.01, 0, 1, "share")
     turn_of_metre_deg: float = number(0.05, 0, 90, "deg")
     turn_deg: float = number(0.05, 0.001, 90, "deg")
+    unseen_share: float = number(0.3, 0, 1, "share")
     tilt_deg: float = number(0.5, 0.01, 180, "deg")
     jump_m: float = number(0.05, 0, 10, "m")
     jump_deg: float = number(2.0, 0, 180, "deg")

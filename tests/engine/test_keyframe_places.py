@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +14,13 @@ from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.registration_summary import registration_summary
 from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.events import FrameObserved, KeyframeKeptOut, KeyframeRegistered, PoseJumped
+from hickory_stream.geometry.directions import no_directions
 from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.registration_sources import NUM_FRAMES, Drifting, Unaware, room
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
@@ -84,6 +88,18 @@ def events_of(run_path: Path, kind: str) -> list[object]:
 def drifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[SceneRun, Kept]:
     sink = Kept()
     return mapped(tmp_path_factory.mktemp("drifted"), Drifting(room()), sink=sink), sink
+
+
+def test_a_frame_says_along_what_its_odometry_was_a_guess() -> None:
+    frames = [raw.decode() for raw in room(2, lambda index: 4 * index).frames()]
+    sigmas_m = []
+    for degenerate in (no_directions(), np.eye(6)[3:4]):
+        places = KeyframePlaces(RegistrationConfig())
+        places.place(frames[0])
+        placed = places.place(replace(frames[1], degenerate=degenerate, depth_m=np.zeros_like(frames[1].depth_m)))
+        assert isinstance(placed, PlacedFrame)
+        sigmas_m.append(np.sqrt(placed.event.covariance[3:, 3:].trace()))
+    assert sigmas_m[1] > 2 * sigmas_m[0]
 
 
 def test_with_exact_poses_nothing_changes(tmp_path: Path) -> None:

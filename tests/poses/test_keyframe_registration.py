@@ -108,6 +108,38 @@ def test_along_a_bare_wall_only_the_odometry_moves_a_keyframe() -> None:
     assert np.abs(shifts @ [0.0, 1.0, 0.0]).max() < 0.3
 
 
+def test_along_what_the_odometry_did_not_see_a_keyframe_is_moved_as_far_as_the_surface_says() -> None:
+    """The odometry guesses a quarter too little of each step and says so: it is no contradiction, nor too far."""
+    short = drifted(TRUE[:16], scale=-0.25, yaw_deg=0.0)
+    unsaid, said = KeyframeRegistration(CONFIG), KeyframeRegistration(CONFIG)
+    kept_out, found = 0, []
+    for i, pose in enumerate(short):
+        along = pose[:3, :3].T @ (pose[:3, 3] - short[max(i - 1, 0)][:3, 3])
+        unseen = np.concatenate([np.zeros(3), along / max(np.linalg.norm(along), 1e-9)])[None]
+        found.append(said.place(image(i), pose, unseen))
+        kept_out += isinstance(unsaid.place(image(i), pose), KeptOut)
+    assert kept_out > 4
+    assert all(isinstance(each, Placed) for each in found)
+    assert np.linalg.norm(short[-1][:3, 3] - TRUE[15][:3, 3]) > 0.3
+    assert errors_m(poses_of(found))[-8:].max() < 0.03
+
+
+def test_new_ground_that_the_odometry_did_not_see_either_is_as_unsure_as_its_guess() -> None:
+    nothing = surface_image(np.zeros((120, 160), np.uint16), CAMERA, spread_per_m=SPREAD_PER_M, max_sigma_m=0.1)
+    sideways = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
+    sigmas = []
+    for unseen in (np.empty((0, 6)), sideways):
+        registration = KeyframeRegistration(CONFIG)
+        registration.place(image(0), TRUE[0])
+        found = registration.place(nothing, TRUE[1], unseen)
+        assert isinstance(found, Placed)
+        turn = TRUE[1][:3, :3]
+        sigmas.append(np.sqrt(np.diag(turn.T @ found.belief.covariance[3:, 3:] @ turn)))
+    way_m = np.linalg.norm(TRUE[1][:3, 3] - TRUE[0][:3, 3])
+    assert sigmas[1][0] == pytest.approx(np.hypot(sigmas[0][0], 0.3 * way_m))
+    assert sigmas[1][1:] == pytest.approx(sigmas[0][1:])
+
+
 def test_new_ground_is_mapped_where_the_odometry_has_it_and_is_less_sure() -> None:
     registration = KeyframeRegistration(CONFIG)
     nothing = surface_image(np.zeros((120, 160), np.uint16), CAMERA, spread_per_m=SPREAD_PER_M, max_sigma_m=0.1)
