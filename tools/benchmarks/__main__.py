@@ -53,6 +53,7 @@ _HELPERS = {
     "loop_walks",
     "map_changes",
     "map_damage",
+    "mapped_squares",
     "mask_scores",
     "oracle",
     "passers_by",

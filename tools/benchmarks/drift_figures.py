@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from tools.benchmarks.drift_logs import DriftingWalk
     from tools.benchmarks.figures import Options
 
-_CONFIG = ("journal.keep_images=false", "run.shape_cache=false")
+CONFIG = ("journal.keep_images=false", "run.shape_cache=false")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -149,7 +149,7 @@ def _kept(folder: Path, walk: DriftingWalk, factor: float) -> Mapped:
 
     def measured() -> dict[str, Any]:
         print(f"{walk.name}, drift {factor:g}: minutes", flush=True)
-        return asdict(mapped(walk, factor, read_config(MapperConfig, None, _CONFIG)))
+        return asdict(mapped(walk, factor, read_config(MapperConfig, None, CONFIG)))
 
     return Mapped(**kept(folder / f"{walk.name}-{walk.log.key}-{factor:g}.json", measured))
 
@@ -161,10 +161,10 @@ def mapped(walk: DriftingWalk, factor: float, config: MapperConfig) -> Mapped:
     true = {frame.stamp_ns: frame.world_from_camera for frame in truth.frames}
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary) / "map"
-        asyncio.run(_map(walk.open(factor), config, out))
+        asyncio.run(map_source(walk.open(factor), config, out))
         saved = open_map(out)
         graph = saved.snapshot.graph
-        poses = _poses_of(out, {s.id: s.world_from_submap for s in saved.snapshot.submaps})
+        poses = keyframe_poses(out, {s.id: s.world_from_submap for s in saved.snapshot.submaps})
         found = evaluate(saved, truth)
         aligned = evaluate(saved, moved_truth(truth, _map_from_world(poses, true)))
     odometry = {stamp_ns: (walk.odometry[factor] if factor else true)[stamp_ns] for stamp_ns in poses}
@@ -220,7 +220,8 @@ def _map_from_world(poses: Poses, true: Poses) -> NDArray[np.float64]:
     return from_rotation_translation(*best_alignment(there, found))
 
 
-async def _map(source: Source, config: MapperConfig, out: Path) -> None:
+async def map_source(source: Source, config: MapperConfig, out: Path) -> None:
+    """Map a source into a folder, and close it."""
     try:
         async with Mapper(config, out=out) as mapper:
             async for _ in mapper.run(source):
@@ -229,7 +230,7 @@ async def _map(source: Source, config: MapperConfig, out: Path) -> None:
         source.close()
 
 
-def _poses_of(path: Path, places: Mapping[int, NDArray[np.float64]]) -> Poses:
+def keyframe_poses(path: Path, places: Mapping[int, NDArray[np.float64]]) -> Poses:
     """Return where the keyframes of a map lie in the end, by their stamps."""
     poses: Poses = {}
     with Journal(path) as journal:

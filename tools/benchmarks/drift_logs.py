@@ -78,6 +78,18 @@ def drifting_walks(options: Options) -> list[DriftingWalk]:
     return [*walks, _foreign_walk(worlds, _FOREIGN)]
 
 
+def second_walks(options: Options) -> list[WorldLog]:
+    """Return another walk through each of the same places, with exact poses."""
+    config = replace(_own_config(_OWN_SEED), walk_index=1)
+    log, truth = cached_recording(config)
+    own = WorldLog(log=log, truth=truth.folder, key=log.stem.rsplit("-", 1)[-1])
+    try:
+        worlds = worlds_folder(options.worlds)
+    except RecordingError:
+        return [own]
+    return [own, foreign_log(worlds, _FOREIGN, "B", "hand", _SECONDS, rate_hz=_RATE_HZ)]
+
+
 def drift_of(factor: float) -> DriftConfig:
     """Return so many times the default drift of our worlds."""
     return replace(_DEFAULT, scale=factor * _DEFAULT.scale, yaw_deg_per_m=factor * _DEFAULT.yaw_deg_per_m)
@@ -91,7 +103,7 @@ def own_odometry(config: RecordingConfig, stamps_ns: list[int], factor: float) -
 
 
 def _own_walk(seed: int) -> DriftingWalk:
-    config = RecordingConfig(scene="apartment", seed=seed, seconds=_SECONDS, rate_hz=_RATE_HZ, width=640, height=480)
+    config = _own_config(seed)
     log, truth = cached_recording(config)
     stamps_ns = [frame.stamp_ns for frame in truth.frames]
     return DriftingWalk(
@@ -99,6 +111,10 @@ def _own_walk(seed: int) -> DriftingWalk:
         log=WorldLog(log=log, truth=truth.folder, key=log.stem.rsplit("-", 1)[-1]),
         odometry={factor: own_odometry(config, stamps_ns, factor) for factor in FACTORS},
     )
+
+
+def _own_config(seed: int) -> RecordingConfig:
+    return RecordingConfig(scene="apartment", seed=seed, seconds=_SECONDS, rate_hz=_RATE_HZ, width=640, height=480)
 
 
 def _foreign_walk(worlds: Path, world: str) -> DriftingWalk:

@@ -35,6 +35,7 @@ from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.fleet_figures import fleet_figures
 from tools.benchmarks.loop_figures import loop_figures
 from tools.benchmarks.loop_walks import walk_figures
+from tools.benchmarks.mapped_squares import square_figures
 from tools.benchmarks.pose_graph_figures import graph_figures
 from tools.benchmarks.processes import ROOT
 
@@ -73,7 +74,8 @@ def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method.
 
     `--only fleet` measures fleets alone, `--only graph` the pose graph, `--only loops` the search for loops, `--only
-    walks` whole logs through rooms that look alike, `--only drift` logs whose odometry drifts.
+    walks` whole logs through rooms that look alike, `--only drift` logs whose odometry drifts, `--only squares` how
+    well alignment knows how sure it is of parts of whole maps.
     """
     if options.only == ("drift",):
         return [*registration_figures(_DEMO), *drift_figures(options)]
@@ -81,6 +83,8 @@ def measure(options: Options) -> list[Figure]:
         return fleet_figures(options)
     if options.only == ("loops",):
         return loop_figures(options)
+    if options.only == ("squares",):
+        return square_figures(options)
     if options.only == ("walks",):
         return walk_figures(options, num_walks=2 if options.quick else _NUM_WALKS)
     figures: list[Figure] = graph_figures(options)
