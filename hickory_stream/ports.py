@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.superquadric import Superquadrics
     from hickory_stream.records import (
         Containment,
+        FitKind,
         Frame,
         FrameReport,
         MapPrior,
@@ -407,8 +408,9 @@ class Reconstructor(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BuiltShape:
-    """Layers 2 to 4 as one job makes them; superquadrics in the world; `seen_share` (N,) as in `ObjectShape`.
+    """Layers 2 to 4 as one job makes them; superquadrics in the world.
 
+    `seen_share` (N,) and `fit_kind` are as in `ObjectShape`.
     `timings_s` are for people, not for the map.
     """
 
@@ -418,6 +420,7 @@ class BuiltShape:
     seen_share: NDArray[np.float64]
     containment: Containment
     timings_s: Mapping[str, float]
+    fit_kind: FitKind = "solid"
 
     def __post_init__(self) -> None:
         freeze(self, "seen_share", "f8", (len(self.fitted),))

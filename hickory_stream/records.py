@@ -333,6 +333,9 @@ class Containment:
     shell_m: float = 0.0
 
 
+FitKind = Literal["solid", "panels", "envelope"]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ObjectShape:
     """Layers 2 to 4 of an object.
@@ -341,7 +344,8 @@ class ObjectShape:
     `fitted` and `inflated` are in the world: the inflated ones in the order of those they hold, then boxes around what
     the fit left out; or one box around everything. `seen_share` (N,) is the share of each fitted primitive's surface
     that was seen rather than generated. `revision` is the ticket of the job that made it. `verdict` is why a generated
-    shape took the place of the embedded one, or did not, with its numbers; "" where none was asked for.
+    shape took the place of the embedded one, or did not, with its numbers; "" where none was asked for. `fit_kind` says
+    of what `fitted` is: of the solid, of a thing of thin panels, or of a hollow thing's envelope, which is larger.
     """
 
     revision: int
@@ -354,11 +358,14 @@ class ObjectShape:
     seen_share: NDArray[np.float64]
     containment: Containment
     verdict: str = ""
+    fit_kind: FitKind = "solid"
 
     def __post_init__(self) -> None:
         plain_name(self.mesh_name, ".glb" if str(self.mesh_name).endswith(".glb") else ".mesh")
         check_bodies(self.fitted)
         check_bodies(self.inflated)
+        if self.fit_kind not in get_args(FitKind):
+            raise ValueError(f"layer 3 is of kind {self.fit_kind!r}, not one of {', '.join(get_args(FitKind))}")
         freeze(self, "world_from_object", np.float64, (4, 4))
         freeze(self, "seen_share", np.float64, (len(self.fitted),))
 

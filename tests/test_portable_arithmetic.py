@@ -53,6 +53,8 @@ SCIPY = {
         "label", "find_objects", "distance_transform_edt", "binary_fill_holes", "binary_dilation", "uniform_filter",
         "correlate1d",
     },
+    "sparse": {"coo_array"},
+    "sparse.csgraph": {"connected_components"},
     "spatial": {"cKDTree"},
     "special": {"beta"},
 }  # fmt: skip

@@ -89,8 +89,9 @@ def _shape_values(shape: ObjectShape) -> tuple[Any, ...]:
         _primitive_values(shape.inflated),
         shape.seen_share,
         dataclasses.astuple(shape.containment),
-        # Shapes that were not judged have the digest that they had before there were verdicts.
+        # Shapes that were not judged have the digest that they had before there were verdicts; so with kinds of fits.
         *((shape.verdict,) if shape.verdict else ()),
+        *((shape.fit_kind,) if shape.fit_kind != "solid" else ()),
     )
 
 

@@ -121,6 +121,7 @@ def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) 
             "inflated": encode_superquadrics(built.inflated),
             "seen_share": built.seen_share.tolist(),
             "containment": dataclasses.asdict(built.containment),
+            "fit_kind": built.fit_kind,
             "timings_s": dict(built.timings_s),
         }
     write_atomically(folder / RESULT, dumps_exactly(result).encode(), sync=False)
@@ -163,6 +164,7 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
             seen_share=result["seen_share"],
             containment=Containment(**result["containment"]),
             verdict=str(result.get("verdict", "")),
+            fit_kind=result.get("fit_kind", "solid"),
         )
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         raise WorkerError(f"job {ticket}: no readable answer in {folder}: {error}") from error

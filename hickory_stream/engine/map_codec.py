@@ -274,6 +274,7 @@ def _encode_shape(shape: ObjectShape) -> Json:
             "shell_m": json_number(shape.containment.shell_m),
         },
         **({"verdict": shape.verdict} if shape.verdict else {}),
+        **({"fit_kind": shape.fit_kind} if shape.fit_kind != "solid" else {}),
     }
 
 
@@ -299,6 +300,7 @@ def _decode_shape(entry: Json) -> ObjectShape:
             shell_m=float(checked.get("shell_m", 0.0)),
         ),
         verdict=plain_text(entry.get("verdict", "")),
+        fit_kind=entry.get("fit_kind", "solid"),
     )
 
 

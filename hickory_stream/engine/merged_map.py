@@ -190,6 +190,7 @@ def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config:
         inflated=built.inflated,
         seen_share=built.seen_share,
         containment=built.containment,
+        fit_kind=built.fit_kind,
     )
     return replace(one.item, shape=shape)
 

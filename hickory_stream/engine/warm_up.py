@@ -20,6 +20,7 @@ from hickory_stream.engine.keyframe_places import KeyframePlaces
 from hickory_stream.events import ComputeFeatures, FeaturesReady
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.json_text import dumps
 from hickory_stream.mapping.core import MapperCore
@@ -28,7 +29,7 @@ from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import features_of, perceive
 from hickory_stream.ports import Crop, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
-from hickory_stream.shapes.fit import FitConfig
+from hickory_stream.shapes.fit import FitConfig, fitted_shape
 from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor, VolumeConfig
 
 if TYPE_CHECKING:
@@ -54,12 +55,13 @@ _COARSE = ShapeConfig(
 
 
 def warm_up() -> None:
-    """Build one small shape, so that every kernel of it is compiled, and cached on disk, or loaded from there.
+    """Build two small shapes, so that every kernel of it is compiled, and cached on disk, or loaded from there.
 
     Of several processes one compiles; the others wait for it, and load.
     """
     with _one_at_a_time("shapes"):
         build_shape(_inputs(), FusedReconstructor(_COARSE.fused), _COARSE)
+        fitted_shape(_pipe(), _COARSE.fit)
 
 
 def warm_up_mapping() -> None:
@@ -119,6 +121,29 @@ def _inputs() -> ShapeInputs:
         colors=np.concatenate([crop.rgb[crop.mask] for crop in crops]),
         box=gravity_aligned_box(points, 0.005),
         support_z_m=0.0,
+    )
+
+
+def _pipe() -> Mesh:
+    """Return a square pipe: thin and hollow, which the stool is not."""
+    corners = np.array(
+        [(x, y, z) for z in (0, 1) for r in (0.49, 0.5) for x, y in ((r, r), (-r, r), (-r, -r), (r, -r))]
+    )
+    faces = []
+    for i in range(4):
+        j = (i + 1) % 4
+        rings = (
+            (4 + i, 4 + j, 12 + j, 12 + i),
+            (i, 8 + i, 8 + j, j),
+            (i, j, 4 + j, 4 + i),
+            (8 + i, 12 + i, 12 + j, 8 + j),
+        )
+        faces += [triangle for a, b, c, d in rings for triangle in ((a, b, c), (a, c, d))]
+    return Mesh(
+        vertices=corners.astype(np.float32),
+        faces=np.array(faces, np.int32),
+        colors=np.zeros((16, 3), np.uint8),
+        is_seen=np.ones(16, bool),
     )
 
 

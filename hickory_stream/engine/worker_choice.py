@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hickory_stream.engine.generators.choose import chosen_generator
-from hickory_stream.engine.generators.spec import read_spec
+from hickory_stream.engine.generators.spec import cluster_resources, read_spec
 from hickory_stream.engine.workers import LocalWorkers, WorkerLimits
 
 if TYPE_CHECKING:
@@ -17,14 +17,16 @@ def make_workers(config: MapperConfig) -> ShapeWorkers:
     """Return the workers that a configuration asks for; raises `ConfigError` where they cannot be had."""
     generator = chosen_generator(config)
     time_s = config.run.job_timeout_s
+    resources = {"GPU": config.run.cluster_gpus} if config.run.cluster_gpus > 0 else {}
     if generator is not None:
         # The generator has limits of its own; a second process is tried where the first one fails.
         spec = read_spec(generator)
         time_s += 2 * (spec.start_s + spec.time_s)
+        # What the configuration says goes before what the generator says.
+        resources = {**cluster_resources(spec), **resources}
     limits = WorkerLimits(time_s=time_s, memory_mb=config.run.job_memory_mb)
     if config.run.cluster:
         from hickory_stream.engine.dask_workers import DaskWorkers
 
-        resources = {"GPU": config.run.cluster_gpus} if config.run.cluster_gpus > 0 else None
         return DaskWorkers(config.run.cluster, limits, resources)
     return LocalWorkers(config.run.workers, limits, config.run.worker_python, generator)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.mapping.support_graph import Support
-    from hickory_stream.records import Containment, ObjectShape, TrackedObject
+    from hickory_stream.records import Containment, FitKind, ObjectShape, TrackedObject
 
 SortBy = Literal["id", "distance", "volume", "height", "sightings"]
 
@@ -40,7 +40,8 @@ class ObjectSummary:
 
     `place` is the pose and size of its best layer. `supports` are its relations in the support graph.
     `is_sketched`: it has no layers 2 to 4 yet, but one superquadric fitted to its points. `verdict` is why a generated
-    shape was taken, or was not; "" where none was asked for.
+    shape was taken, or was not; "" where none was asked for. `fit_kind` says of what layer 3 is, as in `ObjectShape`;
+    None without a shape.
     """
 
     id: int
@@ -60,6 +61,7 @@ class ObjectSummary:
     is_sketched: bool = False
     supports: tuple[Support, ...] = ()
     verdict: str = ""
+    fit_kind: FitKind | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -174,6 +176,7 @@ def format_table(summary: MapSummary) -> str:
             *_columns([_PLACE_HEADER, *(_place_row(row) for row in summary.objects)]),
             "",
             *_columns([_OBJECT_HEADER, *(_object_row(row) for row in summary.objects)]),
+            *(f"shape of {row.id}: {row.verdict}" for row in summary.objects if row.verdict),
             "",
             *_columns([_LAYER_HEADER, *(_layer_row(row) for row in summary.layers)]),
             "",
@@ -212,6 +215,7 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject, supports: tuple[S
         is_sketched=tracked.sketch is not None,
         supports=supports,
         verdict=shape.verdict if shape else "",
+        fit_kind=shape.fit_kind if shape else None,
     )
 
 
@@ -258,7 +262,7 @@ def _object_row(row: ObjectSummary) -> tuple[str, ...]:
         str(row.num_points),
         str(row.num_views),
         *(_bytes(size) if size else "-" for size in row.layer_bytes[:2]),
-        f"{row.num_superquadrics} ({_bytes(row.layer_bytes[2])})" if row.layer_bytes[2] else _sketch_cell(row),
+        _superquadrics_cell(row),
         f"{row.num_inflated} ({_bytes(row.layer_bytes[3])})" if row.layer_bytes[3] else "-",
         _share(row.containment.num_outside, row.containment.num_checked) if row.containment else "-",
     )
@@ -280,8 +284,11 @@ def _place_row(row: ObjectSummary) -> tuple[str, ...]:
     )
 
 
-def _sketch_cell(row: ObjectSummary) -> str:
-    return "1 from points" if row.is_sketched else "-"
+def _superquadrics_cell(row: ObjectSummary) -> str:
+    if not row.layer_bytes[2]:
+        return "1 from points" if row.is_sketched else "-"
+    kind = "" if row.fit_kind == "solid" else f"{row.fit_kind}, "
+    return f"{row.num_superquadrics} ({kind}{_bytes(row.layer_bytes[2])})"
 
 
 def _layer_row(row: LayerSummary) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.geometry.superquadric_surface import surface_points
 from hickory_stream.ports import BuiltShape, NoShape, Reconstruction, Reconstructor, ShapeInputs
 from hickory_stream.shapes.blend import BlendConfig
-from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
+from hickory_stream.shapes.fit import FitConfig, fitted_shape
 from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor
 from hickory_stream.shapes.generated import GeneratedReconstructor
 from hickory_stream.shapes.inflate import InflateConfig, inflate
@@ -91,7 +91,8 @@ def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: Shape
         return NoShape(reason=f"{reconstructor.name}: {error}")
     meshed = time.perf_counter()
     try:
-        fitted = moved(fit_superquadrics(reconstruction.mesh, config.fit), reconstruction.world_from_object)
+        fit = fitted_shape(reconstruction.mesh, config.fit)
+        fitted = moved(fit.primitives, reconstruction.world_from_object)
     except ValueError as error:
         return NoShape(reason=f"fit: {error}")
     found = time.perf_counter()
@@ -107,6 +108,7 @@ def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: Shape
         seen_share=seen_shares(fitted, reconstruction),
         containment=containment,
         timings_s={"reconstruct": meshed - started, "fit": found - meshed, "inflate": ended - found},
+        fit_kind=fit.kind,
     )
 
 

@@ -16,16 +16,17 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.canonical import canonical
-from hickory_stream.geometry.portable_kernels import exp, exp_each
+from hickory_stream.geometry.portable_kernels import exp_each
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.sketch import sketch
-from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, log_implicit_value, moved, volumes_m3
+from hickory_stream.geometry.superquadric import Superquadrics, moved, volumes_m3
 from hickory_stream.ranges import Ranged, number
+from hickory_stream.shapes.around import around_all
+from hickory_stream.shapes.envelope import filled
 from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
 from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
+from hickory_stream.shapes.panels import panels
 from hickory_stream.shapes.quadric_lm import ROW, row_of
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
 from hickory_stream.shapes.seeds import chessboard_depth, grown_box, principal_axes
@@ -35,9 +36,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.records import FitKind
 
 
 SEEDS_PER_COMPONENT = 2
+# What is thinner than this share of its length is flat, and a primitive is no thinner.
+_THINNEST = 1e-3
+# Panels are preferred to a body around all of it that takes more than twice their volume.
+_MUCH_LESS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,7 +58,8 @@ class FitConfig(Ranged):
     measured on up to `gain_samples` cells; `waste_weight` is the penalty on volume outside the object.
 
     Stopping: a primitive is kept if it adds at least `min_gain` of the object's volume, up to `max_primitives`. If all
-    of them explain less than `min_explained` of the volume, the fit is rejected.
+    of them explain less than `min_explained` of the volume, the fit is rejected; if their intersection over union with
+    the object is below `min_overlap`, it is kept only if the object is neither thin nor hollow.
 
     Refinement: in `num_rounds` rounds, all primitives are refined jointly (`joint_...`), their exponents are rounded to
     simple shapes if the misfit rises by no more than `simple_tolerance` cells (`simple_...`), and pairs are merged if
@@ -82,16 +89,33 @@ class FitConfig(Ranged):
     simple_sweeps: int = number(5, 0, 1000, "sweeps")
     simple_tolerance: float = number(0.03, 0, 100, "cells")
     min_explained: float = number(0.5, 0, 1, "share")
+    min_overlap: float = number(0.7, 0, 1, "share")
     max_protruding: int = number(4, 0, 100, "primitives")
     protruding_cells: float = number(3.0, 0, 1000, "cells")
 
 
-def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
-    """Return the primitives of a mesh in its own frame, largest first, at least one.
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Fitted:
+    """Layer 3, and of what: "solid", the thin "panels" of a thing of sheets or rods, or the "envelope" of a hollow one.
 
-    A mesh that is flat or encloses no volume becomes its box, one superquadric with exponents of 0.1. A thin shell,
-    such as a bowl, is not a union of convex bodies: if the primitives explain too little of the object
-    (`min_explained`), one superquadric around all of it is returned instead.
+    An envelope is larger than the object: it is what the object would be without its cavity.
+    """
+
+    primitives: Superquadrics
+    kind: FitKind
+
+
+def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
+    """Return the primitives of `fitted_shape`."""
+    return fitted_shape(mesh, config).primitives
+
+
+def fitted_shape(mesh: Mesh, config: FitConfig) -> Fitted:
+    """Return the primitives of a mesh in its own frame, largest first, at least one, and what they are of.
+
+    What primitives explain badly on the grid is too thin for it, or hollow. Thin parts get primitives as thick as they
+    are (`panels`). A hollow thing, such as a bowl, is no union of few convex bodies: its envelope is fitted instead. If
+    that does not work either, one superquadric is returned around all of it.
 
     Raises:
         ValueError: the mesh has no triangles or no extent, or is not finite (`usable`).
@@ -102,90 +126,61 @@ def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
     offset = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     vertices = vertices - offset
     axes = object_axes(vertices, mesh.faces)
-    local = portable.matmul(vertices, axes)
-    extent = np.ptp(local, axis=0)
+    found = _fitted(portable.matmul(vertices, axes), mesh.faces, config)
+    return Fitted(
+        primitives=canonical(moved(found.primitives, from_rotation_translation(axes, offset))), kind=found.kind
+    )
+
+
+def _fitted(vertices: NDArray[np.float64], faces: NDArray[np.int32], config: FitConfig) -> Fitted:
+    extent = np.ptp(vertices, axis=0)
     longest = float(extent.max())
-    rows: list[NDArray[np.float64]] = []
+    solid, overlap = None, 0.0
     # A flat mesh has no inside, and one thinner than a few thousandths of its length would need too fine a grid.
-    if extent.min() > 1e-3 * longest:
+    if extent.min() > _THINNEST * longest:
         cells = adapted_cells(
-            local,
-            mesh.faces,
+            vertices,
+            faces,
             cells=config.cells,
             min_thickness_cells=config.min_thickness_cells,
             max_cells=2 * config.cells,
         )
-        grid = distance_grid(local, mesh.faces, cells=cells, band_cells=config.band_cells)
-        rows = marching(grid, config)
-    found = _superquadrics(rows, grid) if rows else around_all(local, mesh.faces, longest / config.cells)
-    return canonical(moved(found, from_rotation_translation(axes, offset)))
+        solid, overlap = marched(distance_grid(vertices, faces, cells=cells, band_cells=config.band_cells), config)
+        if solid is not None and overlap >= config.min_overlap:
+            return Fitted(primitives=solid, kind="solid")
+    thin = panels(vertices, faces, most=config.max_primitives, min_size_m=_THINNEST * longest)
+    if thin.share >= max(config.min_overlap, overlap):
+        return Fitted(primitives=thin.primitives, kind="panels")
+    whole = filled(distance_grid(vertices, faces, cells=config.cells, band_cells=config.band_cells))
+    if whole is not None:
+        envelope, overlap = marched(whole, config)
+        if envelope is not None and overlap >= config.min_overlap:
+            return Fitted(primitives=envelope, kind="envelope")
+    if solid is not None:
+        return Fitted(primitives=solid, kind="solid")
+    around = around_all(vertices, faces, _THINNEST * longest)
+    if thin.volume_m3 < _MUCH_LESS * float(volumes_m3(around).sum()):
+        return Fitted(primitives=thin.primitives, kind="panels")
+    return Fitted(primitives=around, kind="envelope")
 
 
-def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superquadrics:
-    """Return the axis-aligned box of (N, 3) vertices as one superquadric with exponents of 0.1."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    return Superquadrics(
-        exponents=np.full((1, 2), 0.1),
-        semi_axes_m=np.maximum((high - low) / 2, min_size_m / 2)[None],
-        world_from_local=from_rotation_translation(np.eye(3), (low + high) / 2)[None],
-    )
+def marched(grid: DistanceGrid, config: FitConfig) -> tuple[Superquadrics | None, float]:
+    """Return the primitives of Marching-Primitives and their intersection over union with the solid on the grid.
 
-
-def around_all(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size_m: float) -> Superquadrics:
-    """Return the superquadric of least volume, of a few candidates, that contains the surface of a mesh.
-
-    The candidates are its box, the cylinders in that box along each axis, and a superquadric fitted to the surface; the
-    latter are tighter for round objects such as bowls and bins.
+    None if they explain less than `min_explained` of its volume.
     """
-    extent = np.ptp(vertices, axis=0)
-    whole = box_superquadric(vertices, min_size_m)
-    if extent.min() <= min_size_m:
-        return whole
-    box = OrientedBox(world_from_box=whole.world_from_local[0], half_extents_m=whole.semi_axes_m[0])
-    surface = _surface_samples(vertices, faces)
-    found = sketch(surface, box)
-    candidates = [whole, *_cylinders_in(whole), *([] if found is None else [found])]
-    return min(candidates, key=lambda candidate: _cover_m3(candidate, surface))
-
-
-def _cylinders_in(box: Superquadrics) -> list[Superquadrics]:
-    """Return the elliptic cylinders along each axis of a box-like primitive."""
-    pose = box.world_from_local[0]
-    cylinders = []
-    for turn in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
-        turned = pose.copy()
-        turned[:3, :3] = pose[:3, turn]
-        cylinders.append(
-            Superquadrics(
-                exponents=np.array([[MIN_EXPONENT, 1.0]]),
-                semi_axes_m=box.semi_axes_m[:, turn],
-                world_from_local=turned[None],
-            )
-        )
-    return cylinders
-
-
-def _cover_m3(primitive: Superquadrics, points: NDArray[np.float64]) -> float:
-    """Return the volume of a superquadric scaled to contain (N, 3) points; a scale s divides G by s^(2 / e1)."""
-    scale = exp(float(log_implicit_value(primitive, 0, points).max()) * primitive.exponents[0, 0] / 2)
-    return float(volumes_m3(primitive)[0] * (scale * scale * scale))
-
-
-def _surface_samples(vertices: NDArray[np.float64], faces: NDArray[np.int32], count: int = 500) -> NDArray[np.float64]:
-    """Return (count, 3) points distributed over triangles by area, deterministically."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    passed = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
-    steps = np.arange(count)
-    chosen = np.searchsorted(passed, (steps + 0.5) / count * passed[-1])
-    # A low-discrepancy sequence in the unit square, folded into a triangle.
-    u, v = (steps * 0.7548776662466927) % 1.0, (steps * 0.5698402909980532) % 1.0
-    u, v = np.where(u + v > 1, 1 - u, u)[:, None], np.where(u + v > 1, 1 - v, v)[:, None]
-    return np.asarray(a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen])
-
-
-def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the rows (`quadric_lm`) of the primitives, in units of cells; none if they explain too little."""
     field = FitField(grid, config.waste_weight)
+    rows = marching(field, config)
+    if not rows:
+        return None, 0.0
+    field.cover_with(rows)
+    if field.unexplained() > (1 - config.min_explained) * field.volume:
+        return None, 0.0
+    return _superquadrics(rows, grid), field.overlap()
+
+
+def marching(field: FitField, config: FitConfig) -> list[NDArray[np.float64]]:
+    """Return the rows (`quadric_lm`) of the primitives, in units of cells."""
     rows: list[NDArray[np.float64]] = []
     least = config.min_gain * field.volume
     # The gain of a primitive is at most the unexplained volume.
@@ -202,8 +197,7 @@ def marching(grid: DistanceGrid, config: FitConfig) -> list[NDArray[np.float64]]
     rows = with_protruding(field, rows, config)
     if not _are_same(rows, before):
         rows = polished(field, rows, config)
-    field.cover_with(rows)
-    return rows if field.unexplained() <= (1 - config.min_explained) * field.volume else []
+    return rows
 
 
 def _are_same(rows: list[NDArray[np.float64]], others: list[NDArray[np.float64]]) -> bool:

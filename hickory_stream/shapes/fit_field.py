@@ -68,6 +68,12 @@ class FitField:
         """Return the volume of the object that no primitive explains, in cells."""
         return float(np.maximum(self._object - self._covered, 0).sum(dtype=np.float64))
 
+    def overlap(self) -> float:
+        """Return the intersection over union of the object and the primitives that cover it."""
+        both = np.minimum(self._object, self._covered).sum(dtype=np.float64)
+        either = np.maximum(self._object, self._covered).sum(dtype=np.float64)
+        return float(both / max(either, 1e-300))
+
     def samples(self, max_samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the (N, 3) cells within the band of the surface, evenly thinned out, and their (N,) distances."""
         if self._band_cells is None:

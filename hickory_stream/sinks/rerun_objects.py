@@ -119,8 +119,11 @@ class ObjectLayers:
         meshes.append((FITTED_LAYER, superquadric_mesh(shape.fitted, color)))
         meshes.append((INFLATED_LAYER, superquadric_mesh(shape.inflated, color, alpha=_INFLATED_ALPHA)))
         return [
-            LogItem(path=f"{layer}/{object_id}", archetypes=(mesh,), weight=Weight.HEAVY, span=Span.LASTING)
-            for layer, mesh in meshes
+            *(
+                LogItem(path=f"{layer}/{object_id}", archetypes=(mesh,), weight=Weight.HEAVY, span=Span.LASTING)
+                for layer, mesh in meshes
+            ),
+            LogItem(path=f"{MESH_LAYER}/{object_id}", archetypes=(_facts(shape),), span=Span.LASTING),
         ]
 
 
@@ -132,6 +135,14 @@ def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:
     cloud = rr.Points3D(points, colors=colors, radii=0.006)
     path = f"{POINTS_LAYER}/{seen.id}/points"
     return LogItem(path=path, archetypes=(cloud,), weight=Weight.HEAVY, span=Span.LASTING)
+
+
+def _facts(shape: ObjectShape) -> rr.AnyValues:
+    """Return what a selected shape is said of: who made it and why, what was fitted, whether layer 4 is certified."""
+    facts = {"reconstructor": shape.reconstructor, "layer_3_of": shape.fit_kind}
+    if shape.verdict:
+        facts["verdict"] = shape.verdict
+    return rr.AnyValues(**facts, is_certified=shape.containment.is_certified)
 
 
 def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:

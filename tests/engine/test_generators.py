@@ -18,7 +18,7 @@ from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.crops import read_crop
 from hickory_stream.engine.generators.choose import ExternalGenerator, chosen_generator, generator_key, reconstructor_of
 from hickory_stream.engine.generators.exchange import read_answer, write_question
-from hickory_stream.engine.generators.spec import fingerprint, read_spec
+from hickory_stream.engine.generators.spec import cluster_resources, fingerprint, read_spec
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import ConfigError, WorkerError
 from hickory_stream.evaluation.inspect import summarize
@@ -240,3 +240,12 @@ def test_check_says_what_a_generator_is_gives_and_takes(
     monkeypatch.setenv("HICKORY_GENERATORS", str(tmp_path))
     assert main(["generators", "list"]) == 0
     assert "research only  lacks the weights" in capsys.readouterr().out
+
+
+def test_a_cluster_is_asked_for_what_the_generator_needs(toml: Path) -> None:
+    text = toml.read_text()
+    toml.write_text(text + "\n[resources]\nGPU = 1\nMEMORY = 2e9\n")
+    assert cluster_resources(read_spec(toml)) == {"GPU": 1.0, "MEMORY": 2e9}
+    toml.write_text(text + '\n[resources]\nGPU = "one"\n')
+    with pytest.raises(ConfigError, match=r"GPU is 'one'; expected a number above 0"):
+        cluster_resources(read_spec(toml))

@@ -10,7 +10,9 @@ sys.path.insert(0, {tests!r})
 from numba.core.dispatcher import Dispatcher
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
 from hickory_stream.engine.warm_up import warm_up
-from shape_fixtures import shape_inputs, test_mesh
+from hickory_stream.shapes.fit import fitted_shape
+from shape_fixtures import as_mesh, shape_inputs, test_mesh
+from tools.benchmarks.shape_meshes import hollow_mesh
 
 def known():
     return {{
@@ -27,6 +29,7 @@ assert len(before) > 40, before
 config = ShapeConfig()
 for given in inputs:
     build_shape(given, make_reconstructor("fused", config), config)
+assert fitted_shape(as_mesh(hollow_mesh("bowl")), config.fit).kind == "envelope"
 print(sorted(known() - before))
 """
 

@@ -156,3 +156,18 @@ def test_the_command_sorts_and_filters(map_path: Path, summary: MapSummary, caps
     x, y, _ = summary.objects[1].place.center_m
     assert main(["inspect", str(map_path), "--json", f"--near={x},{y},0.01", "--sort", "volume"]) == 0
     assert [row["id"] for row in json.loads(capsys.readouterr().out)["objects"]] == [summary.objects[1].id]
+
+
+def test_the_table_says_of_what_layer_three_is_and_why_a_generated_shape_was_taken(map_path: Path) -> None:
+    saved = open_map(map_path)
+    table = saved.snapshot.objects[0]
+    assert table.shape is not None
+    hollow = replace(table.shape, fit_kind="envelope", verdict="triposr: agrees with 0.93 of the surface")
+    objects = (replace(table, shape=hollow), *saved.snapshot.objects[1:])
+    found = summarize(replace(saved, snapshot=replace(saved.snapshot, objects=objects)))
+    assert (found.objects[0].fit_kind, found.objects[2].fit_kind) == ("envelope", None)
+    text = format_table(found)
+    assert re.search(r"^ +1 .* 1 \(envelope, 88 B\)", text, re.MULTILINE)
+    assert f"shape of 1: {hollow.verdict}" in text
+    with pytest.raises(ValueError, match="layer 3 is of kind 'ball', not one of solid, panels, envelope"):
+        replace(hollow, fit_kind="ball")

@@ -9,7 +9,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from hickory_stream.evaluation.open3d_import import import_open3d
-from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, volumes_m3
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.shapes.sdf import distance_grid
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _SAMPLES = 8000
+_SAMPLES_OF_PART = 2000
 
 
 class Solid:
@@ -33,9 +34,20 @@ class Solid:
         """Return (N,) whether (N, 3) points are inside."""
         if not self._parts:
             return self._by_winding(points)
-        query = import_open3d().core.Tensor(np.ascontiguousarray(points, dtype=np.float32))
-        inside = [part.compute_occupancy(query, nsamples=3).numpy() > 0.5 for part in self._parts]
-        return np.asarray(np.any(inside, axis=0))
+        return np.asarray(np.any([_scene_holds(part, points) for part in self._parts], axis=0))
+
+    def volume_m3(self) -> float:
+        """Return the volume of the union of the closed parts; what several of them hold is estimated from samples."""
+        parts = self.mesh.split(only_watertight=True)
+        total = 0.0
+        for part in parts:
+            inside = np.ones(1)
+            if len(parts) > 1:
+                points = part.bounding_box_oriented.sample_volume(_SAMPLES_OF_PART, seed=5)
+                points = points[_scene_holds(_scene(part), points)]
+                inside = sum(_scene_holds(other, points).astype(float) for other in self._parts)
+            total += abs(float(part.volume)) * float(np.mean(1 / np.maximum(inside, 1))) if len(inside) else 0.0
+        return total
 
     def distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (N,) unsigned distances of (N, 3) points to the triangles."""
@@ -83,6 +95,25 @@ def volumetric_iou(solid: Solid, primitives: Superquadrics) -> float:
     return float((truth & found).sum() / max((truth | found).sum(), 1))
 
 
+def sampled_iou(solid: Solid, primitives: Superquadrics, samples: int = 20_000) -> float:
+    """Return the intersection over union of the solids from points in the primitives, however thin these are.
+
+    Points are drawn by seed; the mesh is closed.
+    """
+    rng = np.random.default_rng(4)
+    volumes = volumes_m3(primitives)
+    counts = np.ceil(samples * volumes / volumes.sum()).astype(int)
+    found = both = 0.0
+    for i, count in enumerate(counts):
+        points = _points_within(primitives, i, int(count), rng)
+        shared = sum((log_implicit_value(primitives, k, points) <= 0).astype(float) for k in range(len(primitives)))
+        # Of what several primitives hold, each has its share.
+        weights = volumes[i] / len(points) / np.maximum(shared, 1)
+        found += float(weights.sum())
+        both += float(weights[solid.contains(points)].sum())
+    return both / (solid.volume_m3() + found - both)
+
+
 def surface_distance_pct(solid: Solid, primitives: Superquadrics) -> float:
     """Return the mean of both directed mean distances between the outer surfaces, in percent of the diagonal."""
     surfaces, samples = [], []
@@ -121,6 +152,16 @@ def grown_volume_ratio(solid: Solid, inflated: Superquadrics, margin_m: float, c
     return float(is_inside(inflated, points).sum() / max(grown.sum(), 1))
 
 
+def _points_within(primitives: Superquadrics, index: int, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return (count, 3) points spread evenly in a primitive."""
+    pose, found = primitives.world_from_local[index], np.empty((0, 3))
+    while len(found) < count:
+        local = rng.uniform(-1, 1, (2 * count, 3)) * primitives.semi_axes_m[index]
+        points = local @ pose[:3, :3].T + pose[:3, 3]
+        found = np.concatenate([found, points[log_implicit_value(primitives, index, points) <= 0]])
+    return found[:count]
+
+
 def _fine_mesh(primitives: Superquadrics, index: int, edge_m: float) -> trimesh.Trimesh:
     """Return the surface of a primitive in triangles so small that each is buried in another one, or is not."""
     vertices, faces = display_mesh(primitives, index, 2e-4 * float(primitives.semi_axes_m[index].max()))
@@ -138,6 +179,11 @@ def _scene(mesh: trimesh.Trimesh) -> Any:
     scene = import_open3d().t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.uint32))
     return scene
+
+
+def _scene_holds(part: Any, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    query = import_open3d().core.Tensor(np.ascontiguousarray(points, dtype=np.float32))
+    return np.asarray(part.compute_occupancy(query, nsamples=3).numpy() > 0.5)
 
 
 def _distances(scene: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -28,7 +28,8 @@ class GeneratorSpec(Ranged):
     Attributes:
         name: what the map says that a shape is by.
         command: program and arguments; it is started in the folder of the TOML, and paths are relative to that.
-        environment, resources: names and values, e.g. CUDA_VISIBLE_DEVICES, and GPU = "1" for a cluster.
+        environment, resources: names and values, e.g. CUDA_VISIBLE_DEVICES, and GPU = 1, which a job then asks of a
+            worker of a cluster.
         licence: of code and weights. Where `acceptance` is not "", `run.i_accept` must say exactly that.
         weights: files whose content is a part of what makes a shape.
         views: how many views it uses, the best first.
@@ -76,6 +77,24 @@ def read_spec(path: Path) -> GeneratorSpec:
         raise ConfigError(f"{path}: name and command must not be empty")
     values = {name: getattr(spec, name) for name in GeneratorSpec.__dataclass_fields__}
     return GeneratorSpec(**{**values, **tables, "folder": path.resolve().parent})
+
+
+def cluster_resources(spec: GeneratorSpec) -> dict[str, float]:
+    """Return what a job of the generator needs of a worker of a cluster, e.g. {"GPU": 1.0}.
+
+    Raises:
+        ConfigError: a resource is no positive number.
+    """
+    found = {}
+    for name, text in spec.resources:
+        try:
+            amount = float(text)
+        except ValueError:
+            amount = 0.0
+        if not 0 < amount < float("inf"):
+            raise ConfigError(f"the generator {spec.name}: [resources] {name} is {text!r}; expected a number above 0")
+        found[name] = amount
+    return found
 
 
 def generators_folder() -> Path:
