@@ -28,7 +28,7 @@ from hickory_stream.shapes.usable import usable
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.ports import MeshGenerator
+    from hickory_stream.ports import MeshGenerator, PoseRefiner
 
 ReconstructorName = Literal["fused", "single_view", "external"]
 
@@ -54,9 +54,12 @@ class ShapeConfig:
 
 
 def make_reconstructor(
-    name: ReconstructorName, config: ShapeConfig, generator: MeshGenerator | None = None
+    name: ReconstructorName,
+    config: ShapeConfig,
+    generator: MeshGenerator | None = None,
+    refiner: PoseRefiner | None = None,
 ) -> Reconstructor:
-    """Return the reconstructor of that name; "external" asks `generator`.
+    """Return the reconstructor of that name; "external" asks `generator`, and `refiner`, if any, where its mesh lies.
 
     Raises:
         ConfigError: "external" without a generator.
@@ -71,7 +74,7 @@ def make_reconstructor(
         return GeneratedReconstructor(
             generator,
             embedded=FusedReconstructor(config.fused),
-            refiner=EmbeddedPlacement(config.placement),
+            refiner=refiner or EmbeddedPlacement(config.placement),
             volume=config.fused.volume,
             blend=config.blend,
             judgement=config.judgement,

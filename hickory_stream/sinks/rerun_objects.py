@@ -110,20 +110,17 @@ class ObjectLayers:
     def _shape_items(self, object_id: int, shape: ObjectShape) -> list[LogItem]:
         color = color_of_id(object_id)
         path = self._shapes_folder / shape.mesh_name
+        layers: list[tuple[str, tuple[Any, ...]]] = []
         try:
-            meshes = [(MESH_LAYER, placed_mesh(path, shape.world_from_object))]
+            layers = [(MESH_LAYER, (placed_mesh(path, shape.world_from_object),))]
         except (OSError, ValueError) as error:
             # The picture misses one mesh; the map does not.
             logger.warning("object %d: its mesh %s cannot be shown: %s", object_id, path, error)
-            meshes = []
-        meshes.append((FITTED_LAYER, superquadric_mesh(shape.fitted, color)))
-        meshes.append((INFLATED_LAYER, superquadric_mesh(shape.inflated, color, alpha=_INFLATED_ALPHA)))
+        layers.append((FITTED_LAYER, (superquadric_mesh(shape.fitted, color), _facts(shape))))
+        layers.append((INFLATED_LAYER, (superquadric_mesh(shape.inflated, color, alpha=_INFLATED_ALPHA),)))
         return [
-            *(
-                LogItem(path=f"{layer}/{object_id}", archetypes=(mesh,), weight=Weight.HEAVY, span=Span.LASTING)
-                for layer, mesh in meshes
-            ),
-            LogItem(path=f"{MESH_LAYER}/{object_id}", archetypes=(_facts(shape),), span=Span.LASTING),
+            LogItem(path=f"{layer}/{object_id}", archetypes=shown, weight=Weight.HEAVY, span=Span.LASTING)
+            for layer, shown in layers
         ]
 
 
@@ -137,12 +134,15 @@ def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:
     return LogItem(path=path, archetypes=(cloud,), weight=Weight.HEAVY, span=Span.LASTING)
 
 
-def _facts(shape: ObjectShape) -> rr.AnyValues:
+def _facts(shape: ObjectShape) -> rr.DynamicArchetype:
     """Return what a selected shape is said of: who made it and why, what was fitted, whether layer 4 is certified."""
-    facts = {"reconstructor": shape.reconstructor, "layer_3_of": shape.fit_kind}
-    if shape.verdict:
-        facts["verdict"] = shape.verdict
-    return rr.AnyValues(**facts, is_certified=shape.containment.is_certified)
+    facts = {
+        "reconstructor": shape.reconstructor,
+        "verdict": shape.verdict or "none was asked for",
+        "layer_3_of": shape.fit_kind,
+        "is_certified": shape.containment.is_certified,
+    }
+    return rr.DynamicArchetype("hickory_stream.Shape", components=facts)
 
 
 def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:

@@ -348,3 +348,12 @@ def test_how_the_robots_topics_are_is_shown_in_a_live_run_and_only_there(tmp_pat
     found = [row["TextDocument:text"][0] for row in rows_of(path)["/robot"]]
     assert found[0] == "```\nzenoh://robot: connected, 0\n```"
     assert "/robot" not in rows_of(play(tmp_path, num_frames=3))
+
+
+def test_a_selected_shape_says_who_made_it_and_of_what_layer_three_is(rows):
+    shapes = [row for path, found in rows.items() if path.startswith("/world/layer3/") for row in found]
+    facts = [row for row in shapes if "hickory_stream.Shape:layer_3_of" in row]
+    assert facts
+    for row in facts:
+        assert row["hickory_stream.Shape:layer_3_of"] == ["solid"]
+        assert row["hickory_stream.Shape:verdict"] == ["none was asked for"]

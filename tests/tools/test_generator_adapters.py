@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import tomllib
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,18 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.ports import Crop, GeneratedMesh, NoShape, ShapeInputs
 from tools.benchmarks import adapter_fakes
-from tools.benchmarks.adapter_fakes import ADAPTERS, COLORS, FOLDER, POINTS, adapter_fault, faked
+from tools.benchmarks.adapter_fakes import (
+    ADAPTERS,
+    COLORS,
+    FACES,
+    FOLDER,
+    POINTS,
+    REFINERS,
+    adapter_fault,
+    faked,
+    refiner_fault,
+    shown_view,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,7 +67,39 @@ class _Entered:
         self._context.__exit__(*error)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", ADAPTERS)
+@pytest.mark.parametrize("name", REFINERS)
+def test_a_refiner_says_where_the_known_object_lies(name: str) -> None:
+    assert refiner_fault(name) == ""
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_one_wrong_axis_of_a_refiner_is_found(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = adapter_fakes.faked
+
+    def altered(which: str):  # type: ignore[no-untyped-def]
+        context = real(which)
+        module = context.__enter__()
+        module.CAMERA_FROM_OPENCV = np.diag([-1.0 if i == axis else 1.0 for i in range(3)])
+        return _Entered(context, module)
+
+    monkeypatch.setattr(adapter_fakes, "faked", altered)
+    assert "off its place" in refiner_fault("foundationpose")
+
+
+def test_foundation_pose_is_not_believed_where_it_had_too_little_depth() -> None:
+    with faked("foundationpose") as module:
+        place, _ = module.load()
+        view = shown_view(module)
+        model = module.Model(vertices=POINTS, faces=FACES)
+        empty = type(view)(rgb=view.rgb, mask=view.mask, depth_m=0 * view.depth_m, K=view.K, seed=1)
+        with pytest.raises(module.NoShapeError, match="fewer than 4 pixels"):
+            place(empty, model)
+        # Its filters may leave less than was given: then the rotation is the identity, as here for the object itself.
+        with pytest.raises(module.NoShapeError, match="too little depth"):
+            place(view, module.Model(vertices=POINTS - POINTS.mean(axis=0), faces=FACES))
+
+
+@pytest.mark.parametrize("name", [*ADAPTERS, *REFINERS])
 def test_its_toml_describes_a_generator_and_says_what_is_missing_here(name: str) -> None:
     spec = read_spec(FOLDER / f"{name}.toml")
     assert spec.name == name
@@ -114,3 +158,12 @@ def test_a_view_without_depth_is_no_shape_with_a_reason(tmp_path: Path) -> None:
         __import__("serving").answer(tmp_path, make)
     found = read_answer(tmp_path, job, 1)
     assert found == NoShape(reason="no depth within the mask")
+
+
+def test_the_installation_of_each_adapter_is_a_script_that_says_what_it_knows() -> None:
+    script = FOLDER / "install"
+    assert subprocess.run(["bash", "-n", script], check=False).returncode == 0
+    said = subprocess.run(["bash", script, "another"], capture_output=True, text=True, check=False)
+    assert said.returncode == 2
+    assert said.stderr.strip().endswith("triposr|trellis|sam3d|foundationpose")
+    assert set(said.stderr.split()[-1].split("|")) == {*ADAPTERS, *REFINERS}

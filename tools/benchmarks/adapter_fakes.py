@@ -24,12 +24,15 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).resolve().parents[1] / "generators"
 ADAPTERS = ("triposr", "trellis", "sam3d")
+REFINERS = ("foundationpose",)
 K = np.array([[200.0, 0, 40], [0, 200.0, 30], [0, 0, 1]])
 MIDDLE = np.array([0.05, -0.04, 2.0])
 # A corner at the middle, and arms of different lengths to the right, down and forward.
 POINTS = MIDDLE + np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 COLORS = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [51, 102, 153]], np.uint8)
+# `register` has a parameter of that name.
+_K = K
 # What TripoSR's default camera makes of an object that fills 85 % of its image.
 _TRIPOSR_UNITS = 2 * 1.9 * np.tan(np.radians(20)) * 0.85
 _QUATERNION = np.array([0.5, 0.1, -0.7, 0.2]) / np.linalg.norm([0.5, 0.1, -0.7, 0.2])
@@ -176,6 +179,68 @@ class Inference:
         }
 
 
+# ---- FoundationPose -------------------------------------------------------------------------------------------------
+
+
+class ScorePredictor:
+    """`ScorePredictor` as `estimater` has it."""
+
+
+class PoseRefinePredictor:
+    """`PoseRefinePredictor` as `estimater` has it."""
+
+
+class RasterizeCudaContext:
+    """`nvdiffrast.torch.RasterizeCudaContext`."""
+
+
+class FoundationPose:
+    """`estimater.FoundationPose`: it knows where the corners of the one object are."""
+
+    def __init__(
+        self,
+        model_pts: Any,
+        model_normals: Any,
+        symmetry_tfs: Any = None,
+        mesh: Any = None,
+        scorer: ScorePredictor | None = None,
+        refiner: PoseRefinePredictor | None = None,
+        glctx: Any = None,
+        debug: int = 0,
+        debug_dir: str = "",
+    ) -> None:
+        assert symmetry_tfs is None
+        assert isinstance(scorer, ScorePredictor)
+        assert isinstance(refiner, PoseRefinePredictor)
+        assert isinstance(glctx, RasterizeCudaContext)
+        assert model_normals.shape == model_pts.shape
+        assert debug == 0
+        assert debug_dir
+        self.model_center = (model_pts.min(axis=0) + model_pts.max(axis=0)) / 2
+        self.mesh = mesh.copy()
+        self.mesh.vertices = mesh.vertices - self.model_center
+
+    def register(
+        self, K: Any, rgb: Any, depth: Any, ob_mask: Any, ob_id: Any = None, glctx: Any = None, iteration: int = 5
+    ) -> Any:
+        assert rgb.dtype == np.uint8
+        assert depth.dtype == np.float32
+        assert np.isfinite(depth).all()
+        assert np.array_equal(K, _K)
+        valid = (depth >= 0.1) & (ob_mask > 0)
+        pose = np.eye(4)
+        if valid.sum() < 4:
+            return pose
+        # The rotation between the corners, by Kabsch, and then what takes the model to its middle.
+        own, there = self.mesh.vertices - self.mesh.vertices.mean(axis=0), POINTS - POINTS.mean(axis=0)
+        left, _, right = np.linalg.svd(own.T @ there)
+        pose[:3, :3] = (left @ np.diag([1, 1, np.sign(np.linalg.det(left @ right))]) @ right).T
+        pose[:3, 3] = POINTS.mean(axis=0) - pose[:3, :3] @ self.mesh.vertices.mean(axis=0)
+        to_center = np.eye(4)
+        to_center[:3, 3] = -self.model_center
+        return Tensor(pose @ to_center)
+
+
 # ---- checks ---------------------------------------------------------------------------------------------------------
 
 
@@ -187,6 +252,12 @@ def faked(name: str) -> Iterator[ModuleType]:
         "tsr.system": {"TSR": TSR},
         "trellis.pipelines": {"TrellisImageTo3DPipeline": TrellisImageTo3DPipeline},
         "inference": {"Inference": Inference},
+        "nvdiffrast.torch": {"RasterizeCudaContext": RasterizeCudaContext},
+        "estimater": {
+            "FoundationPose": FoundationPose,
+            "ScorePredictor": ScorePredictor,
+            "PoseRefinePredictor": PoseRefinePredictor,
+        },
     }.items():
         *packages, last = path.split(".")
         for package in packages:
@@ -244,3 +315,16 @@ def adapter_fault(name: str) -> str:
     placed = made.vertices @ made.camera_from_mesh[:3, :3].T + made.camera_from_mesh[:3, 3]
     off_m = float(np.abs(placed.mean(axis=0) - POINTS.mean(axis=0)).max())
     return "" if off_m < (1e-6 if name == "sam3d" else 0.2) else f"it is {off_m:.3f} m off its place"
+
+
+def refiner_fault(name: str) -> str:
+    """Return what is wrong with a refiner of poses against the fake of its package, "" for nothing."""
+    turn = trimesh.transformations.quaternion_matrix(_QUATERNION)[:3, :3]
+    with faked(name) as module:
+        place, told = module.load()
+        own = (POINTS - MIDDLE) @ turn + _SHIFT
+        found = place(shown_view(module), module.Model(vertices=own, faces=FACES))
+    if not told.get("model"):
+        return "it does not say which model it is"
+    off_m = float(np.abs(own @ found[:3, :3].T + found[:3, 3] - POINTS).max())
+    return "" if off_m < 1e-6 else f"the model is {off_m:.3f} m off its place"

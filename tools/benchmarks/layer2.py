@@ -20,7 +20,7 @@ from hickory_stream.shapes.distance_field import even_samples
 from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor, VolumeConfig
 from hickory_stream.shapes.judgement import JudgementConfig, ShapeEvidence, judged, shape_evidence
 from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
-from tools.benchmarks.adapter_fakes import ADAPTERS, adapter_fault
+from tools.benchmarks.adapter_fakes import ADAPTERS, REFINERS, adapter_fault, refiner_fault
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.foreign_logs import worlds_folder
 from tools.benchmarks.intervals import bootstrap, wilson
@@ -71,7 +71,8 @@ def measure(options: Options) -> list[Figure]:
     figures = _of_placement(plain, spoiled, where) + _of_judgement(spoiled, swapped)
     figures += _of_blending(spoiled[: 4 if options.quick else None])
     sound = [name for name in ADAPTERS if adapter_fault(name) == ""]
-    told = f"of {len(ADAPTERS)} adapters: {', '.join(sound)}; against fakes of their packages"
+    sound += [name for name in REFINERS if refiner_fault(name) == ""]
+    told = f"of {len(ADAPTERS) + len(REFINERS)} adapters: {', '.join(sound)}; against fakes of their packages"
     return [*figures, Figure(name="adapters_checked", value=len(sound), unit="", better="higher", of=told)]
 
 

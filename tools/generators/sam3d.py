@@ -8,9 +8,9 @@
 | rotation | quaternion w, x, y, z; for rows: p' = (s p) R + t, in PyTorch3D's camera | transposed, signs changed |
 | scale | three equal numbers; may be wrong although depth was given | placement decides |
 
-Set up (Linux, CUDA 12.1): git clone the repository beside this file and follow its doc/setup.md (Python 3.11, torch
-2.5.1, a conda environment: without CONDA_PREFIX its inference.py does not import); ask for the weights and put them
-into `sam-3d-objects/checkpoints/hf`. The command of the TOML is the python of that environment.
+Set up (Linux, CUDA 12.1): `install sam3d` beside this file, then its doc/setup.md (Python 3.11, torch 2.5.1, a conda
+environment: without CONDA_PREFIX its inference.py does not import); ask for the weights and put them into
+`sam-3d-objects/checkpoints/hf`. The command of the TOML is the python of that environment.
 """
 
 import os

@@ -44,23 +44,37 @@ class Made:
     camera_from_mesh: np.ndarray | None = None
 
 
+@dataclass(frozen=True)
+class Model:
+    """A mesh of true size whose pose is asked for: `vertices` (V, 3) metres, `faces` (F, 3), in a frame of its own."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
 class NoShapeError(Exception):
     """No shape can be made of this view."""
 
 
 def serve(load: Callable[[], tuple[Callable[[View], Made], dict[str, str]]]) -> None:
-    """Load a model, say what it is, and answer jobs until standard input ends.
+    """Load a model, say what it is, and answer jobs with meshes until standard input ends."""
+    _serve(load, answer)
 
-    Standard output belongs to the protocol: whatever a model prints goes to standard error.
-    """
+
+def serve_poses(load: Callable[[], tuple[Callable[[View, Model], np.ndarray], dict[str, str]]]) -> None:
+    """Load a model, say what it is, and answer jobs with poses until standard input ends."""
+    _serve(load, answer_pose)
+
+
+def _serve(load: Callable[[], tuple[Any, dict[str, str]]], answer_with: Callable[[Path, Any], None]) -> None:
+    # Standard output belongs to the protocol: whatever a model prints goes to standard error.
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    make, told = load()
+    made, told = load()
     _say(answers, {"ready": True, **told})
     for line in sys.stdin:
         asked = json.loads(line)
-        folder = Path(asked["folder"])
-        answer(folder, make)
+        answer_with(Path(asked["folder"]), made)
         _say(answers, {"done": asked["job"]})
 
 
@@ -73,20 +87,42 @@ def answer(folder: Path, make: Callable[[View], Made]) -> None:
     """Do one job: read its view, and write the mesh, or why there is none."""
     job = json.loads((folder / "job.json").read_text())
     try:
-        view = read_view(folder, job["seed"])
-        if not view.mask.any():
-            raise NoShapeError("an empty mask")
-        made = make(view)
+        made = make(_shown(folder, job))
         if len(made.vertices) == 0 or len(made.faces) == 0:
             raise NoShapeError("an empty mesh")
     except NoShapeError as error:
-        (folder / "no_shape.json").write_text(json.dumps({"job": job["job"], "reason": str(error)}, allow_nan=False))
+        _refuse(folder, job, error)
         return
     (folder / "mesh.glb").write_bytes(glb(made))
     said: dict[str, Any] = {"job": job["job"]}
     if made.camera_from_mesh is not None:
         said["camera_from_mesh"] = np.asarray(made.camera_from_mesh, dtype=np.float64).tolist()
     (folder / "result.json").write_text(json.dumps(said, allow_nan=False))
+
+
+def answer_pose(folder: Path, place: Callable[[View, Model], np.ndarray]) -> None:
+    """Do one job: read its view and its model, and write camera_from_mesh, or why it is not known."""
+    job = json.loads((folder / "job.json").read_text())
+    try:
+        with np.load(folder / "model.npz", allow_pickle=False) as content:
+            model = Model(vertices=content["vertices"], faces=content["faces"])
+        camera_from_mesh = place(_shown(folder, job), model)
+    except NoShapeError as error:
+        _refuse(folder, job, error)
+        return
+    said = {"job": job["job"], "camera_from_mesh": np.asarray(camera_from_mesh, dtype=np.float64).tolist()}
+    (folder / "result.json").write_text(json.dumps(said, allow_nan=False))
+
+
+def _shown(folder: Path, job: dict[str, Any]) -> View:
+    view = read_view(folder, job["seed"])
+    if not view.mask.any():
+        raise NoShapeError("an empty mask")
+    return view
+
+
+def _refuse(folder: Path, job: dict[str, Any], error: NoShapeError) -> None:
+    (folder / "no_shape.json").write_text(json.dumps({"job": job["job"], "reason": str(error)}, allow_nan=False))
 
 
 def read_view(folder: Path, seed: int) -> View:

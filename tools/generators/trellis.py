@@ -7,9 +7,8 @@
 | pose | none | none is said; placement finds it |
 | colours | `vertex_attrs`: red, green, blue in 0..1, then normals | bytes |
 
-Set up (Linux, CUDA): git clone --recurse-submodules the repository beside this file and run its setup.sh with
-`--new-env --basic --xformers --flash-attn --diffoctreerast --spconv --mipgaussian --kaolin --nvdiffrast`; put the
-folder TRELLIS-image-large into `weights/`. The command of the TOML is the python of that environment.
+Set up (Linux, CUDA): `install trellis` beside this file; the folder TRELLIS-image-large goes into `weights/`. The
+command of the TOML is the python of that environment.
 """
 
 import os

@@ -7,9 +7,8 @@
 | size | as seen from 1.9 units away with 40 degrees across | from the mask and the median depth, as a first guess |
 | colours | float 0..1 per vertex, or none where a texture is baked | bytes |
 
-Set up (Linux, CUDA): git clone the repository beside this file, python -m venv .venv, then in it
-`pip install torch torchvision --index-url ...` for your CUDA, and `pip install -r TripoSR/requirements.txt`; put
-config.yaml and model.ckpt of stabilityai/TripoSR into `weights/`.
+Set up (Linux, CUDA): `install triposr` beside this file; config.yaml and model.ckpt of stabilityai/TripoSR go into
+`weights/`.
 """
 
 import inspect

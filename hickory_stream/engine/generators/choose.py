@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.engine.generators.exchange import read_answer, write_question
 from hickory_stream.engine.generators.process import GeneratorLimitError, GeneratorProcess
+from hickory_stream.engine.generators.refine import ExternalRefiner
 from hickory_stream.engine.generators.spec import (
     CHOICE_VARIABLE,
     GeneratorSpec,
@@ -19,10 +20,12 @@ from hickory_stream.engine.generators.spec import (
     fingerprint,
     missing_of,
     read_spec,
+    refiner_of,
 )
 from hickory_stream.errors import ConfigError, WorkerError
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import make_reconstructor
+from hickory_stream.shapes.placement import EmbeddedPlacement
 
 if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
@@ -67,7 +70,7 @@ def reconstructor_of(config: ShapeConfig) -> Reconstructor:
     path = os.environ.get(CHOICE_VARIABLE, "")
     if not path:
         raise ConfigError(f"this job needs a generator; set ${CHOICE_VARIABLE} to its TOML")
-    return make_reconstructor("external", config, _generator(path))
+    return make_reconstructor("external", config, _generator(path), _refiner(path, config))
 
 
 @cache
@@ -76,6 +79,22 @@ def _generator(path: str) -> ExternalGenerator:
     generator = ExternalGenerator(read_spec(Path(path)))
     atexit.register(generator.process.close)
     return generator
+
+
+@cache
+def _refining(path: str) -> GeneratorProcess | None:
+    """Return the one process of the refiner that a generator names, None where it names none."""
+    spec = refiner_of(read_spec(Path(path)))
+    if spec is None:
+        return None
+    process = GeneratorProcess(spec)
+    atexit.register(process.close)
+    return process
+
+
+def _refiner(path: str, config: ShapeConfig) -> ExternalRefiner | None:
+    process = _refining(path)
+    return None if process is None else ExternalRefiner(process, EmbeddedPlacement(config.placement))
 
 
 def chosen_generator(config: MapperConfig) -> Path | None:
@@ -88,18 +107,21 @@ def chosen_generator(config: MapperConfig) -> Path | None:
         return None
     path = find_spec(config.run.generator)
     spec = read_spec(path)
-    check_licence(spec, config.run.i_accept)
-    if config.run.cluster:
-        return path  # what it needs is on the machines of the cluster
-    if missing := missing_of(spec):
-        raise ConfigError(f"the generator {spec.name} ({path}) lacks {'; '.join(missing)}; see `generators check`")
-    process = GeneratorProcess(spec)
-    try:
-        process.start()
-    except WorkerError as error:
-        raise ConfigError(f"{error}; see `hickory-stream generators check {path}`") from error
-    finally:
-        process.close()
+    refiner = refiner_of(spec)
+    for program in [spec] if refiner is None else [spec, refiner]:
+        check_licence(program, config.run.i_accept)
+        if config.run.cluster:
+            continue  # what it needs is on the machines of the cluster
+        if missing := missing_of(program):
+            lacking = "; ".join(missing)
+            raise ConfigError(f"the generator {program.name} ({path}) lacks {lacking}; see `generators check`")
+        process = GeneratorProcess(program)
+        try:
+            process.start()
+        except WorkerError as error:
+            raise ConfigError(f"{error}; see `hickory-stream generators check {path}`") from error
+        finally:
+            process.close()
     return path
 
 

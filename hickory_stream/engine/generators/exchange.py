@@ -8,6 +8,11 @@ views/N/            the same four files of further views, from 1
 mesh.glb            the answer: one mesh of triangles in one buffer, no transforms; vertex colours if it has any
 result.json         the answer: job; camera_from_mesh, (4, 4) by rows, a similarity, where the generator knows it
 no_shape.json       instead of both: job and reason
+
+A refiner of poses is asked about a mesh instead of for one, and its answer has no mesh.glb:
+
+model.npz           vertices (V, 3) float32 in metres, faces (F, 3) int32, in a frame of their own
+result.json         job; camera_from_mesh, (4, 4) by rows, a rotation and a place
 """
 
 from __future__ import annotations
@@ -28,18 +33,27 @@ from hickory_stream.ports import GeneratedMesh, NoShape
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.ports import Crop, ShapeInputs
 
 MESH, RESULT, NO_SHAPE, JOB = "mesh.glb", "result.json", "no_shape.json", "job.json"
+MODEL = "model.npz"
 _MOST_BYTES = 256 << 20
 _MOST_FACES = 2_000_000
 _MOST_REASON = 300
+_RIGID = 3e-3
 
 
-def write_question(folder: Path, inputs: ShapeInputs, num_views: int) -> str:
-    """Write the views that a generator is shown; return the name of the job, a hash of all of it."""
+def write_question(folder: Path, inputs: ShapeInputs, num_views: int, model: Mesh | None = None) -> str:
+    """Write the views that a program is shown, and the model whose pose it is asked; return the job, a hash of all."""
     crops = inputs.crops[:num_views]
     digest = hashlib.sha256()
+    if model is not None:
+        vertices, faces = model.vertices.astype("<f4"), model.faces.astype("<i4")
+        np.savez(folder / MODEL, vertices=vertices, faces=faces)
+        digest.update(vertices.tobytes() + faces.tobytes())
     for i, crop in enumerate(crops):
         place = folder if i == 0 else folder / "views" / str(i)
         place.mkdir(parents=True, exist_ok=True)
@@ -85,6 +99,23 @@ def read_answer(folder: Path, job: str, num_views: int) -> GeneratedMesh | NoSha
         if len(mesh.faces) > _MOST_FACES:
             raise ValueError(f"the mesh has {len(mesh.faces)} triangles; at most {_MOST_FACES}")
         return GeneratedMesh(mesh=mesh, camera_from_mesh=_similarity(said.get("camera_from_mesh")), num_views=num_views)
+    except (OSError, ValueError, KeyError, TypeError, OutsideError, RecursionError, MemoryError) as error:
+        raise WorkerError(f"its answer is not usable: {error}") from error
+
+
+def read_pose(folder: Path, job: str) -> NDArray[np.float64] | NoShape:
+    """Return camera_from_mesh (4, 4) as a refiner left it, or why it has none.
+
+    Raises:
+        WorkerError: it left nothing that can be read, something that is no rotation, or the answer to another job.
+    """
+    try:
+        if (folder / NO_SHAPE).exists():
+            return NoShape(reason=str(_said(folder, NO_SHAPE, job).get("reason", "no reason given"))[:_MOST_REASON])
+        found = _similarity(_said(folder, RESULT, job).get("camera_from_mesh"))
+        if found is None or abs(portable.det3(found[:3, :3]) - 1) > _RIGID:
+            raise ValueError("camera_from_mesh is no rotation and place of a mesh of true size")
+        return found
     except (OSError, ValueError, KeyError, TypeError, OutsideError, RecursionError, MemoryError) as error:
         raise WorkerError(f"its answer is not usable: {error}") from error
 

@@ -38,6 +38,7 @@ class GeneratorProcess:
     """One generator; `ask` starts it where it does not run."""
 
     def __init__(self, spec: GeneratorSpec) -> None:
+        self.name = spec.name
         self._spec = spec
         self._child: subprocess.Popen[bytes] | None = None
         self._lines: queue.Queue[bytes] = queue.Queue()

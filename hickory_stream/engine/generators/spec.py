@@ -31,6 +31,7 @@ class GeneratorSpec(Ranged):
         environment, resources: names and values, e.g. CUDA_VISIBLE_DEVICES, and GPU = 1, which a job then asks of a
             worker of a cluster.
         licence: of code and weights. Where `acceptance` is not "", `run.i_accept` must say exactly that.
+        refiner: the TOML, beside this one, of a program that refines the poses of its meshes; "" for none.
         weights: files whose content is a part of what makes a shape.
         views: how many views it uses, the best first.
         start_s, time_s, memory_mb: limits for its start, for one object, and for its processes together.
@@ -42,6 +43,7 @@ class GeneratorSpec(Ranged):
     resources: tuple[tuple[str, str], ...] = ()
     licence: str = "not stated"
     acceptance: str = ""
+    refiner: str = ""
     weights: tuple[str, ...] = ()
     views: int = number(1, 1, 64, "views")
     start_s: float = number(300.0, 0.01, 86400, "s")
@@ -77,6 +79,16 @@ def read_spec(path: Path) -> GeneratorSpec:
         raise ConfigError(f"{path}: name and command must not be empty")
     values = {name: getattr(spec, name) for name in GeneratorSpec.__dataclass_fields__}
     return GeneratorSpec(**{**values, **tables, "folder": path.resolve().parent})
+
+
+def refiner_of(spec: GeneratorSpec) -> GeneratorSpec | None:
+    """Return the program that refines a generator's poses, None without one; raises ConfigError as `read_spec` does."""
+    if not spec.refiner:
+        return None
+    found = read_spec(spec.folder / spec.refiner)
+    if found.refiner:
+        raise ConfigError(f"the refiner {found.name} of {spec.name} names a refiner of its own; it can have none")
+    return found
 
 
 def cluster_resources(spec: GeneratorSpec) -> dict[str, float]:
@@ -122,8 +134,8 @@ def find_spec(name: str) -> Path:
 
 
 def check_licence(spec: GeneratorSpec, accepted: str) -> None:
-    """Raise ConfigError unless what a licence asks for was accepted word by word."""
-    if spec.acceptance and accepted != spec.acceptance:
+    """Raise ConfigError unless what a licence asks for was accepted word by word; several with semicolons between."""
+    if spec.acceptance and spec.acceptance not in (part.strip() for part in accepted.split(";")):
         raise ConfigError(
             f"the generator {spec.name} is under {spec.licence}; if you accept that, "
             f'say run.i_accept = "{spec.acceptance}" (found {accepted!r})'
@@ -154,6 +166,8 @@ def fingerprint(spec: GeneratorSpec) -> str:
     """Return the hash of what makes its shapes: what the TOML says, its scripts, its weights."""
     said = (spec.name, spec.command, spec.environment, spec.licence, spec.views)
     digest = hashlib.sha256(repr(said).encode())
+    if (refiner := refiner_of(spec)) is not None:
+        digest.update(fingerprint(refiner).encode())
     files = [spec.folder / argument for argument in spec.command if (spec.folder / argument).is_file()]
     for path in [*files, *(spec.folder / name for name in spec.weights)]:
         for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
