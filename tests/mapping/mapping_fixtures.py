@@ -21,6 +21,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.lattice import STEPS_PER_M
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.mapping.cloud import cloud_of
@@ -45,7 +46,9 @@ def box_surface(center: Triple, size: Triple = (0.2, 0.2, 0.2), yaw_rad: float =
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     half = np.array(size) / 2
     shell = grid[(np.abs(np.abs(grid) - half) < 1e-9).any(axis=1)]
-    return (shell @ yaw_rotation(yaw_rad).T + center).astype(np.float32)
+    points = (shell @ yaw_rotation(yaw_rad).T + center).astype(np.float32)
+    # At steps, as the mapping has points, and in the cells where they are: faces lie on the border of two.
+    return (np.ceil(points * np.float32(STEPS_PER_M)) / np.float32(STEPS_PER_M)).astype(np.float32)
 
 
 def observation(
