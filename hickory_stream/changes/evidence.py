@@ -69,6 +69,11 @@ def evidence_at(other: SeenPlaces, points: NDArray[np.float64], near_m: float) -
     return Evidence(free=free, structure=structure, objects=objects, unseen=unseen, num_clear=len(points))
 
 
+def not_in_free_space(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return those of (N, 3) points at which a map saw no free space; of an object's own voxels some may be free."""
+    return points[~_in_free_space(places, points)]
+
+
 def thinned(points: NDArray[np.float32], most: int) -> NDArray[np.float32]:
     """Return at most `most` of the points, at an even stride."""
     if len(points) <= most:

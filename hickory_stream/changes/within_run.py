@@ -2,22 +2,26 @@
 
 The life cycle of tracks says which objects a map has no more and which it has in addition. Why, the two maps say that
 it held before and after: what was seen through where an object stood is gone; what stands where there was free space is
-new; and of those, two that look alike are one that was moved (`compare.py`).
+new; and of those, two that look alike are one that was moved (`compare.py`). An object that the map still has, but that
+was not seen since, is gone, too, if its place was seen through in the meantime: its own points prove nothing.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.changes.compare import compare_maps
-from hickory_stream.changes.records import Verdict
+from hickory_stream.changes.evidence import clear_points, evidence_at, not_in_free_space, seen_places
+from hickory_stream.changes.records import ChangesConfig, Verdict
 from hickory_stream.engine.history.time_travel import Change, changes
+from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
-    from hickory_stream.changes.records import ChangesConfig
-    from hickory_stream.records import MapSnapshot
+    from hickory_stream.changes.records import ObjectChange
+    from hickory_stream.records import MapSnapshot, TrackedObject
 
 
 def changes_within_run(
@@ -25,34 +29,61 @@ def changes_within_run(
 ) -> tuple[Change, ...]:
     """Return what happened to the objects between two moments of a run, in the order of their ids.
 
-    As `time_travel.changes`, but that objects which the later map lacks or has in addition are "gone", "new" or "moved"
-    where the space that was observed says so, with the probability of it.
+    As `time_travel.changes`, but that objects which the later map lacks or has in addition, and those that were not
+    seen since, are "gone", "new" or "moved" where the space that was observed says so, with the probability of it.
 
     Args:
         before: the map as it was known at the earlier moment.
         after: as it was known at the later one.
         config: when something counts as changed.
     """
+    config = config or ChangesConfig()
     listed = changes(before, after)
-    dropped = {one.object_id for one in listed if one.kind == "dropped"}
-    appeared = {one.object_id for one in listed if one.kind == "appeared"}
-    found = {
-        (one.id_a, one.id_b): one
-        for one in compare_maps(before, after, np.eye(4), 0.0, config).changes
-        if one.id_a in dropped | {None} and one.id_b in appeared | {None}
-    }
+    not_seen = _not_seen_since(before, after)
+    lost = {one.object_id for one in listed if one.kind == "dropped"} | not_seen
+    came = {one.object_id for one in listed if one.kind == "appeared"}
+    seen_again = replace(after, objects=tuple(item for item in after.objects if item.id not in not_seen))
     said: dict[int, Change | None] = {}
-    for (id_a, id_b), one in found.items():
-        free = f"{one.evidence.free:.0%} of its place"
-        if one.verdict is Verdict.MOVED and id_a is not None and id_b is not None and one.shift_m is not None:
-            text = f"by {float(np.linalg.norm(one.shift_m)):.2f} m: it was #{id_a}, and {free} there is free by now"
-            moved = Change(kind="moved", object_id=id_b, text=text, probability=one.probability, was=id_a)
-            said |= {id_a: None, id_b: moved}
-        elif one.verdict is Verdict.GONE and id_a is not None:
-            text = f"{free} is free by now"
-            said[id_a] = Change(kind="gone", object_id=id_a, text=text, probability=one.probability)
-        elif one.verdict is Verdict.NEW and id_b is not None:
-            text = f"{free} was free before"
-            said[id_b] = Change(kind="new", object_id=id_b, text=text, probability=one.probability)
-    told = (said.get(one.object_id, one) if one.kind in ("dropped", "appeared") else one for one in listed)
-    return tuple(one for one in told if one is not None)
+    for one in compare_maps(before, seen_again, np.eye(4), 0.0, config).changes:
+        if one.id_a in lost | {None} and one.id_b in came | {None}:
+            is_unproven = one.id_a in not_seen and not _is_seen_through_since(before, seen_again, one.id_a, config)
+            said |= {} if is_unproven else _told(one)
+    # Of what was not seen since nothing else is listed: nothing of it changed.
+    told = [said.get(one.object_id, one) if one.kind in ("dropped", "appeared") else one for one in listed]
+    told += [said[i] for i in not_seen & said.keys()]
+    return tuple(sorted((one for one in told if one is not None), key=lambda one: one.object_id))
+
+
+def _told(one: ObjectChange) -> dict[int, Change | None]:
+    """Return what is said of the objects of a verdict, by their ids; nothing of what moved elsewhere."""
+    free = f"{one.evidence.free:.0%} of its place"
+    if one.verdict is Verdict.MOVED and one.id_a is not None and one.id_b is not None and one.shift_m is not None:
+        away_m = float(np.linalg.norm(one.shift_m))
+        text = f"by {away_m:.2f} m: it was #{one.id_a}, and {free} there is free by now"
+        moved = Change(kind="moved", object_id=one.id_b, text=text, probability=one.probability, was=one.id_a)
+        return {one.id_a: None, one.id_b: moved}
+    if one.verdict is Verdict.GONE and one.id_a is not None:
+        text = f"{free} is free by now"
+        return {one.id_a: Change(kind="gone", object_id=one.id_a, text=text, probability=one.probability)}
+    if one.verdict is Verdict.NEW and one.id_b is not None:
+        text = f"{free} was free before"
+        return {one.id_b: Change(kind="new", object_id=one.id_b, text=text, probability=one.probability)}
+    return {}
+
+
+def _not_seen_since(before: MapSnapshot, after: MapSnapshot) -> set[int]:
+    sightings = {item.id: item.sightings for item in before.objects if item.phase is not Phase.TENTATIVE}
+    return {item.id for item in after.objects if sightings.get(item.id) == item.sightings}
+
+
+def _is_seen_through_since(before: MapSnapshot, after: MapSnapshot, object_id: int, config: ChangesConfig) -> bool:
+    """Return whether an object's place became free: points that were in free space before do not count."""
+    objects = _compared(before)
+    at = next(i for i, item in enumerate(objects) if item.id == object_id)
+    places = seen_places(objects, before.submaps)
+    points = not_in_free_space(places, clear_points(places, at, config.near_m))
+    return evidence_at(seen_places(_compared(after), after.submaps), points, config.near_m).free >= config.min_free
+
+
+def _compared(snapshot: MapSnapshot) -> tuple[TrackedObject, ...]:
+    return tuple(item for item in snapshot.objects if item.phase is not Phase.TENTATIVE and len(item.points_world))

@@ -130,3 +130,17 @@ def test_within_a_run_what_nobody_looked_at_again_only_dropped_or_appeared() -> 
     assert (dropped.kind, dropped.probability) == ("dropped", None)
     (appeared,) = changes_within_run(snapshot(space=dark), snapshot(LEAVES))
     assert (appeared.kind, appeared.probability) == ("appeared", None)
+
+
+def test_within_a_run_what_was_not_seen_since_is_gone_only_if_its_place_was_seen_through() -> None:
+    seen_through = snapshot(STAYS, LEAVES)
+    dark = seen_room(dark_m=(0.5, 2.5))
+    again = replace(STAYS, sightings=STAYS.sightings + 5)
+    # The core has not given it up, and its own points lie there still.
+    (gone,) = changes_within_run(snapshot(STAYS, LEAVES, space=dark), snapshot(again, LEAVES))
+    assert (gone.object_id, gone.kind) == (2, "gone")
+    # Nobody looked there; nobody looked there again: what was free before proves nothing.
+    assert changes_within_run(snapshot(STAYS, LEAVES, space=dark), snapshot(again, LEAVES, space=dark)) == ()
+    assert changes_within_run(seen_through, snapshot(again, LEAVES)) == ()
+    (moved,) = changes_within_run(snapshot(STAYS, LEAVES, space=dark), snapshot(again, LEAVES, crate(9, 3.0, 3.2)))
+    assert (moved.object_id, moved.kind, moved.was) == (9, "moved", 2)

@@ -49,6 +49,7 @@ _HELPERS = {
     "live_receiver",
     "live_safety",
     "live_scene",
+    "looked_at",
     "loop_figures",
     "loop_rooms",
     "loop_walks",

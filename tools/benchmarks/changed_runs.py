@@ -6,10 +6,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.changes.within_run import changes_within_run
-from hickory_stream.evaluation.match import score_map
+from hickory_stream.evaluation.match import MIN_SEEN, score_map
 from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.benchmarks.change_counts import PairCounts
 from tools.benchmarks.changed_maps import mapped
+from tools.benchmarks.looked_at import scene_of, share_looked_at
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,7 +30,10 @@ def run_counts(state: Path, seed: int) -> PairCounts:
 
 
 def counts_of_run(truth: Truth, saved: SavedMap) -> PairCounts:
-    """Return what is said of the time from just before the change of a truth to the end, against that change."""
+    """Return what is said of the time from just before the change of a truth to the end, against that change.
+
+    A change counts if enough was seen of the object, and of its place when it was not there.
+    """
     assert truth.change is not None
     before = saved.as_known_at(truth.change.stamp_ns - 1)
     after = saved.as_known_at(truth.frames[-1].stamp_ns)
@@ -40,11 +44,22 @@ def counts_of_run(truth: Truth, saved: SavedMap) -> PairCounts:
         {row.truth_id: row.map_id for row in score_map(snapshot, {}, one).truth if row.counts}
         for snapshot, one in ((before, truth_before), (after, truth))
     )
+    in_a = _looked_at(in_a, truth_before, truth, after_change=True)
+    in_b = _looked_at(in_b, truth, truth_before, after_change=False)
     told = [one for one in changes_within_run(before, after) if one.probability is not None]
     gone = {one.object_id for one in told if one.kind == "gone"}
     moved = {one.was: one.object_id for one in told if one.kind == "moved" and one.was is not None}
     new = {one.object_id for one in told if one.kind == "new"}
     return counted(truth, (in_a, in_b), gone, moved, new)
+
+
+def _looked_at(held: dict[int, int | None], own: Truth, other: Truth, *, after_change: bool) -> dict[int, int | None]:
+    """Return those objects of one side of the change of whose places enough is looked at on the other side."""
+    assert own.change is not None
+    scene = scene_of(other)
+    frames = [one for one in own.frames if (one.stamp_ns >= own.change.stamp_ns) == after_change]
+    objects = {item.id: item for item in own.objects}
+    return {i: map_id for i, map_id in held.items() if share_looked_at(own, objects[i], frames, scene) >= MIN_SEEN}
 
 
 def _old_ids(truth: Truth) -> set[int]:

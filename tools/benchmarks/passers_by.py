@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.match import score_map, surface_of
-from hickory_stream.evaluation.raycast import Scene, Surface
-from hickory_stream.evaluation.truth import structure_meshes
+from hickory_stream.evaluation.match import score_map
 from hickory_stream.geometry.voxels import contains, dilate
 from hickory_stream.records import Phase
 from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.walkable import person_of, walkable_world
 from tools.benchmarks.changed_maps import mapped
+from tools.benchmarks.looked_at import scene_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.evaluation.raycast import Scene
     from hickory_stream.evaluation.truth import Truth
 
 _OFF_M = 0.05
@@ -61,10 +61,7 @@ def passer_by(state: Path, scene: str, seed: int, seconds: float | None) -> Pass
 
 def compared(truth: Truth, without: SavedMap, with_person: SavedMap, places_m: NDArray[np.float64]) -> PasserBy:
     """Return the counts of two maps of one room; `places_m` (N, 2) is where the person was at each frame."""
-    true_scene = Scene([
-        *(surface_of(truth, item) for item in truth.objects),
-        *(Surface(vertices=m.vertices, faces=m.faces, colors=m.colors, owner=0) for m in structure_meshes(truth)),
-    ])  # fmt: skip
+    true_scene = scene_of(truth)
     objects = [item for item in with_person.snapshot.objects if item.phase is not Phase.TENTATIVE]
     found_alone, found = (
         {row.truth_id for row in score_map(saved.snapshot, {}, truth).truth if row.counts and row.map_id is not None}
