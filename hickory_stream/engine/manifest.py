@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-FORMAT_VERSION = 2
-"""Format 1 had points as PLY, meshes as GLB and the observed space as NPY; it is read, too."""
+FORMAT_VERSION = 3
+"""Format 1 had points as PLY, meshes as GLB and the observed space as NPY, format 2 points and vertices at no steps of
+their own; both are read, too."""
 
-_READ = (1, FORMAT_VERSION)
+_READ = (1, 2, FORMAT_VERSION)
 MANIFEST = "manifest.json"
 _KIND = "hickory-stream map"
 _ENTRIES: dict[str, Any] = {

@@ -16,6 +16,7 @@ import pytest
 
 from hickory_stream.engine.array_files import ply_bytes
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.manifest import FORMAT_VERSION
 from hickory_stream.engine.map_folder import MapFolder, create_map_folder
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError, MapFolderError
@@ -328,7 +329,7 @@ def test_another_format_is_refused_with_a_remedy(tmp_path: Path, version: int | 
     create(tmp_path / "m")
     manifest = json.loads((tmp_path / "m/manifest.json").read_text())
     (tmp_path / "m/manifest.json").write_text(json.dumps({**manifest, "format": version}))
-    with pytest.raises(MapFolderError, match=f"format {version}, this version reads 1 to 2; .*{remedy}"):
+    with pytest.raises(MapFolderError, match=f"format {version}, this version reads 1 to {FORMAT_VERSION}; .*{remedy}"):
         open_map(tmp_path / "m")
 
 
